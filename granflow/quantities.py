@@ -1,0 +1,124 @@
+"""The glossary as data: every quantity that a `Snapshot` can hold, with its unit and what it means.
+
+One word per thing: the name here is the key in a `Snapshot`, the name of the array in a VTU file and, for
+totals, the name of the column in `timeseries.csv` and of the quantity in a scene's `expect:` block. All units
+are SI.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+Kind = Literal["scalar", "vector"]
+FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One word of the glossary.
+
+    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to VTU
+    files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for what is
+    worked out from other arrays when a file is written.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    kind: Kind = "scalar"
+    file_type: FileType = "float32"
+    stored: bool = True
+
+    @property
+    def vtu_name(self) -> str:
+        """Name of the array in VTU files: the name itself, so that there is one word per thing."""
+        return self.name
+
+    @property
+    def label(self) -> str:
+        """Name with its unit for the head of a table: `kinetic_energy [J]`; a pure number has no brackets."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    def shape(self, count: int) -> tuple[int, ...]:
+        """Shape of the array that holds this quantity for `count` particles or contacts."""
+        return (count, 3) if self.kind == "vector" else (count,)
+
+    def for_file(self, values: np.ndarray) -> np.ndarray:
+        """Give the values the width in which they are written to VTU files."""
+        return np.ascontiguousarray(values, dtype=np.dtype(self.file_type))
+
+
+def _by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
+    return MappingProxyType({quantity.name: quantity for quantity in quantities})
+
+
+PARTICLE_QUANTITIES = _by_name(
+    (
+        Quantity("id", "i", "1", "number of the particle, never used twice in a run", file_type="int64"),
+        Quantity("position", "x", "m", "centre of the sphere", "vector", "float64"),
+        Quantity("radius", "R", "m", "radius of the sphere"),
+        Quantity("mass", "m", "kg", "mass of the sphere"),
+        Quantity("velocity", "v", "m/s", "velocity of the centre", "vector"),
+        Quantity("spin", "w", "rad/s", "angular velocity", "vector"),
+        Quantity("force", "F", "N", "total force, gravity included", "vector"),
+        Quantity("torque", "M", "N m", "total torque about the centre", "vector"),
+        Quantity("material", "", "1", "index of the material in the scene", file_type="int32"),
+        Quantity("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        Quantity("coordination_number", "Z", "1", "number of contacts of the particle", file_type="int32"),
+        Quantity("diameter", "d", "m", "diameter of the sphere, twice the radius", stored=False),
+        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centre, m v^2 / 2", stored=False),
+    )
+)
+
+CONTACT_QUANTITIES = _by_name(
+    (
+        Quantity("first_id", "i", "1", "id of particle i", file_type="int64"),
+        Quantity("second_id", "j", "1", "id of particle j, -1 where i touches a wall", file_type="int64"),
+        Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
+        Quantity("first_position", "xi", "m", "centre of particle i", "vector", "float64"),
+        Quantity("second_position", "xj", "m", "centre of particle j, or foot on the wall", "vector", "float64"),
+        Quantity("normal_force", "Fn", "N", "repulsion along the normal"),
+        Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
+        Quantity("overlap", "delta", "m", "sum of the radii less the distance of the centres"),
+        Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
+        Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
+        Quantity("state", "", "1", "0 loading, 1 unloading", file_type="uint8"),
+        Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
+    )
+)
+
+TOTAL_QUANTITIES = _by_name(
+    (
+        Quantity("particle_count", "N", "1", "particles present"),
+        Quantity("inserted_count", "", "1", "particles inserted since the start"),
+        Quantity("deleted_count", "", "1", "particles that left the domain"),
+        Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain"),
+        Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
+        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centres"),
+        Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
+        Quantity("overlap_mean", "", "1", "mean overlap over radius of the contacts"),
+        Quantity("overlap_largest", "", "1", "largest overlap over radius of the contacts"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, from the origin"),
+        Quantity("elastic_energy", "Ee", "J", "energy stored in contacts that they can give back"),
+        Quantity("plastic_dissipation", "", "J", "energy lost in steeper unloading"),
+        Quantity("friction_dissipation", "", "J", "energy lost in sliding"),
+        Quantity("rolling_dissipation", "", "J", "energy lost in rolling friction"),
+        Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
+        Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
+        Quantity("removed_energy", "", "J", "energy taken by deleted less that brought by inserted particles"),
+        Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
+    )
+)
+
+METER_QUANTITIES = _by_name(
+    (
+        Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
+        Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
+        Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the table, steady mean in the result"),
+    )
+)

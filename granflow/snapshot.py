@@ -1,0 +1,78 @@
+"""What a simulation shows to the outside: read-only numpy arrays of one moment, in SI."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+
+def _read_only(values: np.ndarray) -> np.ndarray:
+    # A view, so that the array of whoever made the snapshot stays writable for its maker.
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
+
+
+def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    return MappingProxyType({name: _read_only(values) for name, values in arrays.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class WallPose:
+    """Where a wall is: a rest point p stands at `rotation @ (p - pivot) + pivot + offset`.
+
+    `offset` (3,) [m], `rotation` (3, 3), `pivot` (3,) [m]; `present` is False before a wall appears and after
+    it vanishes.
+    """
+
+    present: bool
+    offset: np.ndarray
+    rotation: np.ndarray
+    pivot: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("offset", "rotation", "pivot"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+    @classmethod
+    def at_rest(cls, present: bool = True) -> "WallPose":
+        """Make the pose of a wall that has not moved."""
+        return cls(present, np.zeros(3), np.eye(3), np.zeros(3))
+
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """Rest points (n, 3) [m] moved to where the wall stands now."""
+        return (points - self.pivot) @ self.rotation.T + self.pivot + self.offset
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One moment of a simulation. Keys and units are in `granflow.quantities`.
+
+    `time` [s]; `step`: steps done; `stage`: name of the stage. `particles`: arrays ordered by id, as many of
+    `PARTICLE_QUANTITIES` as were wanted, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, each contact
+    once, or None if not wanted. `walls`: pose by name, in the order of the scene. `totals`: numbers of
+    `TOTAL_QUANTITIES`. All arrays and mappings are read-only.
+    """
+
+    time: float
+    step: int
+    stage: str
+    particles: Mapping[str, np.ndarray]
+    contacts: Mapping[str, np.ndarray] | None
+    walls: Mapping[str, WallPose]
+    totals: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "particles", _read_only_arrays(self.particles))
+        if self.contacts is not None:
+            object.__setattr__(self, "contacts", _read_only_arrays(self.contacts))
+        object.__setattr__(self, "walls", MappingProxyType(dict(self.walls)))
+        object.__setattr__(self, "totals", MappingProxyType(dict(self.totals)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings cannot be pickled; child processes hand snapshots back as plain ones.
+        contacts = None if self.contacts is None else dict(self.contacts)
+        plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals))
+        return Snapshot, (self.time, self.step, self.stage, *plain)
