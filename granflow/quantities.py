@@ -20,9 +20,9 @@ FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 class Quantity:
     """One word of the glossary.
 
-    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to VTU
-    files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for what is
-    worked out from other arrays when a file is written.
+    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to
+    VTU files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for
+    what is worked out from other arrays when a file is written.
     """
 
     name: str
@@ -80,7 +80,7 @@ CONTACT_QUANTITIES = _by_name(
         Quantity("second_id", "j", "1", "id of particle j, -1 where i touches a wall", file_type="int64"),
         Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
         Quantity("first_position", "xi", "m", "centre of particle i", "vector", "float64"),
-        Quantity("second_position", "xj", "m", "centre of particle j, or foot on the wall", "vector", "float64"),
+        Quantity("second_position", "xj", "m", "centre of j, or foot point on the wall", "vector", "float64"),
         Quantity("normal_force", "Fn", "N", "repulsion along the normal"),
         Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
         Quantity("overlap", "delta", "m", "sum of the radii less the distance of the centres"),
@@ -110,7 +110,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rolling_dissipation", "", "J", "energy lost in rolling friction"),
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
-        Quantity("removed_energy", "", "J", "energy taken by deleted less that brought by inserted particles"),
+        Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
         Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
     )
 )
