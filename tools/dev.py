@@ -1,0 +1,142 @@
+"""Set up granflow in .venv beside pyproject.toml, then run it; needs nothing but a bare Python.
+
+    python3 tools/dev.py run SCENE [arguments of granflow run]
+    python3 tools/dev.py test [arguments of pytest]
+    python3 tools/dev.py slow [arguments of pytest]      the tests that take minutes
+    python3 tools/dev.py check                           lint, format, types, layers
+
+The first start installs the versions pinned in constraints.txt; later starts install nothing.
+"""
+
+import hashlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = ROOT / ".venv"
+STAMP = ENVIRONMENT / "granflow-installed.txt"
+UNFINISHED = "unfinished"
+OLDEST, NEWEST = (3, 10), (3, 13)
+EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot")}
+
+
+def main(arguments: "list[str]") -> int:
+    """Do one verb and return the exit code; on POSIX the verb replaces this process instead."""
+    verb, rest = (arguments[0], arguments[1:]) if arguments else ("", [])
+    if verb not in EXTRAS:
+        print(__doc__.strip(), file=sys.stdout if verb in ("-h", "--help") else sys.stderr)
+        return 0 if verb in ("-h", "--help") else 2
+    refuse_what_cannot_work()
+    install(EXTRAS[verb])
+    return hand_over(command_of(verb, rest))
+
+
+def command_of(verb: str, rest: "list[str]") -> "list[str]":
+    """The command line of a verb, its program named in full."""
+    commands = {
+        "run": ["-m", "granflow", "run", *rest],
+        "test": ["-m", "pytest", *rest],
+        "slow": ["-m", "pytest", "-m", "slow", "--timeout=1800", *rest],
+        "check": [str(ROOT / "tools" / "check.py"), *rest],
+    }
+    if verb != "run":
+        os.chdir(str(ROOT))
+    return [str(environment_python()), *commands[verb]]
+
+
+def hand_over(command: "list[str]") -> int:
+    """Run the command with our terminal, so that progress bars and Ctrl-C reach it."""
+    sys.stdout.flush()
+    if os.name == "posix":
+        os.execv(command[0], command)
+    try:
+        return subprocess.call(command)
+    except KeyboardInterrupt:
+        return 130
+
+
+def environment_python() -> Path:
+    """The interpreter of the virtual environment."""
+    return ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def refuse_what_cannot_work() -> None:
+    """Stop with one sentence if this Python, or an environment not ours, stands in the way."""
+    version = sys.version_info[:2]
+    if not OLDEST <= version <= NEWEST:
+        there = [name for name in (f"python3.{minor}" for minor in range(13, 9, -1)) if shutil.which(name)]
+        remedy = "start this with " + there[0] if there else "install one of these and start this with it"
+        span = f"{dotted(OLDEST)} to {dotted(NEWEST)}"
+        stop(f"granflow needs Python {span}, but this is {dotted(version)}: {remedy}.")
+    if ENVIRONMENT.exists() and any(ENVIRONMENT.iterdir()) and not STAMP.exists():
+        stop(f"{ENVIRONMENT} was not made by tools/dev.py: move or remove it, then try again.")
+
+
+def install(extras: "tuple[str, ...]") -> None:
+    """Bring the environment to what pyproject.toml and constraints.txt ask, if it is not there yet."""
+    python, inputs, installed = inputs_and_installed()
+    if inputs in installed and set(extras) <= set(installed):
+        return
+    print(f"Setting up {ENVIRONMENT} (the first time takes a minute or two) ...", file=sys.stderr)
+    extras = tuple(sorted({*extras, *({"dev", "plot"} & set(installed))}))
+    if python not in installed or not environment_python().exists():
+        make_environment()
+    STAMP.write_text(UNFINISHED + "\n")
+    target = str(ROOT) + (f"[{','.join(extras)}]" if extras else "")
+    pip = [str(environment_python()), "-m", "pip", "install", "--disable-pip-version-check"]
+    attempt([*pip, "-c", str(ROOT / "constraints.txt"), "-e", target], "Installing granflow failed")
+    STAMP.write_text("\n".join([python, inputs, *extras]) + "\n")
+
+
+def inputs_and_installed() -> "tuple[str, str, list[str]]":
+    """This Python and place, a digest of the files that say what to install, and the stamp's lines."""
+    python = f"python {dotted(sys.version_info[:2])} in {ROOT}"
+    digest = hashlib.sha256()
+    for name in ("pyproject.toml", "constraints.txt"):
+        digest.update((ROOT / name).read_bytes())
+    installed = STAMP.read_text().splitlines() if STAMP.exists() else []
+    return python, "inputs " + digest.hexdigest(), installed
+
+
+def make_environment() -> None:
+    """A fresh virtual environment, marked unfinished from its first moment."""
+    missing = [name for name in ("venv", "ensurepip") if importlib.util.find_spec(name) is None]
+    if missing:
+        stop(
+            f"This Python lacks its module {missing[0]}: install it (on Debian and Ubuntu: "
+            f"sudo apt install python{dotted(sys.version_info[:2])}-venv), then try again."
+        )
+    shutil.rmtree(str(ENVIRONMENT), ignore_errors=True)
+    ENVIRONMENT.mkdir(exist_ok=True)
+    STAMP.write_text(UNFINISHED + "\n")
+    base = getattr(sys, "_base_executable", None) or sys.executable
+    attempt([base, "-m", "venv", str(ENVIRONMENT)], "Making the virtual environment failed")
+
+
+def attempt(command: "list[str]", failure: str) -> None:
+    """Run a command silently; if it fails, show what it said and stop."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    if done.returncode:
+        sys.stderr.write(done.stdout.decode(errors="replace"))
+        stop(f"{failure}: mend what is said above, then give the same command again.")
+
+
+def dotted(version: "tuple[int, int]") -> str:
+    """3.10 for (3, 10)."""
+    return ".".join(str(number) for number in version)
+
+
+def stop(sentence: str) -> None:
+    """End with a message and exit code 1."""
+    sys.exit(f"tools/dev.py: {sentence}")
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)
