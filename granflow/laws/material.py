@@ -1,0 +1,84 @@
+"""What two touching materials mean to a contact law: plain float64 numbers, no fields.
+
+SI units throughout. Symbols as in Zhou (2011).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Elastic and plastic constants of one material."""
+
+    young_modulus: float
+    poisson_ratio: float
+    density: float
+    yield_strength: float | None = None
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus [Pa], G = E / (2 (1 + nu))."""
+        return self.young_modulus / (2.0 * (1.0 + self.poisson_ratio))
+
+
+@dataclass(frozen=True)
+class VelocityRestitution:
+    """Restitution coefficient that falls with the approach velocity (Zhou 2011, Eq. 12).
+
+    e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+    """
+
+    sigma: float
+    psi: float
+    limit_velocity: float
+
+    def __call__(self, velocity: float | np.ndarray) -> np.ndarray:
+        """Restitution coefficient at an approach velocity [m/s], any shape."""
+        speed = np.asarray(velocity, dtype=float)
+        below = np.minimum(speed, np.nextafter(self.limit_velocity, 0.0))
+        e = np.exp(-self.sigma * (below / (self.limit_velocity - below)) ** self.psi)
+        return np.where(speed < self.limit_velocity, e, 0.0)
+
+
+@dataclass(frozen=True)
+class PairMaterial:
+    """Mixed constants of two materials, symmetric under their exchange."""
+
+    modulus_eff: float
+    shear_modulus_eff: float
+    restitution: float | VelocityRestitution
+    friction: float
+    rolling_friction: float = 0.0
+
+    def restitution_at(self, velocity: float) -> float:
+        """Restitution coefficient asked for at an approach velocity [m/s]."""
+        if isinstance(self.restitution, VelocityRestitution):
+            return float(self.restitution(velocity))
+        return self.restitution
+
+
+def modulus_eff(a: Solid, b: Solid) -> float:
+    """Effective modulus [Pa]: 1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2."""
+    compliance = (1.0 - a.poisson_ratio**2) / a.young_modulus + (1.0 - b.poisson_ratio**2) / b.young_modulus
+    return 1.0 / compliance
+
+
+def shear_modulus_eff(a: Solid, b: Solid) -> float:
+    """Effective shear modulus [Pa]: 1/G = (2 - nu1)/G1 + (2 - nu2)/G2 (Mindlin 1949)."""
+    return 1.0 / ((2.0 - a.poisson_ratio) / a.shear_modulus + (2.0 - b.poisson_ratio) / b.shear_modulus)
+
+
+def limit_velocity(a: Solid, b: Solid) -> float:
+    """Velocity from which on the collision is perfectly plastic [m/s] (Zhou 2011, Eq. 11).
+
+        vlim = sqrt(3 Ymin / rho)      rho of the sphere with the lower yield strength
+
+    Raises ValueError if neither has a yield strength. One without yields never.
+    """
+    known = [solid for solid in (a, b) if solid.yield_strength is not None]
+    if not known:
+        raise ValueError("Eq. 11 needs a yield strength of at least one of the two materials")
+    weaker = min(known, key=lambda solid: (solid.yield_strength, -solid.density))
+    return float(np.sqrt(3.0 * weaker.yield_strength / weaker.density))

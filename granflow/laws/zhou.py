@@ -1,0 +1,237 @@
+"""Hertz elastic loading, nonlinear plastic unloading (Zhou 2011): the law granflow exists for.
+
+One file, one law: pair constants, history, device functions and the numpy twin. Reloading runs back along
+the unloading curve up to the largest overlap so far, where Hertz loading takes over again, so that the force is
+continuous everywhere: F = min(k d^1.5, unloading curve frozen at dmax).
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws import theory
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import PairMaterial, VelocityRestitution
+from granflow.laws.mindlin import mindlin_stiffness
+
+RestitutionFrom = Literal["onset", "peak", "constant"]
+
+CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
+HISTORY = ("overlap_max", "restitution", "recovery")
+NEWTON_STEPS = 4
+"""From y = (4/5) e^2 three reach machine precision in float64 for every e; one to spare."""
+
+
+def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
+    """Numbers of CONSTANTS for one pair of materials; unused ones are 0."""
+    shared = (pair.modulus_eff, pair.shear_modulus_eff)
+    if isinstance(pair.restitution, VelocityRestitution):
+        law = pair.restitution
+        return (*shared, 0.0, law.sigma, law.psi, law.limit_velocity)
+    return (*shared, pair.restitution, 0.0, 1.0, 0.0)
+
+
+@ti.func
+def restitution_at(constants, velocity):
+    """Restitution coefficient of an approach velocity [m/s] (Zhou 2011, Eq. 12).
+
+        e(v) = exp(-sigma (v / (vlim - v))^psi)      v < vlim, else 0
+
+    A pair with a constant restitution has no limit velocity.
+    """
+    sigma, psi, limit = constants[3], constants[4], constants[5]
+    e = constants[2]
+    if limit > 0.0:
+        e = 0.0
+        if velocity <= 0.0:
+            e = 1.0
+        elif velocity < limit:
+            e = ti.exp(-sigma * ti.pow(velocity / (limit - velocity), psi))
+    return e
+
+
+@ti.func
+def recovery_of(e):
+    """Share y of the largest overlap that springs back: y = (4/5) e^2 + (1/5) e^3 y^2.5 (Zhou 2011, Eq. 8)."""
+    first = 0.8 * e * e
+    share = 0.2 * e * e * e
+    y = first
+    for _ in ti.static(range(NEWTON_STEPS)):
+        root = y * ti.sqrt(y)
+        y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
+    return y
+
+
+@ti.func
+def least_restitution(k, mass, overlap_max, time_step, angle):
+    """Smallest restitution the time step can carry: unloading tangent <= angle^2 M / dt^2 (model.md, e -> 0)."""
+    return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
+
+
+@ti.func
+def unloading_force(k, overlap_max, e, y, overlap):
+    """Force on the unloading branch [N], zero below the residual overlap.
+
+        F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
+
+    Steeper than loading by up to 1/e^2; bounded by the time step as e -> 0.
+    """
+    force = 0.0 * k
+    above = overlap - overlap_max * (1.0 - y)
+    if above > 0.0:
+        cube = e * e * e
+        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+        force = k * above * (slope + cube * ti.sqrt(above))
+    return force
+
+
+@ti.func
+def unloading_energy(k, overlap_max, e, y, overlap):
+    """Work the unloading branch gives back from an overlap on [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
+    energy = 0.0 * k
+    above = overlap - overlap_max * (1.0 - y)
+    if above > 0.0:
+        cube = e * e * e
+        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+        energy = k * above * above * (0.5 * slope + 0.4 * cube * ti.sqrt(above))
+    return energy
+
+
+def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float = 0.0) -> NormalLaw:
+    """Zhou's law with its restitution taken at the onset, from the peak overlap, or constant.
+
+    `unloading_angle` is the bound theta on sqrt(K/M) dt of the unloading tangent. `damping_ratio` adds a viscous
+    force 2 zeta sqrt(K M) times the rate of overlap on the elastic branch, with K the Hertz tangent.
+    """
+    peak, damped = restitution_from == "peak", damping_ratio > 0.0
+
+    @ti.func
+    def resolve(constants, radius_eff, mass_eff, time_step, history):
+        """Restitution and recovery for the unloading that starts from the present largest overlap."""
+        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+        e = history[1]
+        y = history[2]
+        if y == 0.0:
+            if ti.static(peak):
+                e = restitution_at(
+                    constants, ti.sqrt(0.8 * k * history[0] ** 2 * ti.sqrt(history[0]) / mass_eff)
+                )
+            e = ti.max(e, ti.min(least_restitution(k, mass_eff, history[0], time_step, unloading_angle), 1.0))
+            y = recovery_of(e)
+        return e, y
+
+    @ti.func
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+        normal_force = 0.0 * k
+        memory = history
+        if ti.static(not peak):
+            if memory[0] == 0.0:
+                memory[1] = restitution_at(constants, overlap_rate)
+        if overlap >= memory[0]:
+            memory[0] = overlap
+            memory[2] = 0.0
+            normal_force = k * overlap * ti.sqrt(overlap)
+        else:
+            e, y = resolve(constants, radius_eff, mass_eff, time_step, memory)
+            memory[1] = e
+            memory[2] = y
+            normal_force = unloading_force(k, memory[0], e, y, overlap)
+        if ti.static(damped):
+            if normal_force > 0.0:
+                stiffness = 1.5 * k * ti.sqrt(overlap)
+                viscous = 2.0 * damping_ratio * ti.sqrt(stiffness * mass_eff) * overlap_rate
+                normal_force = ti.max(normal_force + viscous, 0.0)
+        return normal_force, memory
+
+    @ti.func
+    def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+        e, y = resolve(constants, radius_eff, mass_eff, time_step, history)
+        return unloading_energy(k, history[0], e, y, overlap)
+
+    @ti.func
+    def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+        e, y = resolve(constants, radius_eff, mass_eff, time_step, history)
+        put_in = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
+        return put_in - unloading_energy(k, history[0], e, y, history[0])
+
+    return NormalLaw(
+        name="zhou",
+        source="Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12",
+        constant_names=CONSTANTS,
+        history_names=HISTORY,
+        rate_dependent=damped,
+        lateral_grows=True,
+        pair_constants=pair_constants,
+        force=force,
+        stored_energy=stored_energy,
+        lost_energy=lost_energy,
+        lateral_stiffness=mindlin_stiffness,
+        reference_force=_twin(restitution_from, unloading_angle, damping_ratio),
+        phase_durations=phase_durations,
+        unloading_stiffness=unloading_stiffness,
+    )
+
+
+def phase_durations(
+    pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+) -> tuple[float, float]:
+    """Loading and unloading duration [s] (Zhou 2011, Eqs. 13-15)."""
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+    scale = float(theory.time_scale(k, mass_eff, velocity))
+    e = pair.restitution_at(velocity)
+    return theory.LOADING_DURATION * scale, theory.unloading_duration(e) * scale
+
+
+def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    """Tangent at the start of unloading [N/m]; infinite at e = 0 (Zhou 2011, Eqs. 4, 7)."""
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+    largest = float(theory.overlap_max(k, mass_eff, velocity))
+    return k * np.sqrt(largest) * float(theory.unloading_tangent(pair.restitution_at(velocity)))
+
+
+def _twin(
+    restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float
+) -> Callable[..., tuple[float, np.ndarray]]:
+    """Numpy twin of the law, one contact at a time in plain float64."""
+
+    def restitution(constants: np.ndarray, velocity: float) -> float:
+        if constants[5] == 0.0:
+            return float(constants[2])
+        return float(VelocityRestitution(*constants[3:6])(max(velocity, 0.0)))
+
+    def reference_force(
+        constants: np.ndarray,
+        radius_eff: float,
+        mass_eff: float,
+        time_step: float,
+        overlap: float,
+        overlap_rate: float,
+        history: np.ndarray,
+    ) -> tuple[float, np.ndarray]:
+        k = theory.hertz_stiffness(constants[0], radius_eff)
+        largest, e, y = history
+        if restitution_from != "peak" and largest == 0.0:
+            e = restitution(constants, overlap_rate)
+        if overlap >= largest:
+            elastic, memory = k * overlap**1.5, np.array([overlap, e, 0.0])
+        else:
+            if y == 0.0:
+                if restitution_from == "peak":
+                    e = restitution(constants, np.sqrt(0.8 * k * largest**2.5 / mass_eff))
+                bound = theory.least_restitution(k, mass_eff, largest, time_step, unloading_angle)
+                e = min(max(e, bound), 1.0)
+                y = float(theory.recovery(e))
+            above = max(overlap - largest * (1.0 - y), 0.0)
+            lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
+            elastic, memory = lam * above + e**3 * k * above**1.5, np.array([largest, e, y])
+        if elastic > 0.0 and damping_ratio > 0.0:
+            tangent = 1.5 * k * np.sqrt(overlap)
+            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(tangent * mass_eff) * overlap_rate, 0.0)
+        return float(elastic), memory
+
+    return reference_force
