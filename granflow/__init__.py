@@ -1,5 +1,31 @@
-"""granflow: discrete element simulation of granular flow, from a YAML scene to ParaView."""
+"""granflow: discrete element simulation of granular flow, from a YAML scene to ParaView.
 
-from importlib.metadata import version
+Names are loaded when they are first used: reading a scene does not start Taichi.
+"""
 
-__version__ = version("granflow")
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from granflow.errors import GranflowError, RunError, SceneError
+    from granflow.scene import load as load_scene
+    from granflow.simulation import Simulation
+
+__all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
+
+_HOMES = {
+    "GranflowError": "granflow.errors:GranflowError",
+    "RunError": "granflow.errors:RunError",
+    "SceneError": "granflow.errors:SceneError",
+    "Simulation": "granflow.simulation:Simulation",
+    "load_scene": "granflow.scene:load",
+    "__version__": "importlib.metadata:version",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'granflow' has no attribute '{name}'")
+    home, _, attribute = _HOMES[name].partition(":")
+    value = getattr(import_module(home), attribute)
+    return value("granflow") if name == "__version__" else value

@@ -1,0 +1,286 @@
+"""The command line: `granflow run | check | explain | schema | collide`.
+
+Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from granflow.errors import GranflowError, SceneError
+
+if TYPE_CHECKING:
+    from granflow.scene import Scene
+
+ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
+PRECISIONS = ("f64", "f32", "mixed")
+RESULT_FILES = ("*.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu", "timeseries.csv", "scene.yaml", "run.log")
+"""What a run writes into its directory, as patterns: tells an earlier run from other files."""
+COLLIDE_UNITS = {
+    "duration": "s",
+    "overlap_max": "m",
+    "overlap_residual": "m",
+    "force_max": "N",
+    "spring_equation19": "N/m",
+    "time_step": "s",
+    "velocity": "m/s",
+}
+EXIT_UNMET = 1
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
+    by a guard; 130 interrupted.
+    """
+    # Taichi would print a banner into our output and send its version to its makers once a day.
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    options = build_parser().parse_args(arguments)
+    try:
+        return options.verb(options)
+    except GranflowError as error:
+        return refuse(error)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return complain(f"{error.filename}: {error.strerror}.")
+    except KeyboardInterrupt:
+        print("granflow: interrupted.", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def refuse(error: GranflowError) -> int:
+    """Show an error of ours without a traceback and give its exit code; problems of a scene are counted."""
+    problems = error.problems if isinstance(error, SceneError) else ()
+    if not problems:
+        return complain(str(error), error.exit_code)
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
+    return error.exit_code
+
+
+def complain(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
+    """Say one sentence on stderr and give the exit code."""
+    print(f"granflow: {sentence}", file=sys.stderr)
+    return exit_code
+
+
+# ---------------------------------------------------------------- verbs
+
+
+def run(options: argparse.Namespace) -> int:
+    """`granflow run`: simulate a scene into a directory, then show the numbers and the expectations."""
+    scene = load(options)
+    out = options.out or Path("out") / scene.path.stem
+    make_room(out, options.force)
+    from granflow.simulation import Simulation
+
+    simulation = Simulation(scene, arch=options.arch, precision=options.precision, threads=options.threads, out=out)
+    result = simulation.run(until=options.until)
+    show_numbers(f"{scene.title}: done, see {out}", result.numbers)
+    for sentence, met in result.expectations:
+        print(f"{'as expected' if met else 'NOT AS EXPECTED'}: {sentence}")
+    return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
+
+
+def check(options: argparse.Namespace) -> int:
+    """`granflow check`: find every problem of a scene without running it."""
+    load(options)
+    print(f"{options.scene}: no problems found.")
+    return 0
+
+
+def explain(options: argparse.Namespace) -> int:
+    """`granflow explain`: what will be run and why: features, defaults, time step, memory, run time."""
+    scene = load(options)
+    from granflow.plan import plan_for
+
+    print(plan_for(scene, arch=options.arch, precision=options.precision).explain())
+    return 0
+
+
+def schema(options: argparse.Namespace) -> int:
+    """`granflow schema`: the JSON Schema of scene files, for editors."""
+    from granflow.scene import json_schema
+
+    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+def collide(options: argparse.Namespace) -> int:
+    """`granflow collide`: one head-on collision against its closed forms."""
+    from granflow.study.collide import collide as collide_once
+
+    names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
+    numerics = ("steps_per_contact", "precision", "arch")
+    numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
+    if options.json:
+        print(json.dumps(numbers, indent=2))
+    else:
+        show_comparison(numbers)
+    return 0
+
+
+def load(options: argparse.Namespace) -> "Scene":
+    """Read the scene with the overrides of the command line."""
+    from granflow.scene import load as load_scene
+
+    return load_scene(options.scene, options.overrides)
+
+
+def make_room(out: Path, force: bool) -> None:
+    """Refuse a directory that holds an earlier run, or with `force` remove that run's files and no others."""
+    earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
+    if earlier and not force:
+        raise GranflowError(f"{out} holds an earlier run: name another with --out, or replace it with --force.")
+    for path in earlier:
+        path.unlink()
+
+
+# ---------------------------------------------------------------- tables
+
+
+def show_numbers(title: str, numbers: Mapping[str, Any]) -> None:
+    """Print the numbers of a run, one per row."""
+    show_table(title, ("", ""), [(name.replace("_", " "), as_text(value)) for name, value in numbers.items()])
+
+
+def show_comparison(numbers: Mapping[str, Any]) -> None:
+    """Print what a collision reached beside what was asked of it or what theory promises."""
+    promises = ("_asked", "_theory")
+    rows = []
+    for name in (name for name in numbers if not name.endswith(promises)):
+        promised = [as_text(numbers[name + end]) for end in promises if name + end in numbers]
+        unit = COLLIDE_UNITS.get(name, "")
+        rows.append((name.replace("_", " "), as_text(numbers[name]), *(promised or [""]), unit))
+    show_table("head-on collision", ("", "reached", "asked or closed form", "unit"), rows)
+
+
+def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table with right-aligned figures to the terminal, or plain to a file."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
+    for column, head in enumerate(heads):
+        table.add_column(head, justify="left" if column == 0 else "right")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+def as_text(value: Any) -> str:
+    """A number with seven digits, anything else as it is."""
+    return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+# ---------------------------------------------------------------- arguments
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All verbs and their arguments."""
+    parser = argparse.ArgumentParser(prog="granflow", description="Discrete element simulation of granular flow.")
+    parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and leave")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    add_run(verbs)
+    add_scene_verb(verbs, check, "find every problem of a scene without running it")
+    explained = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
+    add_machine(explained)
+    verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
+    add_collide(verbs)
+    return parser
+
+
+class ShowVersion(argparse.Action):
+    """Looks the version up only when asked, as that reads files."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import granflow
+
+        print(f"granflow {granflow.__version__}")
+        parser.exit()
+
+
+def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
+    """A verb that reads a scene: SCENE and --set."""
+    parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="the YAML file of the scene")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="KEY.PATH=VALUE",
+        action="append",
+        default=[],
+        help="put a value in place of the scene's, such as --set particles.beads.count=500; may be repeated",
+    )
+    parser.set_defaults(verb=verb)
+    return parser
+
+
+def add_run(verbs: Any) -> None:
+    """`granflow run` and its arguments."""
+    parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
+    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
+    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
+    parser.add_argument("--force", action="store_true", help="replace an earlier run in the same directory")
+    add_machine(parser)
+
+
+def add_machine(parser: argparse.ArgumentParser) -> None:
+    """--arch and --precision."""
+    parser.add_argument("--arch", choices=ARCHITECTURES, default="cpu", help="where to compute (cpu)")
+    parser.add_argument("--precision", choices=PRECISIONS, help="width of the numbers (as the scene says)")
+
+
+def add_collide(verbs: Any) -> None:
+    """`granflow collide` and its arguments."""
+    summary = "run one head-on collision and compare it with the closed forms"
+    parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--law", default="zhou", help="contact law (zhou)")
+    parser.add_argument("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
+    parser.add_argument("--diameter", required=True, type=quantity("length"), help="of the sphere, such as 25.4mm")
+    parser.add_argument("--velocity", required=True, type=quantity("velocity"), help="of approach, such as 0.5")
+    parser.add_argument("--material2", metavar="PRESET", help="of the other sphere or the wall (the same)")
+    partner = parser.add_mutually_exclusive_group()
+    partner.add_argument("--diameter2", type=quantity("length"), help="of the other sphere (the same)")
+    partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
+    parser.add_argument("--restitution", type=quantity("number"), help="asked for, 0 to 1 (from the material)")
+    parser.add_argument("--steps-per-contact", metavar="N", type=float, help="duration over time step")
+    parser.add_argument("--json", action="store_true", help="print JSON in SI units")
+    add_machine(parser)
+    parser.set_defaults(verb=collide)
+
+
+def quantity(dimension: str) -> Callable[[str], float]:
+    """A reader of arguments such as 25.4mm, for argparse: to SI, with the reader's own message if it is not one."""
+
+    def read(text: str) -> float:
+        from granflow.scene.units import UnitError, to_si
+
+        try:
+            value = to_si(text, dimension)
+        except UnitError as error:
+            raise argparse.ArgumentTypeError(f"{text} is given, but {error}") from None
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"{text} is given, but a finite value is asked here")
+        return value
+
+    return read
+
+
+def thread_count(text: str) -> int:
+    """A reader of --threads, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is given, but a whole number from 1 is asked here")
+    return int(text)

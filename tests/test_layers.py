@@ -1,0 +1,190 @@
+"""The shape of the package: which layer imports which, where Taichi begins, how long a function may be."""
+
+import ast
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "granflow"
+LAYERS = (
+    "errors",
+    "quantities",
+    "snapshot",
+    "laws",
+    "walls",
+    "scene",
+    "plan",
+    "device",
+    "observe",
+    "simulation",
+    "study",
+    "cli",
+    "__main__",
+)
+"""Ground floor first. The package's own __init__ re-exports from any of them."""
+TAICHI_LAYERS = {"laws", "walls", "device"}
+SHAPELESS_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
+TOP_LEVEL = {
+    *("granflow", "scenes", "tests", "tools", "docs"),
+    *("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md"),
+}
+LONGEST_FUNCTION = 60
+LONG_FUNCTION, SHARE_OF_LONG_FUNCTIONS = 30, 0.1
+FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
+TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
+
+
+def module_name(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def modules():
+    """Every module of the package: its dotted name, path and syntax tree."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return {module_name(path): (path, ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
+
+
+def imports(name):
+    """The dotted names a module imports, wherever in the file, in full; submodules rather than packages."""
+    path, tree = modules()[name]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = resolved(name, path, node)
+            for alias in node.names:
+                inner = f"{base}.{alias.name}"
+                yield inner if inner in modules() else base
+
+
+def resolved(name, path, node):
+    """The absolute name that a `from ... import` starts from."""
+    if not node.level:
+        return node.module
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    stem = package[: len(package) - node.level + 1]
+    return ".".join([*stem, *([node.module] if node.module else [])])
+
+
+def layer(name):
+    """The layer of a module of the package; none for the package's own __init__ and for strangers."""
+    parts = name.split(".")
+    return parts[1] if parts[0] == "granflow" and len(parts) > 1 else None
+
+
+def functions():
+    """Every function of the package, nested ones too: where it stands, and its node."""
+    for path, tree in modules().values():
+        for node in ast.walk(tree):
+            if isinstance(node, FUNCTION_NODES):
+                yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node
+
+
+def line_count(node):
+    """The lines of a function that are its own: those of functions defined inside it count for them."""
+    inner = (n for n in ast.walk(node) if n is not node and isinstance(n, FUNCTION_NODES))
+    lines = set(range(node.lineno, node.end_lineno + 1))
+    return len(lines.difference(*(range(n.lineno, n.end_lineno + 1) for n in inner)))
+
+
+def test_every_module_belongs_to_a_layer():
+    assert not {name for name in modules() if layer(name) not in (None, *LAYERS)}
+
+
+def test_imports_point_downwards():
+    upward = [
+        f"{name} imports {target}"
+        for name in modules()
+        for target in imports(name)
+        if layer(name) and target.startswith("granflow")
+        if layer(target) is None or LAYERS.index(layer(target)) > LAYERS.index(layer(name))
+        if not (target == "granflow" and layer(name) in {"cli", "__main__"})
+    ]
+    assert not upward
+
+
+def test_no_import_runs_in_a_circle():
+    below = {name: {t for t in imports(name) if t in modules() and t != "granflow"} for name in modules()}
+    below["granflow"] = set()
+    while free := {name for name, targets in below.items() if not targets}:
+        below = {name: targets - free for name, targets in below.items() if name not in free}
+    assert not below
+
+
+def test_taichi_stays_in_its_layers():
+    strays = [
+        name
+        for name in modules()
+        if layer(name) not in TAICHI_LAYERS and any(t.split(".")[0] == "taichi" for t in imports(name))
+    ]
+    assert not strays
+
+
+def test_taichi_files_keep_their_annotations_as_values():
+    """`from __future__ import annotations` hides the types of a kernel from Taichi."""
+    strays = [
+        name
+        for name in modules()
+        if layer(name) in TAICHI_LAYERS and "taichi" in imports(name) and "__future__" in imports(name)
+    ]
+    assert not strays
+
+
+def test_module_names_say_something():
+    assert not [name for name in modules() if SHAPELESS_NAMES & set(name.split("."))]
+
+
+@pytest.mark.parametrize("name", [n for n, (path, _) in modules().items() if path.name == "__init__.py"])
+def test_package_inits_only_re_export(name):
+    def is_re_export(node):
+        if isinstance(node, ast.Assign):
+            return all(isinstance(t, ast.Name) and t.id in {"__all__", "_HOMES"} for t in node.targets)
+        if isinstance(node, ast.FunctionDef):
+            return node.name == "__getattr__"
+        if isinstance(node, ast.If):
+            return ast.unparse(node.test) == "TYPE_CHECKING"
+        is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))
+
+    assert not [ast.unparse(node) for node in modules()[name][1].body if not is_re_export(node)]
+
+
+def test_functions_are_short():
+    lengths = {where: line_count(node) for where, node in functions()}
+    assert not {where: lines for where, lines in lengths.items() if lines > LONGEST_FUNCTION}
+    long = {where: lines for where, lines in lengths.items() if lines > LONG_FUNCTION}
+    assert len(long) <= SHARE_OF_LONG_FUNCTIONS * len(lengths), long
+
+
+def test_host_functions_of_the_taichi_layers_are_annotated():
+    """The linter asks this of the other layers; only a ti.func may leave its types to Taichi."""
+
+    def runs_in_taichi(node):
+        return any(ast.unparse(d).split("(")[0].split(".")[-1] in TAICHI_DECORATORS for d in node.decorator_list)
+
+    def is_annotated(node):
+        named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        spread = [a for a in (node.args.vararg, node.args.kwarg) if a]
+        missing = [a for a in [*named, *spread] if a.annotation is None and a.arg not in {"self", "cls"}]
+        return not missing and (node.returns is not None or node.name == "__init__")
+
+    places = [str(Path("granflow", name)) for name in TAICHI_LAYERS]
+    bare = [
+        where
+        for where, node in functions()
+        if where.startswith(tuple(places)) and not runs_in_taichi(node) and not is_annotated(node)
+    ]
+    assert not bare
+
+
+def test_top_level_holds_only_what_is_agreed():
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
+    if listing.returncode:
+        pytest.skip("not a git checkout")
+    top = {name.split("/")[0] for name in listing.stdout.split("\0") if name}
+    assert not {name for name in top if name not in TOP_LEVEL and not name.startswith(".")}
