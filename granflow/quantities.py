@@ -6,7 +6,7 @@ are SI.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -42,6 +42,10 @@ class Quantity:
     def label(self) -> str:
         """Name with its unit for the head of a table: `kinetic_energy [J]`; a pure number has no brackets."""
         return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    def label_of(self, part: str) -> str:
+        """Name of this quantity of one part, with its unit: `mass_flow.outlet [kg/s]`."""
+        return replace(self, name=f"{self.name}.{part}").label
 
     def shape(self, count: int) -> tuple[int, ...]:
         """Shape of the array that holds this quantity for `count` particles or contacts."""

@@ -52,8 +52,8 @@ class Snapshot:
 
     `time` [s]; `step`: steps done; `stage`: name of the stage. `particles`: arrays ordered by id, as many of
     `PARTICLE_QUANTITIES` as were wanted, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, each
-    contact once, or None if not wanted. `walls`: pose by name, in the order of the scene. `totals`: numbers of
-    `TOTAL_QUANTITIES`. All arrays and mappings are read-only.
+    contact once, or None if not wanted. `walls`: pose by name, in the order of the scene. `totals`: numbers
+    of `TOTAL_QUANTITIES`. All arrays and mappings are read-only.
     """
 
     time: float

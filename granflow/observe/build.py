@@ -1,0 +1,57 @@
+"""From a scene's `output:` block to its observers."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.observe.meters import FlowMeter
+from granflow.observe.observer import Observer
+from granflow.observe.progress import ProgressDisplay
+from granflow.observe.timeseries import TimeSeries
+from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
+
+
+def observers_for(
+    scene: Any, out_dir: Path, wall_triangles: Mapping[str, tuple[np.ndarray, np.ndarray]]
+) -> list[Observer]:
+    """Make the observers that the scene asks for, writing into `out_dir`; the time series is always the first.
+
+    `wall_triangles`: name -> (rest points (m, 3) [m], corners (k, 3)) of every wall, in the order of the
+    scene.
+    """
+    output = scene.output
+    interval = output.interval
+    observers: list[Observer] = [time_series_for(scene, out_dir)]
+    if output.particles:
+        observers.append(ParticleFrames(out_dir, interval, reach=_reach(scene)))
+    if output.contacts:
+        observers.append(ContactFrames(out_dir, interval))
+    if output.walls and wall_triangles:
+        observers.append(WallFrames(out_dir, interval, wall_triangles))
+    return observers
+
+
+def time_series_for(scene: Any, out_dir: Path) -> TimeSeries:
+    """Make the time series of the scene with its flow meters."""
+    meters = {
+        name: FlowMeter(meter.point, meter.normal, meter.radius) for name, meter in (scene.output.meters or {}).items()
+    }
+    return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
+
+
+def progress_for(scene: Any) -> ProgressDisplay:
+    """Make the progress display for the stages of the scene."""
+    return ProgressDisplay(stage_durations(scene))
+
+
+def stage_durations(scene: Any) -> list[tuple[str, float]]:
+    """Name and longest duration [s] of every stage; without stages, one named "run"."""
+    if not scene.stages:
+        return [("run", scene.run.duration)]
+    return [(stage.name, stage.duration if stage.duration is not None else stage.at_most) for stage in scene.stages]
+
+
+def _reach(scene: Any) -> float:
+    return float(np.abs([scene.domain.min, scene.domain.max]).max())

@@ -1,0 +1,67 @@
+"""A series of VTU files and the PVD file that lists them with their times."""
+
+import re
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import meshio
+import numpy as np
+
+from granflow.observe.files import replacing, write_text
+
+
+class FrameSeries:
+    """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
+
+    Frames of an earlier run that still lie in the directory go when the first frame is written, so that the
+    files on disk and those in the PVD file are the same.
+    """
+
+    def __init__(self, directory: Path, stem: str) -> None:
+        self.directory = Path(directory)
+        self.stem = stem
+        self.frames: list[tuple[float, str]] = []
+
+    def write(self, mesh: meshio.Mesh, time: float) -> Path:
+        """Write the mesh as the next frame, at `time` [s]; return its path."""
+        if not self.frames:
+            self._remove_old_frames()
+        path = self.directory / f"{self.stem}_{len(self.frames):04d}.vtu"
+        write_vtu(path, mesh)
+        self.frames.append((float(time), path.name))
+        write_text(self.directory / f"{self.stem}.pvd", _pvd(self.frames))
+        return path
+
+    def _remove_old_frames(self) -> None:
+        self.directory.mkdir(parents=True, exist_ok=True)
+        own = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
+        for path in self.directory.iterdir():
+            if own.fullmatch(path.name):
+                path.unlink()
+
+
+def write_vtu(path: Path, mesh: meshio.Mesh) -> None:
+    """Write the mesh to a VTU file, binary and zlib-compressed, whole or not at all."""
+    # meshio's header for an empty compressed array announces a block that is not there; uncompressed is
+    # valid.
+    compression = "zlib" if len(mesh.points) else None
+    with replacing(path) as temporary:
+        meshio.write(temporary, mesh, file_format="vtu", binary=True, compression=compression)
+
+
+def mesh_of_points(points: np.ndarray, point_data: dict[str, np.ndarray]) -> meshio.Mesh:
+    """Mesh of one vertex cell per point (n, 3): without cells ParaView shows nothing but glyphs."""
+    vertices = np.arange(len(points), dtype=np.int64).reshape(-1, 1)
+    return meshio.Mesh(points, [("vertex", vertices)], point_data=point_data)
+
+
+def mesh_of_cells(kind: str, points: np.ndarray, cells: np.ndarray, cell_data: dict[str, np.ndarray]) -> meshio.Mesh:
+    """Mesh of cells of one kind, "line" (k, 2) or "triangle" (k, 3), over points (n, 3)."""
+    per_block = {name: [values] for name, values in cell_data.items()}
+    return meshio.Mesh(points, [(kind, cells.astype(np.int64))], cell_data=per_block)
+
+
+def _pvd(frames: list[tuple[float, str]]) -> str:
+    rows = [f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>' for time, name in frames]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    return "\n".join([*head, *rows, "  </Collection>", "</VTKFile>", ""])

@@ -1,0 +1,53 @@
+"""The record of a run beside its output: `run.log` and `scene_as_run.yaml`."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from granflow.observe.files import write_text
+
+
+class HasText(Protocol):
+    """Something that can be written as YAML: a scene."""
+
+    def text(self) -> str:
+        """The whole as YAML, all defaults filled in."""
+
+
+@contextmanager
+def run_log(directory: Path) -> Iterator[logging.Logger]:
+    """Write what the logger `granflow` says at INFO and above to `run.log` in the directory, while inside.
+
+    An older log is replaced. The exception that ends the block, if any, is the last entry.
+    """
+    logger = logging.getLogger("granflow")
+    level_before = logger.level
+    handler = _file_handler(Path(directory))
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield logger
+    except BaseException as error:
+        logger.error("ended by %s: %s", type(error).__name__, error)
+        raise
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level_before)
+        handler.close()
+
+
+def write_scene_as_run(directory: Path, scene: HasText) -> Path:
+    """Write `scene_as_run.yaml`, the scene with all its defaults; loading it gives the same scene again."""
+    path = Path(directory) / "scene_as_run.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, scene.text())
+    return path
+
+
+def _file_handler(directory: Path) -> logging.FileHandler:
+    directory.mkdir(parents=True, exist_ok=True)
+    handler = logging.FileHandler(directory / "run.log", mode="w", encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    return handler

@@ -1,0 +1,120 @@
+"""Flow meters: the mass that passes a plane, followed particle by particle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a meter remembers of its last look; `distance` [m] beyond the plane."""
+
+    id: np.ndarray
+    mass: np.ndarray
+    position: np.ndarray
+    distance: np.ndarray
+
+
+class FlowMeter:
+    """Net mass and number of particles through a plane, or through a disc in it if a radius is given.
+
+    `point` (3,) [m] on the plane and centre of the disc, `normal` (3,) the direction that counts as forward,
+    `radius` [m]. Particles are followed by id from look to look:
+
+    - a centre that changed sides crossed where the straight line between the two looks cuts the plane; it
+      counts if that is within the radius, forward as plus and back as minus;
+    - a particle deleted since the last look counts as crossed if it was then on the near side and no
+      further than the radius from the axis: it left the domain too fast to be seen on the far side;
+    - what stood on the far side at the first look, or was put in there, never counts.
+    """
+
+    def __init__(self, point: Sequence[float], normal: Sequence[float], radius: float | None = None) -> None:
+        self.point = np.asarray(point, dtype=np.float64)
+        self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+        self.radius = np.inf if radius is None else radius
+        self.mass = 0.0
+        self.count = 0
+        self.history: list[tuple[float, str, float]] = []
+        self._last: _Look | None = None
+
+    def look(self, snapshot: Snapshot) -> None:
+        """Count what passed since the last look; needs id, mass and position of the particles."""
+        now = self._look_at(snapshot)
+        if self._last is not None:
+            self._count_crossed(self._last, now)
+            self._count_deleted(self._last, now)
+        self._last = now
+        self.history.append((snapshot.time, snapshot.stage, self.mass))
+
+    def mass_flow(self) -> float:
+        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        if len(self.history) < 2:
+            return 0.0
+        (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
+        return (mass_now - mass_before) / (time_now - time_before)
+
+    def result(self) -> dict[str, float]:
+        """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
+        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+
+    def _look_at(self, snapshot: Snapshot) -> _Look:
+        particles = snapshot.particles
+        distance = (particles["position"] - self.point) @ self.normal
+        return _Look(particles["id"], particles["mass"], particles["position"], distance)
+
+    def _count_crossed(self, last: _Look, now: _Look) -> None:
+        _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
+        direction = (now.distance[after] > 0).astype(int) - (last.distance[before] > 0).astype(int)
+        crossed = np.flatnonzero(direction)
+        before, after, direction = before[crossed], after[crossed], direction[crossed]
+        way = last.distance[before] / (last.distance[before] - now.distance[after])
+        place = last.position[before] + way[:, None] * (now.position[after] - last.position[before])
+        inside = np.linalg.norm(place - self.point, axis=1) <= self.radius
+        self._add(now.mass[after][inside], direction[inside])
+
+    def _count_deleted(self, last: _Look, now: _Look) -> None:
+        in_plane = last.position - self.point - last.distance[:, None] * self.normal
+        near = (last.distance <= 0) & (np.linalg.norm(in_plane, axis=1) <= self.radius)
+        deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
+        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int))
+
+    def _add(self, mass: np.ndarray, direction: np.ndarray) -> None:
+        self.mass += float((mass * direction).sum())
+        self.count += int(direction.sum())
+
+
+def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
+    """Mass flow [kg/s] while the middle half of the mass of the last flowing stage passed.
+
+        0.5 M / (t(3/4 M) - t(1/4 M))
+
+    `history`: (time [s], stage, cumulative mass [kg]) in the order of time. M is the mass that passed in
+    the last stage that ends with another mass than it began; the stage begins with the last moment of the
+    one before. t(m) is when m had passed for the first time, linear between moments. The start of the flow
+    and the last stragglers have no say. 0 if nothing flowed.
+    """
+    times = np.array([time for time, _, _ in history])
+    masses = np.array([mass for _, _, mass in history])
+    for first, last in reversed(_stages(history)):
+        passed = masses[last] - masses[first]
+        if passed != 0:
+            share = (masses[first : last + 1] - masses[first]) / passed
+            quarters = [_first_reached(times[first : last + 1], share, part) for part in (0.25, 0.75)]
+            return float(0.5 * passed / (quarters[1] - quarters[0]))
+    return 0.0
+
+
+def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
+    """First and last index of every stage, the first being the last of the stage before."""
+    names = [stage for _, stage, _ in history]
+    ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
+    return list(zip([0, *ends[:-1]], ends, strict=True))
+
+
+def _first_reached(times: np.ndarray, share: np.ndarray, part: float) -> float:
+    after = int(np.argmax(share >= part))
+    way = (part - share[after - 1]) / (share[after] - share[after - 1])
+    return float(times[after - 1] + way * (times[after] - times[after - 1]))

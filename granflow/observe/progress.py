@@ -1,0 +1,148 @@
+"""How far a run is: a live bar on a terminal, now and then a line elsewhere."""
+
+import time as clock
+from collections import deque
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from granflow.observe.observer import TOTALS
+from granflow.observe.schedule import Schedule
+from granflow.snapshot import Snapshot
+
+# Looks per run: fixed in simulated time and not by the clock, so that watching never changes a run.
+LOOK_COUNT = 500
+SECONDS_BETWEEN_LINES = 10.0
+# Rates are taken over this many looks: long enough to be steady, short enough to follow a filling scene.
+RATE_LOOKS = 25
+
+
+class ProgressDisplay:
+    """Shows simulated time, stage, steps per second, particle-steps per second and time left.
+
+    `stages`: (name, longest duration [s]) in order. A stage that ends early shortens the whole. Off a
+    terminal it prints a line at the start of each stage, every ten seconds of wall clock, and at the end.
+    """
+
+    wants = frozenset({TOTALS})
+
+    def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._plan = StagePlan(stages)
+        self._schedule = Schedule(self._plan.end / LOOK_COUNT)
+        self._rates = Rates()
+        self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
+
+    def next_time(self) -> float:
+        """Time [s] of the next look."""
+        return self._schedule.next_time()
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Show how far the run is."""
+        self._schedule.take(snapshot.time)
+        self._plan.pass_to(snapshot.stage, snapshot.time)
+        self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
+        self._display.show(snapshot, self._plan.end, self._rates)
+
+    def finish(self) -> None:
+        """Leave the terminal as it was."""
+        self._display.close()
+
+
+class StagePlan:
+    """When a run will be over at the latest, given when its stages really began."""
+
+    def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
+        self._stages = list(stages)
+        self._stage = self._stages[0][0]
+        self.end = sum(duration for _, duration in self._stages)
+
+    def pass_to(self, stage: str, time: float) -> None:
+        """Note that at `time` [s] the run is in this stage; its beginning moves the end."""
+        names = [name for name, _ in self._stages]
+        if stage == self._stage or stage not in names:
+            return
+        self._stage = stage
+        self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
+
+
+class Rates:
+    """Steps and particle-steps per second of wall clock over the latest looks."""
+
+    def __init__(self) -> None:
+        self._looks: deque[tuple[float, int, float]] = deque(maxlen=RATE_LOOKS)
+
+    def add(self, seconds: float, step: int, particle_count: float) -> None:
+        """Note a look at the wall clock `seconds` [s]."""
+        self._looks.append((seconds, step, particle_count))
+
+    def steps_per_second(self) -> float:
+        """Steps per second, 0 while unknown."""
+        if len(self._looks) < 2:
+            return 0.0
+        (first_seconds, first_step, _), (last_seconds, last_step, _) = self._looks[0], self._looks[-1]
+        elapsed = last_seconds - first_seconds
+        return (last_step - first_step) / elapsed if elapsed > 0 else 0.0
+
+    def particle_steps_per_second(self) -> float:
+        """Particle-steps per second with the present number of particles, 0 while unknown."""
+        return self.steps_per_second() * self._looks[-1][2] if self._looks else 0.0
+
+
+class _Bar:
+    """A live bar."""
+
+    def __init__(self, console: Console) -> None:
+        columns = (
+            TextColumn("{task.fields[stage]}"),
+            BarColumn(),
+            TextColumn("{task.completed:.4g} of {task.total:.4g} s"),
+            TextColumn("{task.fields[rates]}"),
+            TimeRemainingColumn(),
+        )
+        self._progress = Progress(*columns, console=console)
+        self._task: TaskID | None = None
+
+    def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
+        if self._task is None:
+            self._progress.start()
+            self._task = self._progress.add_task("run", total=end, stage=snapshot.stage, rates="")
+        self._progress.update(
+            self._task, completed=snapshot.time, total=end, stage=snapshot.stage, rates=_rates_text(rates)
+        )
+
+    def close(self) -> None:
+        self._progress.stop()
+
+
+class _Lines:
+    """A line now and then."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._stage = ""
+        self._printed_at = -SECONDS_BETWEEN_LINES
+        self._pending: str | None = None
+
+    def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
+        self._pending = (
+            f"{snapshot.stage}: {snapshot.time:.4g} of {end:.4g} s, step {snapshot.step}, {_rates_text(rates)}"
+        )
+        now = clock.monotonic()
+        if snapshot.stage != self._stage or now - self._printed_at >= SECONDS_BETWEEN_LINES:
+            self._stage, self._printed_at = snapshot.stage, now
+            self._print()
+
+    def close(self) -> None:
+        self._print()
+
+    def _print(self) -> None:
+        if self._pending is not None:
+            self._console.print(self._pending, highlight=False, markup=False, soft_wrap=True)
+            self._pending = None
+
+
+def _rates_text(rates: Rates) -> str:
+    steps, particle_steps = rates.steps_per_second(), rates.particle_steps_per_second()
+    return f"{steps:.0f} steps/s, {particle_steps / 1e6:.2f} M particle-steps/s"

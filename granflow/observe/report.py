@@ -1,0 +1,123 @@
+"""The numbers of a finished run: `result.json`, and the table that closes the run."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.table import Table
+
+from granflow.observe.expect import Judgement
+from granflow.observe.files import write_text
+from granflow.quantities import METER_QUANTITIES, TOTAL_QUANTITIES
+
+_COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
+_STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
+
+
+@dataclass(frozen=True)
+class Result:
+    """Numbers of a finished run, all SI.
+
+    `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
+    `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
+    `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
+    meter.
+    """
+
+    run: Mapping[str, float]
+    seconds: Mapping[str, float]
+    totals: Mapping[str, float]
+    meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def numbers(self) -> dict[str, float]:
+        """All numbers by the names that a scene's `expect:` block uses.
+
+        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters as
+        `mass_flow.outlet`.
+        """
+        named = {**self.run, **self.totals}
+        named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
+        for meter, readings in self.meters.items():
+            named.update({f"{quantity}.{meter}": number for quantity, number in readings.items()})
+        return named
+
+
+def write_result(directory: Path, result: Result, judgements: Iterable[Judgement] = ()) -> Path:
+    """Write `result.json`, whole or not at all; a number that is not finite becomes null. Return its path."""
+    sections = {
+        "run": _finite(result.run),
+        "seconds": _finite(result.seconds),
+        "totals": _finite(result.totals),
+        "meters": {name: _finite(readings) for name, readings in result.meters.items()},
+        "expect": [{"sentence": sentence, "met": met} for sentence, met in judgements],
+    }
+    path = Path(directory) / "result.json"
+    write_text(path, json.dumps(sections, indent=2) + "\n")
+    return path
+
+
+def closing_table(result: Result) -> Table:
+    """Make the table that closes a run: where the time went, counts, energy, mass flow per meter."""
+    table = Table(title="Result", show_header=False, title_justify="left")
+    table.add_column(justify="left")
+    table.add_column(justify="right")
+    table.add_column(justify="left")
+    for section in (_run_rows(result), _time_rows(result), _total_rows(result), _meter_rows(result)):
+        for row in section:
+            table.add_row(*row)
+        table.add_section()
+    return table
+
+
+def readable(number: float) -> str:
+    """A number as people read it: counts in groups of three digits, others to four digits."""
+    if float(number).is_integer() and abs(number) < 1e15:
+        return f"{int(number):,}".replace(",", " ")
+    return f"{number:.4g}"
+
+
+def _run_rows(result: Result) -> list[tuple[str, str, str]]:
+    return [(_words(name), readable(number), "") for name, number in result.run.items()]
+
+
+def _time_rows(result: Result) -> list[tuple[str, str, str]]:
+    total = sum(result.seconds.values())
+    rows = [
+        (_words(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
+        for part, seconds in result.seconds.items()
+    ]
+    return [*rows, ("wall clock", f"{total:.2f} s", "")]
+
+
+def _total_rows(result: Result) -> list[tuple[str, str, str]]:
+    names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
+    return [(_words(name), readable(result.totals[name]), _unit(TOTAL_QUANTITIES[name].unit)) for name in names]
+
+
+def _meter_rows(result: Result) -> list[tuple[str, str, str]]:
+    return [
+        (f"{_words(quantity)}, {meter}", readable(number), _unit(METER_QUANTITIES[quantity].unit))
+        for meter, readings in result.meters.items()
+        for quantity, number in readings.items()
+    ]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    # json writes NaN as a word that is not JSON; numpy numbers it does not write at all.
+    return {name: _plain(number) for name, number in numbers.items()}
+
+
+def _plain(number: float) -> float | None:
+    if not math.isfinite(number):
+        return None
+    return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)

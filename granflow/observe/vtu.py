@@ -1,0 +1,152 @@
+"""Frames for ParaView: particles as points, contacts as lines, walls as triangles."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from granflow.observe.frames import FrameSeries, mesh_of_cells, mesh_of_points
+from granflow.observe.observer import CONTACTS, PARTICLES, WALLS
+from granflow.observe.schedule import Schedule
+from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.snapshot import Snapshot
+
+# Rounding of positions in files may reach this part of the smallest radius before they take 8 bytes.
+POSITION_TOLERANCE = 1e-4
+
+_PARTICLE_ARRAYS = (
+    "id",
+    "radius",
+    "diameter",
+    "velocity",
+    "spin",
+    "force",
+    "material",
+    "group",
+    "coordination_number",
+    "kinetic_energy",
+)
+_CONTACT_POINTS = ("first_position", "second_position")
+
+
+class _Frames:
+    """What the three kinds of frames share: a schedule, and a series of files."""
+
+    wants: frozenset[str] = frozenset()
+    stem = ""
+
+    def __init__(self, directory: Path, interval: float, start: float = 0.0) -> None:
+        self.series = FrameSeries(directory, self.stem)
+        self._schedule = Schedule(interval, start)
+
+    def next_time(self) -> float:
+        """Time [s] of the next frame."""
+        return self._schedule.next_time()
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Write one frame, due or not; the same moment shown twice gives one."""
+        if self._schedule.take(snapshot.time):
+            self.series.write(self.mesh(snapshot), snapshot.time)
+
+    def finish(self) -> None:
+        """Nothing is open: every frame is whole on disk once `observe` returns."""
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Make the mesh of one frame."""
+        raise NotImplementedError
+
+
+class ParticleFrames(_Frames):
+    """`particles_NNNN.vtu`: a vertex per particle, with the arrays that the snapshot has.
+
+    `reach` [m]: largest coordinate that occurs (from the domain); it decides whether float32 positions
+    resolve 1e-4 of the smallest radius. Without it each frame decides from its own positions.
+    """
+
+    wants = frozenset({PARTICLES})
+    stem = "particles"
+
+    def __init__(self, directory: Path, interval: float, start: float = 0.0, reach: float | None = None) -> None:
+        super().__init__(directory, interval, start)
+        self._reach = reach
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Make the mesh of one frame."""
+        particles = _with_derived(snapshot.particles)
+        points = self._points(particles["position"], particles["radius"])
+        arrays = {
+            PARTICLE_QUANTITIES[name].vtu_name: PARTICLE_QUANTITIES[name].for_file(particles[name])
+            for name in _PARTICLE_ARRAYS
+            if name in particles
+        }
+        return mesh_of_points(points, arrays)
+
+    def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
+        resolved = np.spacing(np.float32(reach)) <= POSITION_TOLERANCE * radius.min(initial=np.inf)
+        return position.astype(np.float32 if resolved else np.float64)
+
+
+class ContactFrames(_Frames):
+    """`contacts_NNNN.vtu`: a line per contact from centre to centre (or to the foot point on a wall)."""
+
+    wants = frozenset({CONTACTS})
+    stem = "contacts"
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Make the mesh of one frame."""
+        contacts = snapshot.contacts or {}
+        ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
+        points = np.stack(ends, axis=1).reshape(-1, 3)
+        lines = np.arange(len(points)).reshape(-1, 2)
+        arrays = {
+            quantity.vtu_name: quantity.for_file(contacts[name])
+            for name, quantity in CONTACT_QUANTITIES.items()
+            if name in contacts and name not in _CONTACT_POINTS
+        }
+        return mesh_of_cells("line", points, lines, arrays)
+
+
+class WallFrames(_Frames):
+    """`walls_NNNN.vtu`: the triangles of the walls that are present, moved to where they stand.
+
+    `triangles`: name -> (rest points (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array
+    `wall` holds the index of the wall in that order.
+    """
+
+    wants = frozenset({WALLS})
+    stem = "walls"
+
+    def __init__(
+        self,
+        directory: Path,
+        interval: float,
+        triangles: Mapping[str, tuple[np.ndarray, np.ndarray]],
+        start: float = 0.0,
+    ) -> None:
+        super().__init__(directory, interval, start)
+        self._triangles = dict(triangles)
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Make the mesh of one frame."""
+        points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+        point_count = 0
+        for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
+            pose = snapshot.walls.get(name)
+            if pose is None or not pose.present:
+                continue
+            points.append(pose.moved(rest_points))
+            corners.append(rest_corners + point_count)
+            walls.append(np.full(len(rest_corners), index, np.int32))
+            point_count += len(rest_points)
+        cell_data = {"wall": np.concatenate(walls)}
+        return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
+
+
+def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    arrays = dict(particles)
+    arrays["diameter"] = 2 * arrays["radius"]
+    if "mass" in arrays and "velocity" in arrays:
+        arrays["kinetic_energy"] = 0.5 * arrays["mass"] * (arrays["velocity"] ** 2).sum(axis=1)
+    return arrays
