@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f64", "f32", "mixed")
-RESULT_FILES = ("*.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu", "timeseries.csv", "scene.yaml", "run.log")
+RESULT_FILES = (
+    *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
+    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log"),
+)
 """What a run writes into its directory, as patterns: tells an earlier run from other files."""
 COLLIDE_UNITS = {
     "duration": "s",

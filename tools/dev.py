@@ -79,11 +79,12 @@ def refuse_what_cannot_work() -> None:
 def install(extras: "tuple[str, ...]") -> None:
     """Bring the environment to what pyproject.toml and constraints.txt ask, if it is not there yet."""
     python, inputs, installed = inputs_and_installed()
-    if inputs in installed and set(extras) <= set(installed):
+    usable = python in installed and environment_python().exists()
+    if usable and {inputs, *extras} <= set(installed):
         return
     print(f"Setting up {ENVIRONMENT} (the first time takes a minute or two) ...", file=sys.stderr)
     extras = tuple(sorted({*extras, *({"dev", "plot"} & set(installed))}))
-    if python not in installed or not environment_python().exists():
+    if not usable:
         make_environment()
     STAMP.write_text(UNFINISHED + "\n")
     target = str(ROOT) + (f"[{','.join(extras)}]" if extras else "")
