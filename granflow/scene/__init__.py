@@ -1,0 +1,5 @@
+"""The scene: read from YAML, checked, frozen."""
+
+from granflow.scene.schema import Scene
+
+__all__ = ["Scene"]

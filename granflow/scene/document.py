@@ -1,0 +1,311 @@
+"""YAML 1.2 text as a tree that knows where each key and value stood.
+
+Only the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no tags, no merge
+keys. A duplicate key is a problem; so is an alias that contains itself, or aliases that multiply beyond reason.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+
+DEEPEST = 40  # a scene is at most 9 deep
+_MOST_ALIASED = 100_000  # nodes that aliases may add
+_LONGEST_SHOWN = 60  # characters of a value shown in a message
+_LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
+_NULL = re.compile(r"|~|null|Null|NULL")
+_TRUE = re.compile(r"true|True|TRUE")
+_FALSE = re.compile(r"false|False|FALSE")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_NAN = re.compile(r"\.(nan|NaN|NAN)")
+
+KeyPath = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in a file, or an override (`line` 0)."""
+
+    source: str
+    line: int = 0
+    column: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+    @property
+    def order(self) -> tuple[bool, int, int]:
+        """Sorts problems down the file, overrides last."""
+        return self.line == 0, self.line, self.column
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One sentence about one place."""
+
+    place: Place
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.sentence}"
+
+
+class DocumentError(Exception):
+    """Text that is no YAML of the kind read here."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(str(problem))
+        self.problem = problem
+
+
+@dataclass
+class Node:
+    """A value: a scalar with the text it was written as, a list of nodes, or a mapping of entries."""
+
+    place: Place
+    scalar: Any = None
+    text: str = ""
+    items: "list[Node] | None" = None
+    entries: "dict[str, Entry] | None" = None
+    size: int = 1
+
+    def data(self) -> Any:
+        """The value as plain Python: dict, list, str, int, float, bool, None."""
+        if self.entries is not None:
+            return {key: entry.node.data() for key, entry in self.entries.items()}
+        if self.items is not None:
+            return [node.data() for node in self.items]
+        return self.scalar
+
+    def child(self, key: str | int) -> "Node | None":
+        """The value under a key or at an index, None where there is none."""
+        if self.entries is not None and key in self.entries:
+            return self.entries[str(key)].node
+        if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
+            return self.items[key]
+        return None
+
+    def shown(self) -> str | None:
+        """The value as a message shows it: as written, shortened; None for what is too big to show."""
+        if self.entries is not None:
+            parts = [(key, entry.node.shown()) for key, entry in self.entries.items()]
+            text = "{" + ", ".join(f"{key}: {part}" for key, part in parts) + "}"
+            return text if len(text) <= _LONGEST_SHOWN and all(part for _, part in parts) else None
+        if self.items is not None:
+            shown = [node.shown() for node in self.items[:_LONGEST_SHOWN]]
+            text = "[" + ", ".join(part or "" for part in shown) + "]"
+            return text if len(text) <= _LONGEST_SHOWN and all(shown) else None
+        text = " ".join(self.text.split())
+        if not text:
+            return "empty"
+        return text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
+
+
+@dataclass
+class Entry:
+    """A value in a mapping, with the place of its key."""
+
+    key_place: Place
+    node: Node
+
+
+@dataclass
+class Document:
+    """The tree of one file, and what was wrong with it that does not keep it from being read."""
+
+    source: str
+    root: Node
+    problems: list[Problem] = field(default_factory=list)
+
+    def find(self, path: KeyPath) -> Node | None:
+        """The value at that path of keys and indices."""
+        node: Node | None = self.root
+        for key in path:
+            node = node.child(key) if node is not None else None
+        return node
+
+    def key_place(self, path: KeyPath) -> Place:
+        """The place of the key at that path, or of the nearest key around it."""
+        place = Place(self.source, 1, 1)
+        node: Node | None = self.root
+        for key in path:
+            entries = node.entries if node is not None else None
+            child = node.child(key) if node is not None else None
+            if child is None:
+                return place
+            place = entries[str(key)].key_place if entries is not None else child.place
+            node = child
+        return place
+
+    def value_place(self, path: KeyPath) -> Place:
+        """The place of the value at that path, or of the nearest key around it."""
+        node = self.find(path)
+        return self.key_place(path) if node is None else node.place
+
+    def where(self, path: KeyPath) -> str:
+        """The line of the key at that path, or of the nearest key around it, as `file:line`."""
+        place = self.key_place(path)
+        return f"{place.source}:{place.line}" if place.line else place.source
+
+
+def parse(text: str, source: str, *, placed: bool = True) -> Document:
+    """Read YAML 1.2 text. Without `placed`, every place is the source alone (for overrides).
+
+    Raises `DocumentError` for what cannot be read on: wrong syntax, tags, aliases of themselves, several documents.
+    """
+    return _Composer(source, placed).compose(text)
+
+
+class _Composer:
+    """Builds the tree from the parser's events."""
+
+    def __init__(self, source: str, placed: bool) -> None:
+        self.source = source
+        self.placed = placed
+        self.anchors: dict[str, Node | None] = {}
+        self.aliased = 0
+        self.problems: list[Problem] = []
+
+    def compose(self, text: str) -> Document:
+        root: Node | None = None
+        try:
+            events = iter(YAML(typ="safe", pure=True).parse(text))
+            for event in events:
+                if isinstance(event, DocumentStartEvent):
+                    if root is not None:
+                        raise self._error(event, "a second document begins here, but a scene is one document")
+                    root = self._node(next(events), events, depth=0)
+        except MarkedYAMLError as error:
+            raise DocumentError(self._syntax(error, text)) from None
+        except (YAMLError, ValueError, RecursionError) as error:
+            raise DocumentError(Problem(Place(self.source), f"this is not YAML text: {error}.")) from None
+        return Document(self.source, root or Node(self._place(1, 1)), self.problems)
+
+    def _place(self, line: int, column: int) -> Place:
+        return Place(self.source, line, column) if self.placed else Place(self.source)
+
+    def _at(self, event: Event) -> Place:
+        return self._place(event.start_mark.line + 1, event.start_mark.column + 1)
+
+    def _error(self, event: Event, sentence: str) -> DocumentError:
+        return DocumentError(Problem(self._at(event), sentence + "."))
+
+    def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
+        mark = error.problem_mark or error.context_mark
+        place = self._place(mark.line + 1, mark.column + 1) if mark else Place(self.source)
+        return Problem(place, _syntax_sentence(error, text))
+
+    def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        if isinstance(event, AliasEvent):
+            return self._alias(event)
+        if depth > DEEPEST:
+            raise self._error(event, f"this is nested more than {DEEPEST} deep, far more than any scene needs")
+        if getattr(event, "tag", None):
+            raise self._error(event, f"the tag {event.tag} is not used in scenes; leave it out")
+        if event.anchor:
+            self.anchors[event.anchor] = None
+        node = self._untagged(event, events, depth)
+        if event.anchor:
+            self.anchors[event.anchor] = node
+        return node
+
+    def _untagged(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        if isinstance(event, ScalarEvent):
+            value = resolve(event.value) if event.style is None else event.value
+            return Node(self._at(event), scalar=value, text=event.value)
+        if isinstance(event, SequenceStartEvent):
+            return self._list(event, events, depth)
+        return self._mapping(event, events, depth)
+
+    def _alias(self, event: AliasEvent) -> Node:
+        if event.anchor not in self.anchors:
+            raise self._error(event, f"the alias *{event.anchor} has no anchor &{event.anchor} above it")
+        node = self.anchors[event.anchor]
+        if node is None:
+            raise self._error(event, f"the alias *{event.anchor} contains itself")
+        self.aliased += node.size
+        if self.aliased > _MOST_ALIASED:
+            raise self._error(event, f"aliases add more than {_MOST_ALIASED} values by here; write fewer")
+        return node
+
+    def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
+        items: list[Node] = []
+        while not isinstance(event := next(events), SequenceEndEvent):
+            items.append(self._node(event, events, depth + 1))
+        return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
+
+    def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
+        entries: dict[str, Entry] = {}
+        while not isinstance(event := next(events), MappingEndEvent):
+            key = self._key(event)
+            entry = Entry(self._at(event), self._node(next(events), events, depth + 1))
+            if key in entries:
+                first = entries[key].key_place
+                self.problems.append(
+                    Problem(entry.key_place, f"{key} is given twice here, first at line {first.line}. Keep one.")
+                )
+            else:
+                entries[key] = entry
+        size = 1 + sum(entry.node.size for entry in entries.values())
+        return Node(self._at(start), entries=entries, size=size)
+
+    def _key(self, event: Any) -> str:
+        if not isinstance(event, ScalarEvent) or event.tag:
+            raise self._error(event, "a key is plain text, such as radius")
+        if event.value == "<<" and event.style is None:
+            raise self._error(event, "the merge key << is not part of YAML 1.2; write the keys out")
+        return event.value
+
+
+def resolve(text: str) -> Any:
+    """Turn plain text into the value YAML 1.2 gives it: `012` is 12, `1e-5` is 0.00001, `yes` is text."""
+    if _NULL.fullmatch(text):
+        return None
+    if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
+        return text.lower() == "true"
+    if _INTEGER.fullmatch(text):
+        return int(text) if len(text) <= _LONGEST_INTEGER else math.inf
+    if _BASED.fullmatch(text):
+        return int(text, 0) if len(text) <= _LONGEST_INTEGER else math.inf
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _INFINITY.fullmatch(text):
+        return -math.inf if text.startswith("-") else math.inf
+    return math.nan if _NAN.fullmatch(text) else text
+
+
+def _syntax_sentence(error: MarkedYAMLError, text: str) -> str:
+    problem = str(error.problem or error.context)
+    lines = text.splitlines()
+    line = lines[error.problem_mark.line] if error.problem_mark and error.problem_mark.line < len(lines) else ""
+    if r"\t" in problem or "'\t'" in problem:
+        return "a tab stands here, but YAML is indented with spaces. Replace the tab by spaces."
+    if "mapping values are not allowed" in problem:
+        return "a second key begins here, or the line is indented differently from the one above. One key per line."
+    if "expected ':'" in problem:
+        return f'a key without a value stands here: "{line.strip()}". Write a colon and a space after the key.'
+    if "unexpected end of stream" in problem or "stream end" in problem:
+        return "the file ends before a quote or bracket is closed. Close it."
+    opened = str(error.context or "")
+    if "flow sequence" in opened or "flow mapping" in opened:
+        bracket, at = ("[", "]") if "sequence" in opened else ("{", "}")
+        line_number = error.context_mark.line + 1 if error.context_mark else 0
+        return f"the {bracket} opened at line {line_number} is not closed by {at}, or a comma is missing before this."
+    return f"this is not YAML: {problem}."

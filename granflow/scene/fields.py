@@ -1,0 +1,261 @@
+"""The building blocks of the schema: the frozen base model, numbers with units, vectors, names, choices."""
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from granflow.scene.units import UnitError, dimension_of, to_si
+
+KeyPath = tuple[str | int, ...]
+LARGEST = 1e30  # no SI number in a scene is beyond this
+SMALLEST = 1e-30  # and none that must be above zero is below this
+_LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
+
+
+class Model(BaseModel):
+    """A part of a scene: frozen, with no room for unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    def faults(self) -> Iterator["Fault"]:
+        """Yield what is wrong between the fields of this part, each field being right by itself."""
+        yield from ()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with the value at `path` (relative to the model): `reason` goes after "X is Y, but ".
+
+    With `whole` the reason is all that follows the key: "X {reason}".
+    """
+
+    path: KeyPath
+    reason: str
+    whole: bool = False
+
+
+def but(reason: str) -> PydanticCustomError:
+    """Make the error that reads "key.path is VALUE, but REASON."."""
+    return PydanticCustomError("but", "{reason}", {"reason": reason})
+
+
+def whole(reason: str) -> PydanticCustomError:
+    """Make the error that reads "key.path REASON."."""
+    return PydanticCustomError("whole", "{reason}", {"reason": reason})
+
+
+@dataclass(frozen=True)
+class Number:
+    """Reads one number: a plain one in SI, or text with a unit of `dimension`; refuses what is out of range."""
+
+    dimension: str = "number"
+    noun: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    words: tuple[str, ...] = ()
+    whole: bool = False
+
+    def read(self, value: Any) -> float | int | str:
+        """Turn what stood in the file into a number within the bounds, or one of the words."""
+        if isinstance(value, str) and value in self.words:
+            return value
+        number = self._number(value)
+        if not math.isfinite(number):
+            raise but("only finite numbers make sense here")
+        if not self._inside(number):
+            raise but(f"{self._noun} {self._bounds()}")
+        if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
+            raise but(f"{self._noun} of that size makes no sense")
+        return self._count(number) if self.whole else number
+
+    def _number(self, value: Any) -> float:
+        if isinstance(value, str):
+            try:
+                return to_si(value, self.dimension)
+            except UnitError as error:
+                raise but(f"{error}{self._word_hint()}") from None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            asked = dimension_of(self.dimension)
+            example = "8000" if self.whole else asked.example
+            raise but(f"{self.noun or asked.noun} is asked here, such as {example}{self._word_hint()}")
+        return float(value) if abs(value) < 10**300 else math.inf
+
+    def _count(self, number: float) -> int:
+        if number != int(number):
+            raise but(f"{self._noun} is a whole number")
+        if number > _LARGEST_COUNT:
+            raise but(f"{self._noun} goes up to {_LARGEST_COUNT}")
+        return int(number)
+
+    def _inside(self, number: float) -> bool:
+        return (
+            (self.above is None or number > self.above)
+            and (self.at_least is None or number >= self.at_least)
+            and (self.at_most is None or number <= self.at_most)
+        )
+
+    @property
+    def _noun(self) -> str:
+        return self.noun or dimension_of(self.dimension).noun
+
+    def _word_hint(self) -> str:
+        return f", or {' or '.join(self.words)}" if self.words else ""
+
+    def _bounds(self) -> str:
+        if self.at_least is not None and self.at_most is not None:
+            return f"lies in [{self.at_least:g}, {self.at_most:g}]"
+        parts = [
+            f"{word} {bound:g}"
+            for word, bound in (("above", self.above), ("at least", self.at_least), ("at most", self.at_most))
+            if bound is not None
+        ]
+        return f"must be {' and '.join(parts)}"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Read with `read`; written back as it is."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Describe what a user may write: a number within the bounds, or text with a unit, or a word."""
+        number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
+        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
+        number.update({key: bound for key, bound in bounds.items() if bound is not None})
+        choices: list[dict[str, Any]] = [number]
+        units = dimension_of(self.dimension).units
+        if not self.whole:
+            unit = "|".join(re.escape(name) for name in units) if units else ".*"
+            choices.append({"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"})
+        if self.words:
+            choices.append({"enum": list(self.words)})
+        return {"anyOf": choices} if len(choices) > 1 else number
+
+
+def _three(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise but("a vector of three numbers is asked here, [x, y, z]")
+    return value
+
+
+def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(value):
+        raise but("a direction must have a length above 0, such as [0, 0, 1]")
+    return value
+
+
+def _text(value: Any) -> Any:
+    if not isinstance(value, str):
+        raise but("text is asked here; put it in quotes")
+    return value
+
+
+def _flag(value: Any) -> Any:
+    if not isinstance(value, bool):
+        raise but("true or false is asked here")
+    return value
+
+
+def _name(value: Any) -> Any:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", str(value)):
+        raise whole("is not a name: begin with a small letter and go on with small letters, digits and _")
+    return value
+
+
+def _pair_name(value: Any) -> Any:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*-[a-z][a-z0-9_]*", str(value)):
+        raise whole("is not a pair: write two names of materials with a dash between, such as glass-steel")
+    return value
+
+
+def _list(value: Any) -> Any:
+    if not isinstance(value, list | tuple):
+        raise but("a list is asked here, [ ... ]")
+    return value
+
+
+def _list_or_one(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+Tagger = Callable[[Any], str | None]
+
+
+def choice(key: str = "", by: Tagger | None = None, *, number: str = "", listed: str = "") -> Discriminator:
+    """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
+
+    What is no mapping goes to the tag `number`, or `listed` if it is a list. `by` replaces all of that. The
+    angle brackets keep tags apart from keys in the places of errors.
+    """
+
+    def tag(value: Any) -> str | None:
+        if isinstance(value, dict):
+            return f"<{value[key]}>" if key in value else None
+        if isinstance(value, BaseModel):
+            return f"<{getattr(value, key)}>"
+        kind = listed if isinstance(value, list | tuple) and listed else number
+        return f"<{kind}>" if kind else None
+
+    return Discriminator(
+        by or tag,
+        custom_error_type="choice",
+        custom_error_message="{key}",
+        custom_error_context={"key": key},
+    )
+
+
+def shorthand(key: str) -> BeforeValidator:
+    """Let plain text stand for a mapping with only `key`: `zhou` for `{law: zhou}`."""
+
+    def expand(value: Any) -> Any:
+        return {key: value} if isinstance(value, str) else value
+
+    return BeforeValidator(expand)
+
+
+def listing(*, one: bool = False) -> BeforeValidator:
+    """Ask for a list; with `one`, let a single item stand for a list of one."""
+    return BeforeValidator(_list_or_one if one else _list)
+
+
+Text = Annotated[str, BeforeValidator(_text)]
+Flag = Annotated[bool, BeforeValidator(_flag)]
+Name = Annotated[str, AfterValidator(_name)]
+PairName = Annotated[str, AfterValidator(_pair_name)]
+
+Plain = Annotated[float, Number()]
+NotNegative = Annotated[float, Number(at_least=0)]
+Positive = Annotated[float, Number(above=0)]
+Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
+Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
+Length = Annotated[float, Number("length")]
+PositiveLength = Annotated[float, Number("length", above=0)]
+NotNegativeLength = Annotated[float, Number("length", at_least=0)]
+Time = Annotated[float, Number("time", at_least=0)]
+PositiveTime = Annotated[float, Number("time", above=0)]
+Velocity = Annotated[float, Number("velocity")]
+Speed = Annotated[float, Number("velocity", noun="a speed", above=0)]
+Acceleration = Annotated[float, Number("acceleration")]
+Angle = Annotated[float, Number("angle")]
+Frequency = Annotated[float, Number("frequency", above=0)]
+AngularVelocity = Annotated[float, Number("angular_velocity")]
+PositiveAngularVelocity = Annotated[float, Number("angular_velocity", above=0)]
+Pressure = Annotated[float, Number("pressure", above=0)]
+Density = Annotated[float, Number("density", above=0)]
+Energy = Annotated[float, Number("energy", above=0)]
+Stiffness = Annotated[float, Number("stiffness", above=0)]
+Rate = Annotated[float, Number("rate", above=0)]
+AnyQuantity = Annotated[float, Number("any")]
+
+Vector3 = tuple[float, float, float]
+Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_three)]
+VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_three)]
+SpinVector = Annotated[tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_three)]
+AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_three)]
+Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_three), AfterValidator(_not_zero)]
+Names = Annotated[tuple[Text, ...], listing()]
+Auto = Literal["auto"]

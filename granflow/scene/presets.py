@@ -1,0 +1,34 @@
+"""Materials known by name, each with its source."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+_ZHOU = (
+    "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. 154, 99 (2005)"
+)
+_GLASS = (
+    "soda-lime glass: density, Young's modulus and Poisson ratio as commonly tabulated for float glass "
+    "(EN 572-1: 2500 kg/m3, 70 GPa; Poisson ratio 0.23, the older of the two usual values 0.20 and 0.23)"
+)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A material in SI units. `restitution_fit` is (sigma, psi) of Eq. 12 against itself, where it is known."""
+
+    young_modulus: float
+    poisson_ratio: float
+    density: float
+    yield_strength: float | None
+    restitution_fit: tuple[float, float] | None
+    source: str
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "stainless_316": Preset(193e9, 0.35, 8030.0, 0.310e9, (3.0432, 0.540), _ZHOU),
+        "chrome_52100": Preset(203e9, 0.28, 7830.0, 2.03e9, (0.1418, 0.3114), _ZHOU),
+        "glass": Preset(70e9, 0.23, 2500.0, None, None, _GLASS),
+    }
+)

@@ -1,0 +1,285 @@
+"""The scene file as frozen models: what a user may write, in SI once read.
+
+Physics has no hidden defaults: what the outcome rests on must be written. What only the computation rests on has
+defaults, all of them in `Run` and `Numerics`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from granflow.scene.document import Document
+from granflow.scene.fields import (
+    AccelerationVector,
+    AnyQuantity,
+    Auto,
+    Count,
+    Direction,
+    Energy,
+    Fault,
+    Flag,
+    Model,
+    Name,
+    NotNegative,
+    Number,
+    PairName,
+    Point,
+    Positive,
+    PositiveLength,
+    PositiveTime,
+    Seed,
+    Speed,
+    Text,
+    listing,
+)
+from granflow.scene.groups import (
+    Box,
+    BoxRegion,
+    ClassSizes,
+    CylinderRegion,
+    Group,
+    Lattice,
+    Listed,
+    LogNormalSizes,
+    NormalSizes,
+    Pack,
+    Rain,
+    SizeClass,
+    Tube,
+    UniformSizes,
+)
+from granflow.scene.matter import (
+    Contact,
+    GivenStiffness,
+    HertzNormal,
+    LinearNormal,
+    Material,
+    Pair,
+    ReferenceVelocity,
+    RestitutionFit,
+    ZhouNormal,
+)
+from granflow.scene.shapes import (
+    AnyWall,
+    Cone,
+    Cylinder,
+    Disc,
+    Plane,
+    Rectangle,
+    Rotation,
+    Translation,
+    Vibration,
+    Wall,
+)
+
+__all__ = [
+    "AnyWall",
+    "Box",
+    "BoxRegion",
+    "ClassSizes",
+    "Cone",
+    "Contact",
+    "Cylinder",
+    "CylinderRegion",
+    "Disc",
+    "Domain",
+    "Expectation",
+    "GivenStiffness",
+    "Group",
+    "HertzNormal",
+    "Lattice",
+    "LinearNormal",
+    "Listed",
+    "LogNormalSizes",
+    "Material",
+    "Meter",
+    "NormalSizes",
+    "Numerics",
+    "Output",
+    "Pack",
+    "Pair",
+    "Plane",
+    "Rain",
+    "Rectangle",
+    "ReferenceVelocity",
+    "RestitutionFit",
+    "Rotation",
+    "Run",
+    "Scene",
+    "SizeClass",
+    "Stage",
+    "Translation",
+    "Tube",
+    "UniformSizes",
+    "Vibration",
+    "Wall",
+    "ZhouNormal",
+]
+
+Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
+AutoTime = Annotated[float | Auto, Number("time", above=0, words=("auto",))]
+AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+
+
+class Domain(Box):
+    """The box that is simulated."""
+
+    leaving: Literal["delete", "error"] = Field(
+        description="what becomes of particles whose centre leaves the domain: delete (and count) or error"
+    )
+
+
+class Stage(Model):
+    """A part of the run: it ends after a duration, or when the particles have come to rest."""
+
+    name: Name = Field(description="name of the stage")
+    duration: PositiveTime | None = Field(None, description="how long it lasts [s]")
+    kinetic_energy_below: Energy | None = Field(
+        None, description="ends when the mean kinetic energy per particle is below this [J]"
+    )
+    at_most: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
+
+    def faults(self) -> Iterator[Fault]:
+        """A duration, or an energy with a longest duration."""
+        if self.duration is None and self.kinetic_energy_below is None:
+            yield Fault((), "has no end: give duration, or kinetic_energy_below with at_most", whole=True)
+        elif self.duration is not None and self.kinetic_energy_below is not None:
+            yield Fault(("duration",), "kinetic_energy_below is given too: keep one, or write at_most for duration")
+        elif self.kinetic_energy_below is not None and self.at_most is None:
+            yield Fault(("at_most",), "is missing: the longest duration of a stage that waits for rest", whole=True)
+        elif self.duration is not None and self.at_most is not None:
+            yield Fault(("at_most",), "it goes only with kinetic_energy_below; leave it out")
+
+
+class Run(Model):
+    """How long and how finely to compute."""
+
+    duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
+    time_step: AutoTime = Field("auto", description="time step [s], or auto: from the stiffest contact")
+    velocity_max: Speed | None = Field(
+        None, description="fastest approach expected [m/s]; left out: estimated from drop heights and speeds"
+    )
+    precision: Literal["f64", "f32", "mixed"] = Field(
+        "f64", description="f64, f32, or mixed (positions in f64, the rest in f32)"
+    )
+
+
+class Numerics(Model):
+    """What the computation rests on; every value has a default."""
+
+    time_step_safety: Fraction = Field(0.02, description="time step over the shortest phase of a contact")
+    rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
+    skin: AutoLength = Field("auto", description="how much further than contact neighbours are listed [m], or auto")
+    chunk_size: Count = Field(512, description="particles per chunk of the contact list")
+    overlap_limit: Fraction = Field(0.1, description="overlap over radius at which the guard stops the run")
+    unloading_angle: Positive = Field(
+        0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
+    )
+
+
+class Meter(Model):
+    """A flow meter: the mass beyond a plane, or beyond a disc of it, with what was deleted there."""
+
+    point: Point = Field(description="a point on the plane; the centre, if there is a radius [m]")
+    normal: Direction = Field(description="direction counted as forward; its length does not matter")
+    radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
+
+
+class Output(Model):
+    """What is written, and how often."""
+
+    interval: PositiveTime = Field(description="time between VTU frames [s]")
+    timeseries_interval: PositiveTime = Field(description="time between rows of timeseries.csv [s]; default: interval")
+    particles: Flag = Field(True, description="write particles_*.vtu")
+    contacts: Flag = Field(False, description="write contacts_*.vtu")
+    walls: Flag = Field(True, description="write walls_*.vtu")
+    energy: Flag = Field(False, description="keep the energy ledger")
+    meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_interval(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "interval" in given:
+            return {"timeseries_interval": given["interval"]} | given
+        return given
+
+
+class Expectation(Model):
+    """What the finished run is held to: one comparison of one quantity, in SI."""
+
+    quantity: Text = Field(description="what is compared, such as mass_flow.outlet")
+    between: tuple[AnyQuantity, AnyQuantity] | None = Field(None, description="smallest and largest value")
+    below: AnyQuantity | None = Field(None, description="it must be below this")
+    above: AnyQuantity | None = Field(None, description="it must be above this")
+    equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
+    tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
+
+    def faults(self) -> Iterator[Fault]:
+        """Exactly one comparison, with a tolerance for equals."""
+        given = [key for key in ("between", "below", "above", "equals") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "has no comparison"
+            yield Fault((), f"{found}; give exactly one of between, below, above and equals", whole=True)
+            return
+        if self.equals is not None and self.tolerance is None:
+            yield Fault(("tolerance",), "is missing: the largest relative difference from equals", whole=True)
+        if self.equals is None and self.tolerance is not None:
+            yield Fault(("tolerance",), "it goes only with equals; leave it out")
+        if self.between is not None and self.between[0] > self.between[1]:
+            yield Fault(("between",), "the smaller value comes first")
+
+
+class Scene(Model):
+    """Everything a run rests on, in SI units."""
+
+    title: Text = Field(description="one line that says what this is")
+    description: Text | None = Field(None, description="what should be seen")
+    seed: Seed = Field(1, description="seed of everything random")
+    gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
+    materials: dict[Name, Material] = Field(description="materials by name")
+    pairs: dict[PairName, Pair] = Field(description="pairs of materials, each key two names with a dash between")
+    contact: Contact = Field(description="the laws of contact")
+    walls: dict[Name, AnyWall] = Field({}, description="walls by name")
+    particles: dict[Name, Group] = Field(description="groups of particles by name")
+    domain: Domain = Field(description="the box that is simulated")
+    stages: Annotated[tuple[Stage, ...], listing()] = Field((), description="parts of the run, in order")
+    run: Run = Field(Run(), description="how long and how finely to compute")
+    numerics: Numerics = Field(Numerics(), description="settings of the computation, all with defaults")
+    output: Output = Field(description="what is written, and how often")
+    expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
+
+    _path: Path = PrivateAttr(Path())
+    _document: Document | None = PrivateAttr(None)
+
+    def __eq__(self, other: object) -> bool:
+        """Scenes are equal that say the same, wherever they were read."""
+        return isinstance(other, Scene) and self.__dict__ == other.__dict__
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def path(self) -> Path:
+        """The file this scene was read from; an empty path if there is none."""
+        return self._path
+
+    @property
+    def schedule(self) -> tuple[Stage, ...]:
+        """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
+        return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    def pair(self, first: str, second: str) -> Pair:
+        """The pair of two materials, named in either order. Raises KeyError where the scene has none."""
+        return self.pairs[self.pair_key(first, second)]
+
+    def pair_key(self, first: str, second: str) -> str:
+        """The key under `pairs` for two materials, named in either order."""
+        key = f"{first}-{second}"
+        return key if key in self.pairs else f"{second}-{first}"
+
+    def where(self, *key_path: str | int) -> str:
+        """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""
+        if self._document is None:
+            return str(self.path)
+        return self._document.where(key_path)

@@ -1,0 +1,220 @@
+"""Schema of walls and of how they move."""
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field, Tag
+
+from granflow.scene.fields import (
+    Angle,
+    AngularVelocity,
+    Direction,
+    Fault,
+    Frequency,
+    Model,
+    Names,
+    NotNegativeLength,
+    Point,
+    Positive,
+    PositiveAngularVelocity,
+    PositiveLength,
+    Text,
+    Time,
+    Vector3,
+    VelocityVector,
+    choice,
+    listing,
+)
+
+_PERPENDICULAR = 1e-9  # largest cosine between two sides called perpendicular
+
+
+def _dot(a: Vector3, b: Vector3) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+class Timed(Model):
+    """A motion that lasts from `start` to `end`, or through stages; left out: all the time."""
+
+    start: Time | None = Field(None, description="time at which the motion begins [s]; left out: the beginning")
+    end: Time | None = Field(None, description="time at which the motion ends [s]; left out: never")
+    stages: Names | None = Field(
+        None, description="stages during which it moves; its clock starts with the first of them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Times or stages, not both; the end after the start."""
+        if self.stages is not None and (self.start is not None or self.end is not None):
+            yield Fault(("stages",), "start or end is given too: keep either the times or the stages")
+        elif self.end is not None and self.end <= (self.start or 0.0):
+            yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
+
+
+class Vibration(Timed):
+    """Sinusoidal motion along a direction: s(t) = amplitude sin(angular_frequency t + phase)."""
+
+    kind: Literal["vibration"]
+    direction: Direction = Field(description="direction of the motion; its length does not matter")
+    amplitude: PositiveLength | None = Field(None, description="amplitude, half of peak to peak [m]")
+    frequency: Frequency | None = Field(None, description="frequency [Hz]")
+    angular_frequency: PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
+    gamma: Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
+    phase: Angle = Field(0.0, description="phase at the start [rad]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Exactly two of amplitude, frequency (of either kind) and gamma."""
+        yield from super().faults()
+        if self.frequency is not None and self.angular_frequency is not None:
+            yield Fault(("angular_frequency",), "frequency is given too: keep one of them")
+            return
+        rate = self.frequency if self.frequency is not None else self.angular_frequency
+        given = sum(value is not None for value in (self.amplitude, rate, self.gamma))
+        if given != 2:
+            count = ("none", "one", "two", "all three")[given]
+            yield Fault((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them", whole=True)
+
+    def amplitude_and_angular_frequency(self, gravity: Vector3) -> tuple[float, float]:
+        """Amplitude [m] and angular frequency [rad/s], from gamma = amplitude angular_frequency^2 / |gravity|."""
+        omega = self.angular_frequency
+        if omega is None and self.frequency is not None:
+            omega = 2 * math.pi * self.frequency
+        peak = (self.gamma or 0.0) * math.hypot(*gravity)
+        if omega is None:
+            assert self.amplitude is not None
+            return self.amplitude, math.sqrt(peak / self.amplitude)
+        return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
+
+
+class Translation(Timed):
+    """Motion at a constant velocity."""
+
+    kind: Literal["translation"]
+    velocity: VelocityVector = Field(description="velocity [m/s]")
+
+
+class Rotation(Timed):
+    """Rotation about an axis at a constant rate, right-handed."""
+
+    kind: Literal["rotation"]
+    point: Point = Field(description="a point on the axis [m]")
+    axis: Direction = Field(description="direction of the axis; its length does not matter")
+    angular_velocity: AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
+
+
+Motion = Annotated[
+    Annotated[Vibration, Tag("<vibration>")]
+    | Annotated[Translation, Tag("<translation>")]
+    | Annotated[Rotation, Tag("<rotation>")],
+    choice("kind"),
+]
+
+
+class Wall(Model):
+    """What every wall has, whatever its shape."""
+
+    material: Text = Field(description="name of the wall's material")
+    appears_at: Time | None = Field(None, description="time at which the wall appears [s]; left out: the beginning")
+    vanishes_at: Time | None = Field(None, description="time at which the wall vanishes [s]; left out: never")
+    stages: Names | None = Field(None, description="stages in which the wall is there; left out: all")
+    motion: Annotated[tuple[Motion, ...], listing(one=True)] = Field(
+        (), description="how the wall moves: one motion or a list of them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Times or stages, not both; at most one rotation."""
+        if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
+            yield Fault(("stages",), "appears_at or vanishes_at is given too: keep either the times or the stages")
+        elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
+            yield Fault(("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s")
+        turning = [i for i, motion in enumerate(self.motion) if motion.kind == "rotation"]
+        for i in turning[1:]:
+            yield Fault(("motion", i), "is a second rotation; a wall has at most one", whole=True)
+
+
+class Plane(Wall):
+    """An infinite plane with a solid half space behind it: particles live on the side of the normal."""
+
+    shape: Literal["plane"]
+    point: Point = Field(description="a point on the plane [m]")
+    normal: Direction = Field(description="normal, towards the particles; its length does not matter")
+
+
+class Rectangle(Wall):
+    """A flat rectangle that works from both sides."""
+
+    shape: Literal["rectangle"]
+    corner: Point = Field(description="one corner [m]")
+    sides: tuple[Point, Point] = Field(description="the two edges from that corner, perpendicular vectors [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Sides with lengths, at a right angle."""
+        yield from super().faults()
+        a, b = self.sides
+        lengths = math.hypot(*a), math.hypot(*b)
+        for i, length in enumerate(lengths):
+            if length == 0:
+                yield Fault(("sides", i), "a side must have a length above 0")
+        if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+            angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
+            yield Fault(("sides",), f"the two sides must be perpendicular and these stand at {angle:.4g} degrees")
+
+
+class Axial(Wall):
+    """A surface of revolution about the line from `from` to `to`."""
+
+    from_: Point = Field(alias="from", description="one end of the axis [m]")
+    to: Point = Field(description="the other end of the axis [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """An axis with a length."""
+        yield from super().faults()
+        if self.from_ == self.to:
+            yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
+
+
+class Cylinder(Axial):
+    """A thin tube without ends, touched from inside and outside."""
+
+    shape: Literal["cylinder"]
+    radius: PositiveLength = Field(description="radius [m]")
+
+
+class Cone(Axial):
+    """A thin cone frustum without ends, touched from inside and outside."""
+
+    shape: Literal["cone"]
+    radius_from: NotNegativeLength = Field(description="radius at `from` [m]")
+    radius_to: NotNegativeLength = Field(description="radius at `to` [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """One end wider than a point."""
+        yield from super().faults()
+        if self.radius_from == self.radius_to == 0:
+            yield Fault(("radius_to",), "radius_from is 0 too: one of them must be above 0")
+
+
+class Disc(Wall):
+    """A thin round disc, with or without a round hole, that works from both sides."""
+
+    shape: Literal["disc"]
+    center: Point = Field(description="centre [m]")
+    normal: Direction = Field(description="normal; its length and sign do not matter")
+    radius: PositiveLength = Field(description="outer radius [m]")
+    hole_radius: NotNegativeLength = Field(0.0, description="radius of the hole [m]; 0: no hole")
+
+    def faults(self) -> Iterator[Fault]:
+        """A hole smaller than the disc."""
+        yield from super().faults()
+        if self.hole_radius >= self.radius:
+            yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
+
+
+AnyWall = Annotated[
+    Annotated[Plane, Tag("<plane>")]
+    | Annotated[Rectangle, Tag("<rectangle>")]
+    | Annotated[Cylinder, Tag("<cylinder>")]
+    | Annotated[Cone, Tag("<cone>")]
+    | Annotated[Disc, Tag("<disc>")],
+    choice("shape"),
+]

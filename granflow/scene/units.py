@@ -1,0 +1,124 @@
+"""Units: text such as "4 mm" or "0.31 GPa" to SI numbers, rounded once."""
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
+_PI = Fraction(math.pi)
+_STANDARD_GRAVITY = "9.80665"
+_LONGEST_EXACT = 100  # characters; more digits than this are rounded before the unit is applied
+_LARGEST = Fraction(10) ** 300
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A kind of physical quantity: how to call it, one example, and its units as multiples of SI."""
+
+    noun: str
+    example: str
+    units: Mapping[str, Fraction]
+
+
+def _unit_table(text: str) -> dict[str, Fraction]:
+    """Read "m 1, mm 1e-3, ..." into a table of exact factors; the SI unit stands first."""
+    pairs = (entry.split() for entry in text.split(","))
+    return {name: Fraction(factor) for name, factor in pairs}
+
+
+DIMENSIONS: dict[str, Dimension] = {
+    "number": Dimension("a plain number", "0.5", _unit_table("% 1/100")),
+    "length": Dimension("a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")),
+    "time": Dimension("a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")),
+    "velocity": Dimension(
+        "a velocity", "3 m/s", _unit_table("m/s 1, cm/s 1e-2, mm/s 1e-3, km/h 1000/3600, m/min 1/60")
+    ),
+    "acceleration": Dimension(
+        "an acceleration", "9.81 m/s2", _unit_table(f"m/s2 1, m/s^2 1, m/s² 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}")
+    ),
+    "angle": Dimension("an angle", "30 deg", {"rad": Fraction(1), "deg": _PI / 180, "°": _PI / 180, "turn": 2 * _PI}),
+    "frequency": Dimension("a frequency", "25 Hz", _unit_table("Hz 1, kHz 1e3, 1/s 1, 1/min 1/60")),
+    "angular_velocity": Dimension(
+        "an angular velocity",
+        "30 rpm",
+        {"rad/s": Fraction(1), "deg/s": _PI / 180, "°/s": _PI / 180, "rpm": 2 * _PI / 60, "1/s": Fraction(1)},
+    ),
+    "pressure": Dimension(
+        "a pressure", "1 GPa", _unit_table("Pa 1, kPa 1e3, MPa 1e6, GPa 1e9, N/m2 1, N/mm2 1e6, bar 1e5")
+    ),
+    "density": Dimension(
+        "a density", "2500 kg/m3", _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3")
+    ),
+    "energy": Dimension("an energy", "1 nJ", _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12")),
+    "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
+    "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
+    "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
+    "mass_flow": Dimension(
+        "a mass flow", "2 t/h", _unit_table("kg/s 1, g/s 1e-3, kg/min 1/60, kg/h 1/3600, t/h 1000/3600")
+    ),
+    "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
+}
+_ANY = Dimension("a number or text with a unit", "2 t/h", {})
+
+
+class UnitError(ValueError):
+    """Text that is no quantity of the dimension asked; the message goes after "X is Y, but "."""
+
+
+def dimension_of(name: str) -> Dimension:
+    """Give the dimension of that name; "any" takes the units of all."""
+    return _ANY if name == "any" else DIMENSIONS[name]
+
+
+def to_si(text: str, dimension: str) -> float:
+    """Turn text such as "4 mm" into the SI number of that dimension; text without a unit is SI.
+
+    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004.
+    Raises `UnitError` where the text is no number, or the unit is unknown or of another dimension.
+    """
+    asked = dimension_of(dimension)
+    match = _AMOUNT.fullmatch(text)
+    if match is None:
+        raise UnitError(f"{asked.noun} is asked here, such as {asked.example}")
+    number, unit = match.groups()
+    plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    factor = _factor(unit, dimension)
+    if plain == 0 or not math.isfinite(plain):
+        return plain
+    exact = (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
+    return float(exact) if abs(exact) < _LARGEST else math.copysign(math.inf, plain)
+
+
+def _factor(unit: str, dimension: str) -> Fraction:
+    if not unit:
+        return Fraction(1)
+    if dimension == "any":
+        return _any_factor(unit)
+    known = DIMENSIONS[dimension].units
+    if unit in known:
+        return known[unit]
+    raise UnitError(_wrong_unit(unit, DIMENSIONS[dimension]))
+
+
+def _any_factor(unit: str) -> Fraction:
+    factors = {d.units[unit] for d in DIMENSIONS.values() if unit in d.units}
+    if len(factors) == 1:
+        return factors.pop()
+    trouble = "means more than one thing" if factors else "is not a unit known here"
+    raise UnitError(f"{unit} {trouble}; leave the unit out to write the value in SI")
+
+
+def _wrong_unit(unit: str, asked: Dimension) -> str:
+    owners = [d.noun for d in DIMENSIONS.values() if unit in d.units]
+    if not asked.units or asked is DIMENSIONS["number"]:
+        return f"{asked.noun} without a unit is asked here, such as {asked.example}"
+    if owners:
+        return f"{unit} is a unit of {owners[0]} and {asked.noun} is asked here, such as {asked.example}"
+    near = difflib.get_close_matches(unit, list(asked.units), n=1, cutoff=0.6)
+    known = ", ".join(name for name in asked.units if name.isascii())
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    return f"{unit} is not a unit known here{hint}; {asked.noun} is written in {known}, such as {asked.example}"
