@@ -1,0 +1,173 @@
+"""Flat walls: the half space (one-sided) and the rectangle (two-sided).
+
+Edges of rectangles are not joined with their neighbours (see `rims` for surfaces of revolution). Inside a box
+of rectangles nothing is needed: the nearest points are on faces. Outside, at a convex edge that two rectangles
+share, a grain touches both edges and feels twice the stiffness there. A rectangle on a half space is harmless:
+the shared edge can only be reached through the half space.
+"""
+
+import numpy as np
+import taichi as ti
+
+from granflow.walls.shape import Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
+
+
+@ti.func
+def closest_on_half_space(point, parameters):
+    """Signed distance from the plane, negative behind it, and the plane's normal.
+
+    d = (x - p) . n
+    """
+    normal = ti.Vector([parameters[3], parameters[4], parameters[5]])
+    distance = half_space_distance(point, parameters)
+    return distance, normal
+
+
+@ti.func
+def half_space_distance(point, parameters):
+    """Signed distance from the plane [m]."""
+    return (
+        (point[0] - parameters[0]) * parameters[3]
+        + (point[1] - parameters[1]) * parameters[4]
+        + (point[2] - parameters[2]) * parameters[5]
+    )
+
+
+@ti.func
+def rectangle_coordinates(point, parameters):
+    """How far the point lies beyond the rectangle along its sides (0 above the face) and its height over it."""
+    offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
+    along1 = offset[0] * parameters[3] + offset[1] * parameters[4] + offset[2] * parameters[5]
+    along2 = offset[0] * parameters[6] + offset[1] * parameters[7] + offset[2] * parameters[8]
+    height = offset[0] * parameters[9] + offset[1] * parameters[10] + offset[2] * parameters[11]
+    beyond1 = along1 - ti.min(ti.max(along1, 0.0), parameters[12])
+    beyond2 = along2 - ti.min(ti.max(along2, 0.0), parameters[13])
+    return ti.Vector([beyond1, beyond2, height])
+
+
+@ti.func
+def rectangle_distance(point, parameters):
+    """Distance from the rectangle [m], never negative."""
+    return rectangle_coordinates(point, parameters).norm()
+
+
+@ti.func
+def closest_on_rectangle(point, parameters):
+    """Distance from the rectangle and the direction from its nearest point; its own normal on the face itself."""
+    beyond = rectangle_coordinates(point, parameters)
+    distance = beyond.norm()
+    on_surface = distance == 0.0
+    divisor = ti.select(on_surface, 1.0, distance)
+    part1 = beyond[0] / divisor
+    part2 = beyond[1] / divisor
+    part3 = ti.select(on_surface, 1.0, beyond[2] / divisor)
+    normal = ti.Vector(
+        [
+            part1 * parameters[3] + part2 * parameters[6] + part3 * parameters[9],
+            part1 * parameters[4] + part2 * parameters[7] + part3 * parameters[10],
+            part1 * parameters[5] + part2 * parameters[8] + part3 * parameters[11],
+        ]
+    )
+    return distance, normal
+
+
+def reference_closest_on_half_space(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `closest_on_half_space`: drop a perpendicular, measure it along the normal."""
+    origin, normal = parameters[0:3], parameters[3:6]
+    distance = (points - origin) @ normal
+    return distance, np.broadcast_to(normal, points.shape).copy()
+
+
+def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `closest_on_rectangle`: find the nearest point in space, then look from there to the point."""
+    corner, frame, lengths = parameters[0:3], parameters[3:9].reshape(2, 3), parameters[12:14]
+    along = np.clip((points - corner) @ frame.T, 0.0, lengths)
+    away = points - (corner + along @ frame)
+    distance = np.linalg.norm(away, axis=1)
+    touching = distance == 0.0
+    normal = away / np.where(touching, 1.0, distance)[:, None]
+    normal[touching] = np.cross(frame[0], frame[1])
+    return distance, normal
+
+
+def half_space_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square patch of half width `extent` about the foot of `center` on the plane."""
+    origin, normal = parameters[0:3], parameters[3:6]
+    foot = np.asarray(center) - ((np.asarray(center) - origin) @ normal) * normal
+    side1 = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
+    side2 = np.cross(normal, side1)
+    return quadrilateral(foot - extent * (side1 + side2), 2 * extent * side1, 2 * extent * side2)
+
+
+def rectangle_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """The rectangle as two triangles; `center` and `extent` do not matter."""
+    return quadrilateral(parameters[0:3], *rectangle_sides(parameters))
+
+
+def quadrilateral(corner: np.ndarray, side1: np.ndarray, side2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (4, 3) and triangles (2, 3) of the parallelogram spanned by two sides from a corner."""
+    points = np.array([corner, corner + side1, corner + side1 + side2, corner + side2])
+    return points, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def rectangle_sides(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two edge vectors [m]."""
+    return parameters[3:6] * parameters[12], parameters[6:9] * parameters[13]
+
+
+def half_space_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
+    """Infinite, or 0 about an axis along the normal."""
+    return 0.0 if is_parallel(parameters[3:6], axis) else float("inf")
+
+
+def rectangle_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
+    """The farthest corner from the axis."""
+    corners, _ = quadrilateral(parameters[0:3], *rectangle_sides(parameters))
+    return float(distance_from_axis(corners, point, axis).max())
+
+
+HALF_SPACE = ShapeKind(
+    name="half_space",
+    parameter_names=("point_x", "point_y", "point_z", "normal_x", "normal_y", "normal_z"),
+    closest=closest_on_half_space,
+    bare_distance=half_space_distance,
+    reference_closest=reference_closest_on_half_space,
+    triangles=half_space_triangles,
+    reach_about=half_space_reach,
+)
+
+RECTANGLE = ShapeKind(
+    name="rectangle",
+    parameter_names=(
+        *("corner_x", "corner_y", "corner_z"),
+        *("direction1_x", "direction1_y", "direction1_z"),
+        *("direction2_x", "direction2_y", "direction2_z"),
+        *("normal_x", "normal_y", "normal_z"),
+        *("length1", "length2"),
+    ),
+    closest=closest_on_rectangle,
+    bare_distance=rectangle_distance,
+    reference_closest=reference_closest_on_rectangle,
+    triangles=rectangle_triangles,
+    reach_about=rectangle_reach,
+)
+
+
+def half_space(point: object, normal: object) -> Shape:
+    """All space behind the plane through `point` is solid; particles live on the side `normal` points to."""
+    return make_shape(HALF_SPACE, point, unit(normal))
+
+
+def rectangle(corner: object, side1: object, side2: object) -> Shape:
+    """A thin plate from `corner` along two perpendicular edge vectors; felt from both sides.
+
+    Raises ValueError if the sides are not perpendicular within 1e-6.
+    """
+    direction1, direction2 = unit(side1), unit(side2)
+    skewness = float(direction1 @ direction2)
+    if abs(skewness) > 1e-6:
+        raise ValueError("The sides of a rectangle must be perpendicular.")
+    direction2 = unit(direction2 - skewness * direction1)
+    normal = np.cross(direction1, direction2)
+    lengths = np.linalg.norm(np.asarray(side1, dtype=float)), np.linalg.norm(np.asarray(side2, dtype=float))
+    return make_shape(RECTANGLE, corner, direction1, direction2, normal, *lengths)

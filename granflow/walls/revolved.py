@@ -1,0 +1,211 @@
+"""Surfaces of revolution: a straight segment in the (r, z) half plane turned about an axis.
+
+Cylinder, cone frustum and disc (with a round hole or none) are all this. The surface is thin and felt from both
+sides. Each end of the segment is a circular rim; `rims.join_rims` tells it which other segment shares the rim.
+"""
+
+import numpy as np
+import taichi as ti
+
+from granflow.walls.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
+
+FACET_COUNT = 64
+
+
+@ti.func
+def half_plane_coordinates(point, parameters):
+    """The point as (r, z): distance from the axis, height over the segment's start; and its radial unit vector.
+
+    On the axis, where no radial direction is better than another, a fixed one is taken. The double cross product
+    keeps the radial vector perpendicular to the axis where rounding is all that is left of it.
+
+        radial = axis x (offset x axis)
+    """
+    offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
+    axis = ti.Vector([parameters[3], parameters[4], parameters[5]])
+    z = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
+    radial = axis.cross(offset.cross(axis))
+    r = radial.norm()
+    on_axis = r == 0.0
+    steep = ti.abs(axis[2]) > 0.5
+    zero = axis[0] * 0.0
+    substitute = ti.Vector(
+        [ti.select(steep, axis[2], -axis[1]), ti.select(steep, zero, axis[0]), ti.select(steep, -axis[0], zero)]
+    )
+    direction = ti.select(on_axis, substitute, radial)
+    divisor = ti.select(on_axis, substitute.norm(), r)
+    return r, z, direction / divisor
+
+
+@ti.func
+def segment_coordinates(r, z, parameters):
+    """Position along the segment's line, how far beyond the nearer end that is (0 above the face), height over it.
+
+    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur
+    """
+    outward = r - parameters[6]
+    along = outward * parameters[8] + z * parameters[9]
+    height = outward * parameters[9] - z * parameters[8]
+    beyond = along - ti.min(ti.max(along, 0.0), parameters[7])
+    return along, beyond, height
+
+
+@ti.func
+def revolved_distance(point, parameters):
+    """Distance from the surface [m], shared rims not considered, never negative."""
+    r, z, _ = half_plane_coordinates(point, parameters)
+    _, beyond, height = segment_coordinates(r, z, parameters)
+    return ti.sqrt(beyond * beyond + height * height)
+
+
+@ti.func
+def counts_here(along, height, parameters):
+    """Whether this surface answers for the contact: always on its face, on a rim only if it owns the rim and
+    the point lies beyond the end of the neighbour too (whose face is nearer otherwise).
+    """
+    before = along <= 0.0
+    after = along >= parameters[7]
+    past_start = along
+    past_end = along - parameters[7]
+    r_start = past_start * parameters[8] + height * parameters[9]
+    z_start = past_start * parameters[9] - height * parameters[8]
+    r_end = past_end * parameters[8] + height * parameters[9]
+    z_end = past_end * parameters[9] - height * parameters[8]
+    start_counts = (parameters[12] > 0.0) & (r_start * parameters[10] + z_start * parameters[11] <= 0.0)
+    end_counts = (parameters[15] > 0.0) & (r_end * parameters[13] + z_end * parameters[14] <= 0.0)
+    return ((not before) | start_counts) & ((not after) | end_counts)
+
+
+@ti.func
+def closest_on_revolved(point, parameters):
+    """Distance from the surface and the direction from its nearest point, looking from the side where the point is.
+
+    Distance FAR_AWAY where the nearest point is on a rim that another wall answers for.
+    """
+    r, z, radial = half_plane_coordinates(point, parameters)
+    along, beyond, height = segment_coordinates(r, z, parameters)
+    gap = ti.sqrt(beyond * beyond + height * height)
+    on_surface = gap == 0.0
+    divisor = ti.select(on_surface, 1.0, gap)
+    tangential = beyond / divisor
+    perpendicular = ti.select(on_surface, 1.0, height / divisor)
+    normal_r = tangential * parameters[8] + perpendicular * parameters[9]
+    normal_z = tangential * parameters[9] - perpendicular * parameters[8]
+    normal = normal_r * radial + normal_z * ti.Vector([parameters[3], parameters[4], parameters[5]])
+    distance = ti.select(counts_here(along, height, parameters), gap, FAR_AWAY)
+    return distance, normal
+
+
+def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `closest_on_revolved`: cut with the half plane through the point, find the foot in space, look back."""
+    axis = parameters[3:6]
+    start, end = profile(parameters)
+    outward = radial_directions(points - parameters[0:3], axis)
+    rim1 = parameters[0:3] + start[0] * outward + start[1] * axis
+    rim2 = parameters[0:3] + end[0] * outward + end[1] * axis
+    chord = rim2 - rim1
+    fraction = np.sum((points - rim1) * chord, axis=1) / np.sum(chord * chord, axis=1)
+    foot = rim1 + np.clip(fraction, 0.0, 1.0)[:, None] * chord
+    away = points - foot
+    distance = np.linalg.norm(away, axis=1)
+    face_normal = np.cross(chord, np.cross(axis, outward)) / np.linalg.norm(chord, axis=1)[:, None]
+    normal = np.where((distance > 0)[:, None], away / np.where(distance > 0, distance, 1.0)[:, None], face_normal)
+    refused = (fraction <= 0) & ~reference_rim_counts(away, outward, axis, parameters[10:13])
+    refused |= (fraction >= 1) & ~reference_rim_counts(away, outward, axis, parameters[13:16])
+    return np.where(refused, FAR_AWAY, distance), normal
+
+
+def reference_rim_counts(away: np.ndarray, outward: np.ndarray, axis: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """Whether points `away` (n, 3) from a rim touch it as its own: `rim` is (neighbour r, neighbour z, owner)."""
+    neighbour = rim[0] * outward + rim[1] * axis
+    return (rim[2] > 0) & (np.sum(away * neighbour, axis=1) <= 0)
+
+
+def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) from the axis to the points; for points on the axis some fixed one."""
+    radial = offsets - np.outer(offsets @ axis, axis)
+    on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
+    radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
+    radial /= np.linalg.norm(radial, axis=1)[:, None]
+    radial -= np.outer(radial @ axis, axis)  # again: near the axis the first difference is mostly rounding
+    return radial / np.linalg.norm(radial, axis=1)[:, None]
+
+
+def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two ends of the segment as (r, z) in the shape's own frame."""
+    start = np.array([parameters[6], 0.0])
+    return start, start + parameters[7] * parameters[8:10]
+
+
+def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """The surface with FACET_COUNT facets around; `center` and `extent` do not matter."""
+    axis = parameters[3:6]
+    angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
+    first = radial_directions(np.zeros((1, 3)), axis)[0]
+    around = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), np.cross(axis, first))
+    rings = [parameters[0:3] + r * around + z * axis for r, z in profile(parameters)]
+    this = np.arange(FACET_COUNT)
+    following = (this + 1) % FACET_COUNT
+    lower = np.stack([this, following, following + FACET_COUNT], axis=1)
+    upper = np.stack([this, following + FACET_COUNT, this + FACET_COUNT], axis=1)
+    return np.concatenate(rings), np.concatenate([lower, upper])
+
+
+def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
+    """The farthest point of either rim from the axis; 0 if the surface turns about its own axis."""
+    origin, own_axis = parameters[0:3], parameters[3:6]
+    radius = max(end[0] for end in profile(parameters))
+    centers = np.array([origin + end[1] * own_axis for end in profile(parameters)])
+    away = distance_from_axis(centers, point, axis).max()
+    size = radius + parameters[7]
+    return 0.0 if is_parallel(own_axis, axis) and away <= 1e-9 * size else float(away + radius)
+
+
+REVOLVED = ShapeKind(
+    name="revolved",
+    parameter_names=(
+        *("origin_x", "origin_y", "origin_z"),
+        *("axis_x", "axis_y", "axis_z"),
+        *("start_r", "length", "direction_r", "direction_z"),
+        *("start_neighbour_r", "start_neighbour_z", "start_owned"),
+        *("end_neighbour_r", "end_neighbour_z", "end_owned"),
+    ),
+    closest=closest_on_revolved,
+    bare_distance=revolved_distance,
+    reference_closest=reference_closest_on_revolved,
+    triangles=revolved_triangles,
+    reach_about=revolved_reach,
+)
+
+
+def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: float) -> Shape:
+    """The segment from (start_r, 0) to (end_r, end_z) turned about the axis; both rims free.
+
+    Raises ValueError for a negative radius or a segment without length.
+    """
+    if start_r < 0 or end_r < 0:
+        raise ValueError("A radius must not be negative.")
+    length = np.hypot(end_r - start_r, end_z)
+    if not length > 0 or max(start_r, end_r) == 0:
+        raise ValueError("A surface of revolution needs a length and a radius above zero.")
+    free_rim = (0.0, 0.0, 1.0)
+    direction = (end_r - start_r) / length, end_z / length
+    return make_shape(REVOLVED, origin, unit(axis), start_r, length, *direction, *free_rim, *free_rim)
+
+
+def cone(a: object, b: object, radius_a: float, radius_b: float) -> Shape:
+    """A frustum from radius_a at point `a` to radius_b at point `b`; either radius may be 0."""
+    axis = np.asarray(b, dtype=float) - np.asarray(a, dtype=float)
+    return revolved(a, axis, radius_a, radius_b, float(np.linalg.norm(axis)))
+
+
+def cylinder(a: object, b: object, radius: float) -> Shape:
+    """A tube from point `a` to point `b`, open at both ends."""
+    return cone(a, b, radius, radius)
+
+
+def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0) -> Shape:
+    """A flat disc, with a round hole if `hole_radius` is above zero."""
+    if not radius > hole_radius:
+        raise ValueError("The hole of a disc must be smaller than the disc.")
+    return revolved(center, normal, hole_radius, radius, 0.0)

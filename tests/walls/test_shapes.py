@@ -1,0 +1,119 @@
+"""Distance and normal of every shape: device against twin, against geometry known by hand, in every precision."""
+
+import numpy as np
+import pytest
+import taichi as ti
+from walls.surfaces import SHAPES, on_device, points_around
+
+from granflow.walls import cone, cylinder, disc, half_space, rectangle
+
+EPSILON = np.finfo(float).eps
+COORDINATE_SIZE = 4.0
+"""Largest intermediate coordinate of the random points: rounding errors are relative to this, not to the distance."""
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_device_equals_twin(taichi_f64, name):
+    shape = SHAPES[name]
+    points = points_around(shape, 10_000)
+    distance, normal = on_device(shape, points)
+    expected_distance, expected_normal = shape.kind.reference_closest(points, shape.parameters)
+    tolerance = 4 * EPSILON * COORDINATE_SIZE
+    np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
+    # An error of `tolerance` sideways turns the normal by tolerance / distance; nearer than 1e-9 it is anybody's guess.
+    clear = (np.abs(distance) > 1e-9) & off_axis(shape, points)
+    turned = np.linalg.norm(normal - expected_normal, axis=1)[clear]
+    assert np.all(turned <= tolerance * (1 + 1 / np.abs(distance[clear])))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_normal_is_unit_and_gradient(taichi_f64, name):
+    shape = SHAPES[name]
+    points = points_around(shape, 2_000)
+    distance, normal = on_device(shape, points)
+    assert np.all(np.isfinite(normal)) and np.all(np.isfinite(distance))
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
+    step = 1e-6
+    smooth = (np.abs(distance) > 0.05) & off_axis(shape, points, 0.05)
+    gradient = np.empty_like(points)
+    for axis, shift in enumerate(step * np.eye(3)):
+        ahead, _ = on_device(shape, points + shift)
+        behind, _ = on_device(shape, points - shift)
+        gradient[:, axis] = (ahead - behind) / (2 * step)
+    # Second derivatives are at most 1 / 0.05 away from edges; across an edge they jump, costing at most step / 0.05.
+    np.testing.assert_allclose(normal[smooth], gradient[smooth], atol=2 * step / 0.05)
+
+
+def off_axis(shape, points, least=1e-9):
+    """Which points have a radial direction: all of them for flat walls."""
+    if shape.kind.name != "revolved":
+        return np.ones(len(points), bool)
+    return np.linalg.norm(np.cross(points - shape.parameters[0:3], shape.parameters[3:6]), axis=1) > least
+
+
+HAND_MADE = {
+    "above half space": (half_space([0, 0, 1], [0, 0, 2]), [5, 5, 3], 2.0, [0, 0, 1]),
+    "behind half space": (half_space([0, 0, 1], [0, 0, 2]), [5, 5, 0], -1.0, [0, 0, 1]),
+    "below rectangle": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [1, 0.5, -0.25], 0.25, [0, 0, -1]),
+    "beyond its corner": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [5, 5, 0], 5.0, [0.6, 0.8, 0]),
+    "on the rectangle": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [1, 0.5, 0], 0.0, [0, 0, 1]),
+    "inside cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0.25, 0, 0.5], 0.75, [-1, 0, 0]),
+    "outside cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0, 3, 0.5], 2.0, [0, 1, 0]),
+    "beyond cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0, 4, 5], 5.0, [0, 0.6, 0.8]),
+    "inside cone": (cone([0, 0, 0], [0, 0, 4], 0.0, 3.0), [0, 1, 3], 1.0, [0, -0.8, 0.6]),
+    "over disc": (disc([0, 0, 1], [0, 0, 1], 1.0), [0.5, 0, 3], 2.0, [0, 0, 1]),
+    "over disc's middle": (disc([0, 0, 1], [0, 0, 1], 1.0), [0, 0, 3], 2.0, [0, 0, 1]),
+    "under disc": (disc([0, 0, 1], [0, 0, 1], 1.0), [0.5, 0, 0], 1.0, [0, 0, -1]),
+    "in the hole": (disc([0, 0, 0], [0, 0, 1], 2.0, 1.0), [0.25, 0, 0], 0.75, [-1, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("case", HAND_MADE)
+def test_known_by_hand(taichi_f64, case):
+    shape, point, expected_distance, expected_normal = HAND_MADE[case]
+    distance, normal = on_device(shape, np.array([point], float))
+    assert distance[0] == pytest.approx(expected_distance, abs=1e-15)
+    np.testing.assert_allclose(normal[0], expected_normal, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_on_the_axis_the_normal_is_defined(taichi_f64, name):
+    """At r = 0 the radial direction is a choice, but distance and length of the normal are not."""
+    shape = SHAPES[name]
+    points = shape.parameters[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.parameters[3:6]
+    distance, normal = on_device(shape, points)
+    expected, _ = shape.kind.reference_closest(points, shape.parameters)
+    np.testing.assert_allclose(distance, expected, atol=4 * EPSILON * COORDINATE_SIZE)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
+
+
+@pytest.mark.parametrize("types", [(ti.f32, ti.f32), (ti.f64, ti.f32)], ids=["f32", "mixed"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_lower_precisions(taichi_f64, name, types):
+    shape = SHAPES[name]
+    points = points_around(shape, 2_000).astype(np.float32 if types[0] == ti.f32 else np.float64)
+    distance, _ = on_device(shape, points, *types)
+    expected, _ = shape.kind.reference_closest(points.astype(float), shape.parameters)
+    np.testing.assert_allclose(distance, expected, atol=8 * np.finfo(np.float32).eps * COORDINATE_SIZE)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_bare_distance_equals_distance_of_a_free_shape(taichi_f64, name):
+    shape = SHAPES[name]
+    points = points_around(shape, 2_000)
+    bare, _ = on_device(shape, points, function="bare_distance")
+    distance, _ = on_device(shape, points)
+    np.testing.assert_array_equal(bare, distance)
+
+
+def test_bad_shapes_are_refused():
+    with pytest.raises(ValueError, match="perpendicular"):
+        rectangle([0, 0, 0], [1, 0, 0], [1, 1, 0])
+    with pytest.raises(ValueError, match="no direction"):
+        half_space([0, 0, 0], [0, 0, 0])
+    with pytest.raises(ValueError, match="negative"):
+        cone([0, 0, 0], [0, 0, 1], -1.0, 1.0)
+    with pytest.raises(ValueError, match="smaller than the disc"):
+        disc([0, 0, 0], [0, 0, 1], 1.0, 1.0)
+    with pytest.raises(ValueError, match="not finite"):
+        disc([0, 0, float("nan")], [0, 0, 1], 1.0)
