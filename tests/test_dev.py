@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-OK_STATUS = 0
 
 
 @pytest.fixture
@@ -24,14 +23,14 @@ def dev(tmp_path, monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.calls = []
-    module.pip_status = OK_STATUS
+    module.pip_fails = False
 
     def attempt(command, failure):
         module.calls.append(command)
         if "venv" in command:
             module.environment_python().parent.mkdir(parents=True)
             module.environment_python().touch()
-        elif module.pip_status != OK_STATUS:
+        elif module.pip_fails:
             module.stop(failure)
 
     monkeypatch.setattr(module, "attempt", attempt)
@@ -78,10 +77,10 @@ def test_changed_requirements_are_installed(dev, name):
 
 
 def test_failed_install_is_redone_from_scratch(dev):
-    dev.pip_status = 1
+    dev.pip_fails = True
     with pytest.raises(SystemExit, match="Installing granflow failed"):
         set_up(dev, "run")
-    dev.pip_status = OK_STATUS
+    dev.pip_fails = False
     assert set_up(dev, "run") == ["venv", ""]
 
 

@@ -89,7 +89,10 @@ def install(extras: "tuple[str, ...]") -> None:
     STAMP.write_text(UNFINISHED + "\n")
     target = str(ROOT) + (f"[{','.join(extras)}]" if extras else "")
     pip = [str(environment_python()), "-m", "pip", "install", "--disable-pip-version-check"]
-    attempt([*pip, "-c", str(ROOT / "constraints.txt"), "-e", target], "Installing granflow failed")
+    attempt(
+        [*pip, "-c", str(ROOT / "constraints.txt"), "-e", target],
+        "Installing granflow failed (is this machine online?)",
+    )
     STAMP.write_text("\n".join([python, inputs, *extras]) + "\n")
 
 
