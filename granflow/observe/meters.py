@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -111,7 +112,7 @@ def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]
     """First and last index of every stage, the first being the last of the stage before."""
     names = [stage for _, stage, _ in history]
     ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
-    return list(zip([0, *ends[:-1]], ends, strict=True))
+    return list(pairwise([0, *ends]))
 
 
 def _first_reached(times: np.ndarray, share: np.ndarray, part: float) -> float:

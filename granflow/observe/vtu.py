@@ -84,7 +84,8 @@ class ParticleFrames(_Frames):
 
     def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
         reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
-        resolved = np.spacing(np.float32(reach)) <= POSITION_TOLERANCE * radius.min(initial=np.inf)
+        rounding = 0.5 * np.spacing(np.float32(reach))
+        resolved = rounding <= POSITION_TOLERANCE * radius.min(initial=np.inf)
         return position.astype(np.float32 if resolved else np.float64)
 
 

@@ -1,0 +1,46 @@
+"""The output block of a scene becomes observers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from granflow.observe import ContactFrames, ParticleFrames, TimeSeries, WallFrames, observers_for
+from granflow.observe.build import stage_durations
+
+TRIANGLES = {"floor": (np.zeros((3, 3)), np.array([[0, 1, 2]]))}
+
+
+def scene_of(**output):
+    meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None)
+    block = {
+        "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
+        "energy": False, "meters": {"outlet": meter}, **output,
+    }  # fmt: skip
+    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1))
+    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain)
+
+
+def kinds(scene, triangles, path):
+    return [type(observer) for observer in observers_for(scene, path, triangles)]
+
+
+def test_what_is_asked_for_is_made(tmp_path):
+    assert kinds(scene_of(), TRIANGLES, tmp_path) == [TimeSeries, ParticleFrames, WallFrames]
+    assert kinds(scene_of(contacts=True, particles=False), {}, tmp_path) == [TimeSeries, ContactFrames]
+    assert not list(tmp_path.iterdir()), "nothing is written before the first snapshot"
+
+
+def test_series_has_its_own_interval(tmp_path):
+    series, frames, _ = observers_for(scene_of(timeseries_interval=0.001), tmp_path, TRIANGLES)
+    for observer in (series, frames):
+        observer._schedule.take(0.0)
+    assert (series.next_time(), frames.next_time()) == (0.001, 0.01)
+
+
+def test_stage_durations_are_the_longest_possible():
+    stages = [
+        SimpleNamespace(name="fill", duration=1.0, at_most=None),
+        SimpleNamespace(name="settle", duration=None, at_most=2.0),
+    ]
+    assert stage_durations(SimpleNamespace(stages=stages)) == [("fill", 1.0), ("settle", 2.0)]
+    assert stage_durations(SimpleNamespace(stages=[], run=SimpleNamespace(duration=4.0))) == [("run", 4.0)]

@@ -1,0 +1,30 @@
+"""A file is whole or not there."""
+
+import pytest
+
+from granflow.observe import replacing, write_text
+
+
+def test_a_write_that_raises_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "frame.vtu"
+    path.write_text("old")
+    with pytest.raises(OSError, match="disk full"), replacing(path) as temporary:
+        temporary.write_text("half")
+        raise OSError("disk full")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_temporary_file_is_beside_the_target_and_hidden(tmp_path):
+    with replacing(tmp_path / "frame.vtu") as temporary:
+        temporary.write_text("new")
+        assert temporary.parent == tmp_path
+        assert temporary.name.startswith(".")
+        assert not (tmp_path / "frame.vtu").exists()
+    assert (tmp_path / "frame.vtu").read_text() == "new"
+
+
+def test_text_replaces_text(tmp_path):
+    for text in ("first", "second"):
+        write_text(tmp_path / "a.txt", text)
+    assert (tmp_path / "a.txt").read_text() == "second"

@@ -1,0 +1,66 @@
+"""The closing numbers: table, JSON, log and the scene as run."""
+
+import json
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from granflow.observe import Judgement, Result, closing_table, run_log, write_result, write_scene_as_run
+
+RESULT = Result(
+    run={"simulated_time": 1.5, "step_count": np.int64(1_234_567)},
+    seconds={"search": 1.0, "forces": 3.0},
+    totals={"particle_count": 8000, "kinetic_energy": 1e-3, "energy_error": float("nan")},
+    meters={"outlet": {"flow_mass": 0.25, "flow_count": 100, "mass_flow": 0.153}},
+)
+
+
+def test_numbers_go_by_the_names_of_the_expect_block():
+    numbers = RESULT.numbers()
+    assert numbers["mass_flow.outlet"] == 0.153
+    assert numbers["seconds.forces"] == 3.0
+    assert numbers["kinetic_energy"] == 1e-3
+    assert numbers["step_count"] == 1_234_567
+
+
+def test_json_is_strict_and_has_the_same_numbers(tmp_path):
+    path = write_result(tmp_path, RESULT, [Judgement("All is well.", True)])
+
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    read = json.loads(path.read_text(), parse_constant=refuse)
+    assert read["run"] == {"simulated_time": 1.5, "step_count": 1_234_567}
+    assert read["totals"]["energy_error"] is None
+    assert read["meters"]["outlet"]["mass_flow"] == 0.153
+    assert read["expect"] == [{"sentence": "All is well.", "met": True}]
+
+
+def test_table_shows_where_the_time_went():
+    console = Console(width=100, record=True, quiet=False, file=open("/dev/null", "w"))
+    console.print(closing_table(RESULT))
+    text = console.export_text()
+    for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000"):
+        assert piece in text
+
+
+def test_log_is_written_and_left(tmp_path):
+    with pytest.raises(RuntimeError), run_log(tmp_path) as log:
+        log.info("stage fill begins")
+        logging.getLogger("granflow.device").warning("list grown")
+        raise RuntimeError("it broke")
+    logging.getLogger("granflow").error("too late")
+    lines = (tmp_path / "run.log").read_text().splitlines()
+    assert [line.split(" ", 2)[2] for line in lines] == [
+        "INFO granflow: stage fill begins",
+        "WARNING granflow.device: list grown",
+        "ERROR granflow: ended by RuntimeError: it broke",
+    ]
+
+
+def test_scene_as_run(tmp_path):
+    path = write_scene_as_run(tmp_path / "out", SimpleNamespace(text=lambda: "title: Rain ü\n"))
+    assert path.read_text(encoding="utf-8") == "title: Rain ü\n"

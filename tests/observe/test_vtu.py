@@ -1,0 +1,122 @@
+"""Frames hold the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
+
+import xml.etree.ElementTree as ElementTree
+
+import meshio
+import numpy as np
+import pytest
+from observe.snapshots import contacts_of, particles_of, snapshot_of, turned
+
+from granflow.observe import ContactFrames, ParticleFrames, WallFrames
+from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+
+SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+TRIANGLE = (np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([[0, 1, 2]]))
+
+
+def listed(path):
+    rows = ElementTree.parse(path).getroot().iter("DataSet")
+    return [(float(row.get("timestep")), row.get("file")) for row in rows]
+
+
+@pytest.mark.parametrize("count", [1, 7, 5000])
+def test_particles_come_back_number_for_number(tmp_path, count):
+    snapshot = snapshot_of(particles=particles_of(count))
+    ParticleFrames(tmp_path, 0.1).observe(snapshot)
+    mesh = meshio.read(tmp_path / "particles_0000.vtu")
+    particles = dict(snapshot.particles)
+    particles["diameter"] = 2 * particles["radius"]
+    particles["kinetic_energy"] = 0.5 * particles["mass"] * (particles["velocity"] ** 2).sum(axis=1)
+    assert [block.type for block in mesh.cells] == ["vertex"]
+    np.testing.assert_array_equal(mesh.cells[0].data[:, 0], np.arange(count))
+    np.testing.assert_array_equal(mesh.points, particles["position"].astype(np.float32))
+    assert set(mesh.point_data) == {
+        "id", "radius", "diameter", "velocity", "spin", "force", "material", "group", "coordination_number",
+        "kinetic_energy",
+    }  # fmt: skip
+    for name, values in mesh.point_data.items():
+        np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))
+        assert values.dtype == PARTICLE_QUANTITIES[name].file_type
+
+
+@pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
+def test_positions_take_8_bytes_only_where_4_do_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
+    snapshot = snapshot_of(particles=particles_of(9, radius=np.full(9, radius)))
+    ParticleFrames(tmp_path, 0.1, reach=reach).observe(snapshot)
+    assert meshio.read(tmp_path / "particles_0000.vtu").points.dtype == file_type
+
+
+def test_contacts_come_back_as_lines_number_for_number(tmp_path):
+    contacts = contacts_of(50)
+    ContactFrames(tmp_path, 0.1).observe(snapshot_of(contacts=contacts))
+    mesh = meshio.read(tmp_path / "contacts_0000.vtu")
+    lines = mesh.cells_dict["line"]
+    np.testing.assert_array_equal(mesh.points[lines[:, 0]], contacts["first_position"])
+    np.testing.assert_array_equal(mesh.points[lines[:, 1]], contacts["second_position"])
+    assert set(mesh.cell_data) == set(contacts) - {"first_position", "second_position"}
+    for name, (values,) in mesh.cell_data.items():
+        np.testing.assert_array_equal(values, CONTACT_QUANTITIES[name].for_file(contacts[name]))
+
+
+def test_walls_move_with_their_pose_and_absent_ones_are_left_out(tmp_path):
+    triangles = {"floor": SQUARE, "gate": TRIANGLE, "lid": SQUARE}
+    walls = {
+        "floor": turned(0.3, offset=(0, 0, 0.1)),
+        "gate": turned(0, present=False),
+        "lid": turned(0, offset=(0, 0, 2)),
+    }
+    WallFrames(tmp_path, 0.1, triangles).observe(snapshot_of(walls=walls))
+    mesh = meshio.read(tmp_path / "walls_0000.vtu")
+    np.testing.assert_array_equal(mesh.points[:4], walls["floor"].moved(SQUARE[0]))
+    np.testing.assert_array_equal(mesh.points[4:], SQUARE[0] + [0, 0, 2])
+    np.testing.assert_array_equal(mesh.cells_dict["triangle"], [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    np.testing.assert_array_equal(mesh.cell_data["wall"][0], [0, 0, 2, 2])
+
+
+def test_pvd_lists_exactly_the_frames_on_disk_with_their_times(tmp_path):
+    (tmp_path / "particles_0007.vtu").write_text("left by an earlier run")
+    (tmp_path / "particles_mine.vtu").write_text("not ours")
+    frames = ParticleFrames(tmp_path, 0.1)
+    times = [0.0, 0.1, 0.30000000000000004, 1 / 3]
+    for time in [*times, times[-1]]:
+        frames.observe(snapshot_of(time=time))
+    frames.finish()
+    rows = listed(tmp_path / "particles.pvd")
+    assert [time for time, _ in rows] == times
+    assert [name for _, name in rows] == sorted(path.name for path in tmp_path.glob("particles_[0-9]*.vtu"))
+
+
+def test_a_frame_that_cannot_be_written_leaves_the_series_as_it_was(tmp_path, monkeypatch):
+    frames = ParticleFrames(tmp_path, 0.1)
+    frames.observe(snapshot_of(time=0.0))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def half_a_file(path, *_, **__):
+        path.write_text("half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(meshio, "write", half_a_file)
+    with pytest.raises(OSError, match="disk full"):
+        frames.observe(snapshot_of(time=0.1))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("make", "snapshot"),
+    [
+        (lambda path: ParticleFrames(path, 0.1), snapshot_of(particles=particles_of(0))),
+        (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=contacts_of(0))),
+        (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=None)),
+        (lambda path: WallFrames(path, 0.1, {"lid": SQUARE}), snapshot_of(walls={"lid": turned(0, present=False)})),
+    ],
+    ids=["particles", "contacts", "no contacts", "walls"],
+)
+def test_an_empty_frame_is_a_whole_file_with_no_points_and_no_cells(tmp_path, make, snapshot):
+    # meshio cannot read a VTU file without cells, its own included; tests/observe/test_pictures.py opens one in VTK.
+    make(tmp_path).observe(snapshot)
+    (path,) = tmp_path.glob("*.vtu")
+    piece = next(ElementTree.parse(path).getroot().iter("Piece"))
+    assert (piece.get("NumberOfPoints"), piece.get("NumberOfCells")) == ("0", "0")
+    assert {array.get("Name") for array in piece.find("Cells")} == {"connectivity", "offsets", "types"}
+    # A length of 0 in base64: no block is announced that does not follow.
+    assert {array.text.strip() for array in piece.iter("DataArray")} == {"AAAAAA=="}
