@@ -1,7 +1,7 @@
 """How walls move: records of plain numbers, and where that puts a wall at given times. numpy only.
 
-A wall rests where the scene put it until its first motion starts, and stays where it is when its last one ends.
-Translations and vibrations add; at most one rotation turns the wall, about an axis that moves along with them.
+A wall rests where the scene put it until its first motion starts, and stays where it is when its last one
+ends. Translations and vibrations add; at most one rotation turns the wall, about an axis that moves along.
 """
 
 from collections.abc import Sequence
@@ -56,8 +56,8 @@ Motion = Vibration | Translation | Rotation
 class Poses:
     """Where a wall is at k times and how it moves there.
 
-    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`; a point of the wall now at x
-    moves at `velocity + angular_velocity x (x - pivot - offset)`.
+    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`; a point of the wall now at
+    x moves at `velocity + angular_velocity x (x - pivot - offset)`.
     """
 
     offset: np.ndarray  # (k, 3) [m]
@@ -68,7 +68,7 @@ class Poses:
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
-    """The pose a wall has at each time (k,) [s]. No motions: at rest. ValueError for more than one rotation."""
+    """The pose a wall has at each time (k,) [s]; at rest without motions. ValueError for two rotations."""
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
     velocity = np.zeros((len(times), 3))
@@ -130,7 +130,7 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
 
 
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
-    """Largest speed [m/s] at which any point of the wall's geometry ever moves; over all times, starts ignored.
+    """Largest speed [m/s] at which any point of the wall's geometry ever moves, as if all motions ran at once.
 
     `reach` is the largest distance [m] from the rotation's axis of geometry that moves when turning
     (`catalogue.reach_about`); it does not matter without a rotation.

@@ -1,9 +1,9 @@
 """Flat walls: the half space (one-sided) and the rectangle (two-sided).
 
-Edges of rectangles are not joined with their neighbours (see `rims` for surfaces of revolution). Inside a box
-of rectangles nothing is needed: the nearest points are on faces. Outside, at a convex edge that two rectangles
-share, a grain touches both edges and feels twice the stiffness there. A rectangle on a half space is harmless:
-the shared edge can only be reached through the half space.
+Edges of rectangles are not joined with their neighbours (see `rims` for surfaces of revolution). Inside a
+box of rectangles nothing is needed: the nearest points are on faces. Outside, at a convex edge that two
+rectangles share, a grain touches both edges and feels twice the stiffness there. A rectangle on a half space
+is harmless: the shared edge can only be reached through the half space.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ def half_space_distance(point, parameters):
 
 @ti.func
 def rectangle_coordinates(point, parameters):
-    """How far the point lies beyond the rectangle along its sides (0 above the face) and its height over it."""
+    """How far the point lies beyond the edges along both sides (0 above the face), and its height."""
     offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
     along1 = offset[0] * parameters[3] + offset[1] * parameters[4] + offset[2] * parameters[5]
     along2 = offset[0] * parameters[6] + offset[1] * parameters[7] + offset[2] * parameters[8]
@@ -53,7 +53,7 @@ def rectangle_distance(point, parameters):
 
 @ti.func
 def closest_on_rectangle(point, parameters):
-    """Distance from the rectangle and the direction from its nearest point; its own normal on the face itself."""
+    """Distance from the rectangle and direction from its nearest point; its own normal on the face itself."""
     beyond = rectangle_coordinates(point, parameters)
     distance = beyond.norm()
     on_surface = distance == 0.0

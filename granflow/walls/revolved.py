@@ -1,7 +1,7 @@
 """Surfaces of revolution: a straight segment in the (r, z) half plane turned about an axis.
 
-Cylinder, cone frustum and disc (with a round hole or none) are all this. The surface is thin and felt from both
-sides. Each end of the segment is a circular rim; `rims.join_rims` tells it which other segment shares the rim.
+Cylinder, cone frustum and disc (with a round hole or none) are all this. The surface is thin and felt from
+both sides. Each end of the segment is a circular rim; `rims.join_rims` tells it who else shares the rim.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ FACET_COUNT = 64
 
 @ti.func
 def half_plane_coordinates(point, parameters):
-    """The point as (r, z): distance from the axis, height over the segment's start; and its radial unit vector.
+    """The point as (r, z), distance from the axis and height over the segment's start, and its radial direction.
 
     On the axis, where no radial direction is better than another, a fixed one is taken. The double cross product
     keeps the radial vector perpendicular to the axis where rounding is all that is left of it.
@@ -29,17 +29,15 @@ def half_plane_coordinates(point, parameters):
     on_axis = r == 0.0
     steep = ti.abs(axis[2]) > 0.5
     zero = axis[0] * 0.0
-    substitute = ti.Vector(
-        [ti.select(steep, axis[2], -axis[1]), ti.select(steep, zero, axis[0]), ti.select(steep, -axis[0], zero)]
-    )
-    direction = ti.select(on_axis, substitute, radial)
-    divisor = ti.select(on_axis, substitute.norm(), r)
+    sideways = ti.select(steep, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
+    direction = ti.select(on_axis, sideways, radial)
+    divisor = ti.select(on_axis, sideways.norm(), r)
     return r, z, direction / divisor
 
 
 @ti.func
 def segment_coordinates(r, z, parameters):
-    """Position along the segment's line, how far beyond the nearer end that is (0 above the face), height over it.
+    """Position along the segment, how far beyond the nearer end that is (0 above the face), height over it.
 
     t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur
     """
@@ -60,8 +58,10 @@ def revolved_distance(point, parameters):
 
 @ti.func
 def counts_here(along, height, parameters):
-    """Whether this surface answers for the contact: always on its face, on a rim only if it owns the rim and
-    the point lies beyond the end of the neighbour too (whose face is nearer otherwise).
+    """Whether this surface answers for the contact.
+
+    Always on its face; on a rim only if it owns the rim and the point lies beyond the end of the neighbour too
+    (whose face is nearer otherwise).
     """
     before = along <= 0.0
     after = along >= parameters[7]
@@ -78,7 +78,7 @@ def counts_here(along, height, parameters):
 
 @ti.func
 def closest_on_revolved(point, parameters):
-    """Distance from the surface and the direction from its nearest point, looking from the side where the point is.
+    """Distance from the surface and the direction from its nearest point, on the side where the point is.
 
     Distance FAR_AWAY where the nearest point is on a rim that another wall answers for.
     """
@@ -97,7 +97,7 @@ def closest_on_revolved(point, parameters):
 
 
 def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `closest_on_revolved`: cut with the half plane through the point, find the foot in space, look back."""
+    """Twin of `closest_on_revolved`: cut the surface with the half plane of the point, find the foot in space."""
     axis = parameters[3:6]
     start, end = profile(parameters)
     outward = radial_directions(points - parameters[0:3], axis)
@@ -108,15 +108,17 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
     foot = rim1 + np.clip(fraction, 0.0, 1.0)[:, None] * chord
     away = points - foot
     distance = np.linalg.norm(away, axis=1)
+    touching = distance == 0.0
     face_normal = np.cross(chord, np.cross(axis, outward)) / np.linalg.norm(chord, axis=1)[:, None]
-    normal = np.where((distance > 0)[:, None], away / np.where(distance > 0, distance, 1.0)[:, None], face_normal)
+    normal = away / np.where(touching, 1.0, distance)[:, None]
+    normal[touching] = face_normal[touching]
     refused = (fraction <= 0) & ~reference_rim_counts(away, outward, axis, parameters[10:13])
     refused |= (fraction >= 1) & ~reference_rim_counts(away, outward, axis, parameters[13:16])
     return np.where(refused, FAR_AWAY, distance), normal
 
 
 def reference_rim_counts(away: np.ndarray, outward: np.ndarray, axis: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Whether points `away` (n, 3) from a rim touch it as its own: `rim` is (neighbour r, neighbour z, owner)."""
+    """Whether a rim (neighbour r, neighbour z, owner) answers for points that lie `away` (n, 3) from it."""
     neighbour = rim[0] * outward + rim[1] * axis
     return (rim[2] > 0) & (np.sum(away * neighbour, axis=1) <= 0)
 

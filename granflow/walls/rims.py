@@ -1,18 +1,18 @@
 """Rims that several surfaces of revolution share: one contact there, not one from each.
 
-Where a cone meets its outlet tube both segments end in the same circle. A grain hanging over that circle from
-outside has its nearest point on both, so one of them must own the rim. In the half plane through the point, with
-`w` from the rim to the point and `u`, `v` the directions in which the two segments run from the rim:
+Where a cone meets its outlet tube both segments end in the same circle. A grain hanging over that circle
+from outside has its nearest point on both, so one of them must own the rim. In the half plane through the
+point, with `w` from the rim to the point and `u`, `v` the directions in which the segments run from the rim:
 
     w.u <= 0 and w.v <= 0    edge contact, counted by the owner alone
     w.u <= 0 and w.v >  0    face of v, which is nearer than the rim: u stays silent
     w.u >  0 and w.v >  0    a concave corner: both faces, no edge
 
-With more segments at one rim the points that touch the rim itself form one wedge (an intersection of half planes),
-bounded by the two directions on either side of the widest free angle: one of those two owns the rim with the
-other as its neighbour, everybody else is silent there. If no free angle is above 180 degrees no point touches
-the rim. A segment that passes through the rim with its face (a tube standing on a plate) counts as two directions,
-so the tube's end is silent.
+With more segments at one rim the points that touch the rim itself form one wedge (an intersection of half
+planes), bounded by the two directions on either side of the widest free angle: one of those two owns the rim
+with the other as its neighbour, everybody else is silent there. If no free angle is above 180 degrees no point
+touches the rim. A segment that passes through the rim with its face (a tube standing on a plate) counts as two
+directions, so the tube's end is silent.
 
 A contact that slides off a face onto a rim owned by the neighbour continues as a contact of that neighbour.
 """
@@ -27,10 +27,14 @@ from granflow.walls.shape import Shape, is_parallel
 
 TOLERANCE = 1e-9
 
+RIM_PARAMETERS = ("neighbour_r", "neighbour_z", "owned")
+
+Profile = tuple[np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class Ray:
-    """One direction in which a segment runs from a rim, as an angle in the (r, z) frame of the segment asked about.
+    """One direction in which a segment runs from a rim, in the (r, z) frame of the segment asked about.
 
     `end` is "start" or "end" if the segment ends at the rim, None if it passes through.
     """
@@ -48,14 +52,14 @@ class Ray:
 def join_rims(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> list[Shape]:
     """The same shapes with the rims that surfaces of revolution share assigned to one owner each.
 
-    `groups` names for each shape the wall motion it follows: only shapes that move alike share rims. To be called
-    again with the shapes still there when a wall appears or vanishes (the result starts from unjoined rims, so
-    joining twice is harmless).
+    `groups` names for each shape the wall motion it follows: only shapes that move alike share rims. Call it
+    again with the shapes that are present whenever a wall appears or vanishes; joining twice is harmless.
     """
     joined = list(shapes)
     for index, shape in enumerate(shapes):
         if shape.kind is REVOLVED:
-            partners = [k for k, other in enumerate(shapes) if groups[k] == groups[index] and is_coaxial(shape, other)]
+            partners = [k for k, group in enumerate(groups) if group == groups[index]]
+            partners = [k for k in partners if is_coaxial(shape, shapes[k])]
             for end in ("start", "end"):
                 rays = rays_at_rim(shapes, index, end, partners)
                 joined[index] = joined[index].with_parameters(**rim_parameters(rays, index, end))
@@ -84,12 +88,12 @@ def rays_at_rim(shapes: Sequence[Shape], index: int, end: str, partners: Sequenc
     rim = profile(shape.parameters)[0 if end == "start" else 1]
     rays: list[Ray] = []
     for k in partners:
-        start, finish = profile_in_frame_of(shape, shapes[k])
-        rays += rays_of_segment(k, start, finish, rim, TOLERANCE * (profile_size(shape) + profile_size(shapes[k])))
+        tolerance = TOLERANCE * (profile_size(shape) + profile_size(shapes[k]))
+        rays += rays_of_segment(k, profile_in_frame_of(shape, shapes[k]), rim, tolerance)
     return rays
 
 
-def profile_in_frame_of(shape: Shape, other: Shape) -> tuple[np.ndarray, np.ndarray]:
+def profile_in_frame_of(shape: Shape, other: Shape) -> Profile:
     """The ends of the other segment as (r, z) in this shape's frame."""
     axis = shape.parameters[3:6]
     shift = np.array([0.0, (other.parameters[0:3] - shape.parameters[0:3]) @ axis])
@@ -98,8 +102,9 @@ def profile_in_frame_of(shape: Shape, other: Shape) -> tuple[np.ndarray, np.ndar
     return start * flip + shift, end * flip + shift
 
 
-def rays_of_segment(index: int, start: np.ndarray, end: np.ndarray, rim: np.ndarray, tolerance: float) -> list[Ray]:
+def rays_of_segment(index: int, ends: Profile, rim: np.ndarray, tolerance: float) -> list[Ray]:
     """How one segment runs from the rim: from one of its ends, through it, or not at all."""
+    start, end = ends
     length = np.linalg.norm(end - start)
     along = (end - start) / length
     if np.linalg.norm(start - rim) <= tolerance:
@@ -120,15 +125,16 @@ def rim_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, float
     neighbour = neighbours[0].direction if neighbours else np.zeros(2)
     ends = [(ray.index, ray.end) for ray in bounds if ray.end is not None]
     owned = 0 < len(ends) == len(bounds) and min(ends) == (index, end)
-    return {f"{end}_neighbour_r": neighbour[0], f"{end}_neighbour_z": neighbour[1], f"{end}_owned": float(owned)}
+    values = neighbour[0], neighbour[1], float(owned)
+    return {f"{end}_{name}": value for name, value in zip(RIM_PARAMETERS, values, strict=True)}
 
 
 def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
-    """The two rays on either side of the widest free angle, if that is at least 180 degrees; one ray bounds itself."""
+    """The two rays on either side of the widest free angle, if that is 180 degrees or more; a lone ray itself."""
     if len(rays) == 1:
         return list(rays)
     ordered = sorted(rays, key=lambda ray: ray.angle)
     following = ordered[1:] + ordered[:1]
-    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, following)]
+    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, following, strict=True)]
     widest = int(np.argmax(gaps))
     return [ordered[widest], following[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []

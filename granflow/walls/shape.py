@@ -24,7 +24,7 @@ class ShapeKind:
     bare_distance      ti.func (point, parameters) -> distance of the surface alone, shared rims not
                        considered: what a list of near walls must be built from, because a point beyond a
                        rim can be above the face a moment later.
-    reference_closest  numpy twin of `closest`: (points (n, 3), parameters (16,)) -> (distance (n,), normal (n, 3))
+    reference_closest  numpy twin of `closest`, over points (n, 3): -> (distance (n,), normal (n, 3))
     triangles          (parameters, center (3,), extent) -> (points (m, 3), triangles (k, 3)): for pictures;
                        unbounded kinds show a square patch of half width `extent` about the foot of `center`.
     reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] from the axis of any

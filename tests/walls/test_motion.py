@@ -77,12 +77,16 @@ def test_a_motion_that_has_not_started_yet():
 def test_quarter_turn_follows_the_right_hand():
     poses = pose([Rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
     np.testing.assert_allclose(poses.rotation[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-    np.testing.assert_allclose(moved(np.array([[2.0, 0, 0]]), [Rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0])
+    np.testing.assert_allclose(
+        moved(np.array([[2.0, 0, 0]]), [Rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
+    )
 
 
 def test_rotations_stay_orthogonal():
     rotation = pose([Rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
-    np.testing.assert_allclose(rotation @ rotation.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14)
+    np.testing.assert_allclose(
+        rotation @ rotation.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
+    )
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
 
 

@@ -83,7 +83,9 @@ def test_split_cylinder_is_one_cylinder(taichi_f64):
 def test_three_at_one_rim(taichi_f64):
     """Cone, tube and a shelf that runs outward: only the two next to the widest opening can own the rim."""
     shapes = join_rims([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
-    assert sum(shape[name] for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)) == 1
+    assert (
+        sum(shape[name] for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)) == 1
+    )
     assert len(contacts(shapes, (0.085, 0.003))) == 1
     assert contacts(shapes, (0.11, -0.01)) == [1, 2]
 
