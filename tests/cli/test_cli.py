@@ -1,0 +1,188 @@
+"""The command line by itself: arguments, exit codes, messages and tables, with stand-ins for what it calls."""
+
+import json
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import granflow.scene
+from granflow.cli import RESULT_FILES, build_parser, main, make_room, show_comparison
+from granflow.errors import GranflowError, RunError, SceneError
+
+
+@pytest.fixture
+def stand_ins(monkeypatch, tmp_path):
+    """A scene, a simulation and a collision that only note how they were called; in an empty directory."""
+    calls = types.SimpleNamespace(raises=None, expectations=[], numbers={"particle_count": 2, "time_step": 1.25e-6})
+
+    class Simulation:
+        def __init__(self, scene, **options):
+            calls.simulation = options
+
+        def run(self, until=None):
+            calls.until = until
+            if calls.raises:
+                raise calls.raises
+            return types.SimpleNamespace(numbers=calls.numbers, expectations=calls.expectations)
+
+    def load(path, overrides=()):
+        calls.overrides = overrides
+        if isinstance(calls.raises, SceneError):
+            raise calls.raises
+        return types.SimpleNamespace(path=Path(path), title="Two [spheres]")
+
+    def collide(**options):
+        calls.collide = options
+        return {"restitution_asked": 0.7, "restitution": 0.70001, "duration": 4e-5, "duration_theory": 4.1e-5}
+
+    monkeypatch.setattr(granflow.scene, "load", load, raising=False)
+    monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
+    monkeypatch.setitem(sys.modules, "granflow.study.collide", types.SimpleNamespace(collide=collide))
+    monkeypatch.chdir(tmp_path)
+    return calls
+
+
+# ---------------------------------------------------------------- starting
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["collide", "--help"]])
+def test_help_loads_nothing_heavy(arguments):
+    program = f"import sys, granflow.cli\ntry: granflow.cli.main({arguments})\nfinally: print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not {"taichi", "numpy", "rich", "pydantic"} & set(done.stdout.split())
+
+
+def test_the_module_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "granflow", "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "granflow")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "required: VERB"),
+        (["bake"], "invalid choice: 'bake'"),
+        (["run"], "required: SCENE"),
+        (["run", "a.yaml", "--threads", "0"], "0 is given, but a whole number from 1 is asked"),
+        (["run", "a.yaml", "--until", "4 mm"], "mm is a unit of a length"),
+        (["run", "a.yaml", "--until", "nan"], "nan is given, but a finite value is asked"),
+        (["run", "a.yaml", "--arch", "abacus"], "invalid choice: 'abacus'"),
+        (["collide", "--material", "glass", "--diameter", "1 mm"], "required: --velocity"),
+        (["collide", "--wall", "--diameter2", "1mm"], "not allowed with argument --wall"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    assert exit_.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_arguments_take_units():
+    collide = "collide --material glass --diameter 25.4mm --velocity 0.5 --diameter2".split()
+    options = build_parser().parse_args([*collide, "1 cm"])
+    assert (options.diameter, options.velocity, options.diameter2) == (0.0254, 0.5, 0.01)
+    assert build_parser().parse_args(["run", "a.yaml", "--until", "20 ms"]).until == 0.02
+
+
+# ---------------------------------------------------------------- running
+
+
+def test_run_passes_on_what_is_asked(stand_ins, capsys):
+    arguments = "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
+    assert main(arguments.split()) == 0
+    assert stand_ins.overrides == ["x.y=1", "z=2"]
+    assert stand_ins.simulation == {"arch": "cuda", "precision": "f32", "threads": 2, "out": Path("here")}
+    assert stand_ins.until == 1.0
+    shown = capsys.readouterr().out
+    assert "Two [spheres]" in shown and "particle count" in shown and "1.25e-06" in shown
+
+
+def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
+    main(["run", "scenes/hopper.yaml"])
+    assert stand_ins.simulation == {"arch": "cpu", "precision": None, "threads": None, "out": Path("out/hopper")}
+
+
+@pytest.mark.parametrize(("met", "code"), [(True, 0), (False, 1)])
+def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
+    stand_ins.expectations = [("kinetic_energy is 1 J", True), ("mass_flow is 2 kg/s", met)]
+    assert main(["run", "a.yaml"]) == code
+    assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in capsys.readouterr().out) is not met
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (GranflowError("There is no CUDA here."), 2, "granflow: There is no CUDA here.\n"),
+        (RunError("Grain 7 left at 0.1 s."), 3, "granflow: Grain 7 left at 0.1 s.\n"),
+        (KeyboardInterrupt(), 130, "granflow: interrupted.\n"),
+        (PermissionError(13, "Permission denied", "out"), 2, "granflow: out: Permission denied.\n"),
+        (SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]), 2, "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n"),
+        (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),
+    ],
+)
+def test_errors_are_said_without_traceback(stand_ins, capsys, error, code, message):
+    stand_ins.raises = error
+    assert main(["run", "a.yaml"]) == code
+    assert capsys.readouterr().err == message
+
+
+def test_our_own_mistakes_keep_their_traceback(stand_ins):
+    stand_ins.raises = ZeroDivisionError()
+    with pytest.raises(ZeroDivisionError):
+        main(["run", "a.yaml"])
+
+
+# ---------------------------------------------------------------- earlier runs
+
+
+def test_earlier_run_is_refused_and_replaced_only_by_force(stand_ins, capsys):
+    out = Path("out/a")
+    out.mkdir(parents=True)
+    for name in ("particles_0000.vtu", "timeseries.csv", "notes.txt"):
+        (out / name).touch()
+    assert main(["run", "a.yaml"]) == 2
+    assert "out/a holds an earlier run" in capsys.readouterr().err.replace("\\", "/")
+    assert main(["run", "a.yaml", "--force"]) == 0
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("pattern", RESULT_FILES)
+def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
+    make_room(tmp_path, force=False)
+    (tmp_path / pattern.replace("*", "0003")).touch()
+    with pytest.raises(GranflowError, match="--force"):
+        make_room(tmp_path, force=False)
+
+
+# ---------------------------------------------------------------- collide
+
+
+def test_collide_as_json(stand_ins, capsys):
+    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --json"
+    assert main(arguments.split()) == 0
+    assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
+    assert stand_ins.collide == {
+        "law": "zhou",
+        "material": "glass",
+        "diameter": 0.004,
+        "velocity": 1.0,
+        "diameter2": None,
+        "material2": None,
+        "wall": True,
+        "restitution": 0.7,
+        "steps_per_contact": None,
+        "precision": None,
+        "arch": "cpu",
+    }
+
+
+def test_collide_as_a_table(capsys):
+    show_comparison({"restitution_asked": 0.7, "restitution": 0.71, "time_step": 1e-6, "duration": 4e-5})
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["restitution", "0.71", "0.7"] in rows
+    assert ["time", "step", "1e-06", "s"] in rows
