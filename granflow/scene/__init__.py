@@ -1,5 +1,6 @@
 """The scene: read from YAML, checked, frozen."""
 
+from granflow.scene.reader import load
 from granflow.scene.schema import Scene
 
-__all__ = ["Scene"]
+__all__ = ["Scene", "load"]

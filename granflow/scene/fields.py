@@ -39,9 +39,9 @@ class Fault:
     whole: bool = False
 
 
-def but(reason: str) -> PydanticCustomError:
-    """Make the error that reads "key.path is VALUE, but REASON."."""
-    return PydanticCustomError("but", "{reason}", {"reason": reason})
+def but(reason: str, *at: str) -> PydanticCustomError:
+    """Make the error that reads "key.path is VALUE, but REASON."; `at` names a key within the value."""
+    return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
 
 
 def whole(reason: str) -> PydanticCustomError:
@@ -172,24 +172,14 @@ def _pair_name(value: Any) -> Any:
     return value
 
 
-def _list(value: Any) -> Any:
-    if not isinstance(value, list | tuple):
-        raise but("a list is asked here, [ ... ]")
-    return value
-
-
-def _list_or_one(value: Any) -> Any:
-    return value if isinstance(value, list | tuple) else [value]
-
-
 Tagger = Callable[[Any], str | None]
 
 
-def choice(key: str = "", by: Tagger | None = None, *, number: str = "", listed: str = "") -> Discriminator:
+def choice(key: str, *, number: str = "", listed: str = "") -> Discriminator:
     """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
 
-    What is no mapping goes to the tag `number`, or `listed` if it is a list. `by` replaces all of that. The
-    angle brackets keep tags apart from keys in the places of errors.
+    What is no mapping goes to the tag `number`, or `listed` if it is a list. The angle brackets keep tags apart
+    from keys in the places of errors.
     """
 
     def tag(value: Any) -> str | None:
@@ -200,11 +190,17 @@ def choice(key: str = "", by: Tagger | None = None, *, number: str = "", listed:
         kind = listed if isinstance(value, list | tuple) and listed else number
         return f"<{kind}>" if kind else None
 
+    return _discriminator(tag, key=key)
+
+
+def chosen(by: Tagger, reason: str) -> Discriminator:
+    """Choose a member of a union by the tag that `by` gives; None is the error "X is Y, but REASON."."""
+    return _discriminator(by, reason=reason)
+
+
+def _discriminator(by: Tagger, **context: str) -> Discriminator:
     return Discriminator(
-        by or tag,
-        custom_error_type="choice",
-        custom_error_message="{key}",
-        custom_error_context={"key": key},
+        by, custom_error_type="choice", custom_error_message="choice", custom_error_context={**context}
     )
 
 
@@ -217,9 +213,30 @@ def shorthand(key: str) -> BeforeValidator:
     return BeforeValidator(expand)
 
 
-def listing(*, one: bool = False) -> BeforeValidator:
-    """Ask for a list; with `one`, let a single item stand for a list of one."""
-    return BeforeValidator(_list_or_one if one else _list)
+def listing(*, one: bool = False, some: str = "") -> BeforeValidator:
+    """Ask for a list; with `one`, let a single item stand for a list of one; with `some`, refuse an empty one."""
+
+    def read(value: Any) -> Any:
+        if not isinstance(value, list | tuple):
+            if one:
+                return [value]
+            raise but("a list is asked here, [ ... ]")
+        if some and not value:
+            raise but(f"at least one item is needed, such as {some}")
+        return value
+
+    return BeforeValidator(read)
+
+
+def couple(meaning: str) -> BeforeValidator:
+    """Ask for a list of exactly two."""
+
+    def read(value: Any) -> Any:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise but(f"a list of two is asked here, {meaning}")
+        return value
+
+    return BeforeValidator(read)
 
 
 Text = Annotated[str, BeforeValidator(_text)]
@@ -257,5 +274,5 @@ VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(
 SpinVector = Annotated[tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_three)]
 AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_three)]
 Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_three), AfterValidator(_not_zero)]
-Names = Annotated[tuple[Text, ...], listing()]
+Names = Annotated[tuple[Text, ...], listing(some="[fill, settle]")]
 Auto = Literal["auto"]

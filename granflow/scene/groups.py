@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from granflow.scene.fields import (
     Count,
@@ -20,9 +20,12 @@ from granflow.scene.fields import (
     Time,
     VelocityVector,
     choice,
+    chosen,
     listing,
+    whole,
 )
 
+_ROUNDING = 1e-12  # of the sum of shares
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 Share = Annotated[float, Number(noun="a fraction", at_least=0)]
@@ -83,19 +86,25 @@ class SizeClass(Model):
     fraction: Share = Field(description="share of this class; the shares are scaled to sum to 1")
 
 
+def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
+    """The classes with shares that sum to 1; as they are if they do already, so that reading again changes nothing."""
+    total = sum(each.fraction for each in classes)
+    if total == 0:
+        raise whole("has only fractions of 0; give at least one class a share")
+    if abs(total - 1) <= _ROUNDING:
+        return classes
+    return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
+
+
+Classes = Annotated[tuple[SizeClass, ...], listing(some="{diameter: 4 mm, fraction: 1}"), AfterValidator(_scaled)]
+
+
 class ClassSizes(Model):
     """A list of diameters with their shares, by number or by mass. The shares sum to 1 once read."""
 
     distribution: Literal["classes"]
     by: Literal["number", "mass"] = Field(description="whether the fractions count particles or mass")
-    classes: Annotated[tuple[SizeClass, ...], listing()] = Field(description="the classes")
-
-    def faults(self) -> Iterator[Fault]:
-        """At least one class with a share."""
-        if not self.classes:
-            yield Fault(("classes",), "at least one class is needed, {diameter: 4 mm, fraction: 1}")
-        elif sum(each.fraction for each in self.classes) == 0:
-            yield Fault(("classes",), "has only fractions of 0; give at least one class a share", whole=True)
+    classes: Classes = Field(description="the classes")
 
 
 SizeDistribution = UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
@@ -156,7 +165,8 @@ def _region_tag(value: Any) -> str | None:
 
 
 Region = Annotated[
-    Annotated[BoxRegion, Tag("<box>")] | Annotated[CylinderRegion, Tag("<cylinder>")], choice(by=_region_tag)
+    Annotated[BoxRegion, Tag("<box>")] | Annotated[CylinderRegion, Tag("<cylinder>")],
+    chosen(_region_tag, "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"),
 ]
 
 
@@ -188,7 +198,7 @@ class Listed(Model):
     """Particles at given positions."""
 
     kind: Literal["list"]
-    positions: Annotated[tuple[Point, ...], listing()] = Field(description="centres [m]")
+    positions: Annotated[tuple[Point, ...], listing(some="[[0, 0, 0]]")] = Field(description="centres [m]")
 
 
 Place = Annotated[
@@ -206,7 +216,7 @@ def _many_tag(value: Any) -> str:
     return "<list>" if nested else "<one>"
 
 
-_one_or_many = choice(by=_many_tag)
+_one_or_many = chosen(_many_tag, "a vector is asked here, or a list of vectors")
 VelocityOrMany = Annotated[
     Annotated[VelocityVector, Tag("<one>")] | Annotated[tuple[VelocityVector, ...], Tag("<list>")], _one_or_many
 ]
@@ -233,7 +243,7 @@ class Group(Model):
             return given
         place = given.get("place")
         positions = place.get("positions") if isinstance(place, dict) else getattr(place, "positions", None)
-        return given | {"count": len(positions)} if isinstance(positions, list | tuple) else given
+        return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
         """Lists as long as the list of positions, and only beside one."""

@@ -1,13 +1,12 @@
 """Schema of materials, pairs of materials, and the contact law."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
 
 from granflow.scene.fields import (
     Density,
-    Fault,
     Model,
     Number,
     Positive,
@@ -15,7 +14,10 @@ from granflow.scene.fields import (
     Speed,
     Stiffness,
     Text,
+    but,
     choice,
+    chosen,
+    couple,
     shorthand,
 )
 from granflow.scene.presets import PRESETS
@@ -26,9 +28,12 @@ FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least
 DampingRatio = Annotated[float, Number(noun="a damping ratio", at_least=0, at_most=1)]
 
 
-def _known_preset(given: Any) -> str | None:
+def _preset_in(given: Any, known: Iterable[str], kind: str) -> str | None:
+    """Name of the preset that is asked for, None if none is; refuses one that is not known."""
     name = given.get("preset") if isinstance(given, dict) else None
-    return name if isinstance(name, str) and name in PRESETS else None
+    if name is None or name in list(known):
+        return name
+    raise but(f"the {kind} are {', '.join(known)}", "preset")
 
 
 class Material(Model):
@@ -41,23 +46,18 @@ class Material(Model):
     yield_strength: Pressure | None = Field(
         None, description="yield strength [Pa]; only needed for the limit velocity of Eq. 11"
     )
-    restitution_fit: tuple[Positive, Positive] | None = Field(
+    restitution_fit: Annotated[tuple[Positive, Positive], couple("[sigma, psi]")] | None = Field(
         None, description="sigma and psi of Eq. 12 for this material against itself; known for some presets"
     )
 
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        name = _known_preset(given)
+        name = _preset_in(given, PRESETS, "presets")
         if name is None:
             return given
         preset = {key: getattr(PRESETS[name], key) for key in cls.model_fields if key != "preset"}
         return preset | given
-
-    def faults(self) -> Iterator[Fault]:
-        """A preset must be known."""
-        if self.preset is not None and self.preset not in PRESETS:
-            yield Fault(("preset",), f"the presets are {', '.join(PRESETS)}")
 
     @property
     def shear_modulus(self) -> float:
@@ -78,15 +78,9 @@ class RestitutionFit(Model):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        name = _known_preset(given)
-        fit = PRESETS[name].restitution_fit if name else None
-        return given if fit is None else {"sigma": fit[0], "psi": fit[1]} | given
-
-    def faults(self) -> Iterator[Fault]:
-        """A preset must be known and have a fit."""
-        fitted = [name for name, preset in PRESETS.items() if preset.restitution_fit]
-        if self.preset is not None and self.preset not in fitted:
-            yield Fault(("preset",), f"the presets with a restitution fit are {' and '.join(fitted)}")
+        fits = {name: preset.restitution_fit for name, preset in PRESETS.items() if preset.restitution_fit}
+        name = _preset_in(given, fits, "presets with a restitution fit")
+        return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
 
 
 def _restitution_tag(value: Any) -> str:
@@ -95,7 +89,7 @@ def _restitution_tag(value: Any) -> str:
 
 Restitution = Annotated[
     Annotated[RestitutionNumber, Tag("<number>")] | Annotated[RestitutionFit, Tag("<fit>")],
-    choice(by=_restitution_tag),
+    chosen(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is asked here"),
 ]
 
 
@@ -154,7 +148,7 @@ LinearStiffness = Annotated[
     Annotated[Literal["onset"], Tag("<onset>")]
     | Annotated[ReferenceVelocity, Tag("<reference_velocity>")]
     | Annotated[GivenStiffness, Tag("<value>")],
-    choice(by=_stiffness_tag),
+    chosen(_stiffness_tag, "it must be onset, {reference_velocity: 1 m/s} or {value: 1e4 N/m}"),
 ]
 
 

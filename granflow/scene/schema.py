@@ -32,6 +32,7 @@ from granflow.scene.fields import (
     Seed,
     Speed,
     Text,
+    couple,
     listing,
 )
 from granflow.scene.groups import (
@@ -210,7 +211,9 @@ class Expectation(Model):
     """What the finished run is held to: one comparison of one quantity, in SI."""
 
     quantity: Text = Field(description="what is compared, such as mass_flow.outlet")
-    between: tuple[AnyQuantity, AnyQuantity] | None = Field(None, description="smallest and largest value")
+    between: Annotated[tuple[AnyQuantity, AnyQuantity], couple("[smallest, largest]")] | None = Field(
+        None, description="smallest and largest value"
+    )
     below: AnyQuantity | None = Field(None, description="it must be below this")
     above: AnyQuantity | None = Field(None, description="it must be above this")
     equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")

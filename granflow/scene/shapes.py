@@ -24,6 +24,7 @@ from granflow.scene.fields import (
     Vector3,
     VelocityVector,
     choice,
+    couple,
     listing,
 )
 
@@ -145,7 +146,9 @@ class Rectangle(Wall):
 
     shape: Literal["rectangle"]
     corner: Point = Field(description="one corner [m]")
-    sides: tuple[Point, Point] = Field(description="the two edges from that corner, perpendicular vectors [m]")
+    sides: Annotated[tuple[Point, Point], couple("two edge vectors")] = Field(
+        description="the two edges from that corner, perpendicular vectors [m]"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Sides with lengths, at a right angle."""

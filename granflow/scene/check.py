@@ -1,0 +1,236 @@
+"""Checks between the parts of a scene: names that must exist, pairs that must be there, times, places."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations_with_replacement
+
+from granflow.scene.document import KeyPath, Problem
+from granflow.scene.draft import Draft
+from granflow.scene.fields import Fault, Vector3
+from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
+from granflow.scene.matter import HertzNormal, LinearNormal, RestitutionFit
+from granflow.scene.schema import Scene, Stage, Wall
+from granflow.scene.shapes import Vibration
+from granflow.scene.words import known_or_meant, nearest, problem_of
+
+Finding = tuple[KeyPath, Fault]
+Check = Callable[[Draft], Iterator[Finding]]
+_METER_QUANTITIES = ("mass_flow", "mass_passed")
+_AXES = "xyz"
+
+
+def checked(draft: Draft) -> list[Problem]:
+    """All that is wrong within and between the parts of the draft."""
+    findings = list(draft.faults())
+    for needed, check in _CHECKS:
+        if draft.whole.issuperset(needed):
+            findings += check(draft)
+    return [problem_of(draft.document, path, fault) for path, fault in findings]
+
+
+def _unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Finding:
+    names = list(known)
+    near = nearest(name, names)
+    if near:
+        return path, Fault((), f"there is no such {kind}. Did you mean {near}?")
+    listed = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    return path, Fault((), f"there is no such {kind}; {listed}")
+
+
+def _materials(draft: Draft) -> Iterator[Finding]:
+    known = draft.names("materials")
+    for section in ("walls", "particles"):
+        for name, part in getattr(draft.scene, section).items():
+            if part.material not in known:
+                yield _unknown((section, name, "material"), part.material, known, "material")
+
+
+def _some_particles(draft: Draft) -> Iterator[Finding]:
+    if draft.document.root.child("particles") is not None and not draft.names("particles"):
+        yield ("particles",), Fault((), "at least one group of particles is needed")
+
+
+def _pair_names(draft: Draft) -> Iterator[Finding]:
+    """Pairs of materials that do not exist, and pairs given twice."""
+    known = draft.names("materials")
+    seen: dict[frozenset[str], str] = {}
+    for key in draft.names("pairs"):
+        both = key.split("-")
+        for name in dict.fromkeys(both):
+            if name not in known and len(both) == 2:
+                remedy = known_or_meant(name, known, "materials")
+                yield ("pairs", key), Fault((), f"names {name}, which is not under materials. {remedy}", whole=True)
+        first = seen.setdefault(frozenset(both), key)
+        if first != key:
+            line = draft.document.key_place(("pairs", first)).line
+            there = f"at line {line} as {first}" if line else f"as {first}"
+            yield ("pairs", key), Fault((), f"is given already {there}; keep one of them", whole=True)
+
+
+def _missing_pairs(draft: Draft) -> Iterator[Finding]:
+    known = draft.names("materials")
+    there = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in draft.names("pairs")}
+    for both, why in _touching(draft.scene, known).items():
+        if both not in there:
+            key = "-".join(sorted(both) * (3 - len(both))) if len(both) == 1 else "-".join(sorted(both))
+            reason = f"is missing: {why}; give at least its restitution and friction"
+            yield ("pairs", key), Fault((), reason, whole=True)
+
+
+def _touching(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
+    """The pairs of materials that can touch, with the reason."""
+    names = set(known)
+    grains: dict[str, int] = {}
+    for group in scene.particles.values():
+        if group.material in names:
+            grains[group.material] = grains.get(group.material, 0) + group.count
+    found: dict[frozenset[str], str] = {}
+    for a, b in combinations_with_replacement(grains, 2):
+        if a != b or grains[a] > 1:
+            found[frozenset((a, b))] = f"particles of {a} can touch " + (
+                f"particles of {b}" if a != b else "each other"
+            )
+    for name, wall in scene.walls.items():
+        for grain in grains if wall.material in names else ():
+            found.setdefault(
+                frozenset((grain, wall.material)), f"particles of {grain} can touch the wall {name} of {wall.material}"
+            )
+    return found
+
+
+def _friction(draft: Draft) -> Iterator[Finding]:
+    """Friction where there is a law for it, and only there."""
+    contact = draft.scene.contact
+    for key, pair in draft.scene.pairs.items():
+        rolling = ("pairs", key, "rolling_friction")
+        if pair.friction > 0 and contact.tangential == "none":
+            yield ("pairs", key, "friction"), Fault((), "contact.tangential is none; write 0, or choose mindlin")
+        if pair.rolling_friction is None and contact.rolling != "none":
+            reason = f"is missing: contact.rolling is {contact.rolling}; give the coefficient, 0 for none"
+            yield rolling, Fault((), reason, whole=True)
+        if pair.rolling_friction and contact.rolling == "none":
+            yield rolling, Fault((), "contact.rolling is none; leave it out, or choose epsd or cdt")
+
+
+def _restitution(draft: Draft) -> Iterator[Finding]:
+    """A restitution that the normal law can give."""
+    normal = draft.scene.contact.normal
+    for key, pair in draft.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "restitution")
+        if isinstance(normal, HertzNormal | LinearNormal):
+            if isinstance(pair.restitution, RestitutionFit):
+                yield path, Fault((), f"the law {normal.law} needs a number, above 0 and at most 1")
+            elif pair.restitution == 0:
+                yield path, Fault((), f"the law {normal.law} needs a number above 0 and at most 1")
+        elif normal.restitution == "constant" and isinstance(pair.restitution, RestitutionFit):
+            yield (
+                path,
+                Fault((), "contact.normal.restitution is constant, which needs a number; or write onset or peak"),
+            )
+        elif isinstance(pair.restitution, RestitutionFit):
+            yield from _limit_velocity(draft, key, pair.restitution)
+
+
+def _limit_velocity(draft: Draft, key: str, fit: RestitutionFit) -> Iterator[Finding]:
+    materials = draft.scene.materials
+    soft = [name for name in dict.fromkeys(key.split("-")) if name in materials and not materials[name].yield_strength]
+    if fit.limit_velocity is None and soft:
+        reason = f"has no limit velocity: give limit_velocity, or the yield_strength of {' and '.join(soft)} (Eq. 11)"
+        yield ("pairs", key, "restitution"), Fault((), reason, whole=True)
+
+
+def _stage_names(draft: Draft) -> Iterator[Finding]:
+    """Each stage once, and only those that exist."""
+    names = [stage.name for stage in _schedule(draft)]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            reason = f"that name is taken by stages.{names.index(name)}; give each stage its own"
+            yield ("stages", index, "name"), Fault((), reason)
+    for wall_name, wall in draft.scene.walls.items():
+        for path, wanted in _stages_wanted(wall):
+            for index, name in enumerate(wanted):
+                if name not in names:
+                    yield _unknown(("walls", wall_name, *path, "stages", index), name, names, "stage")
+
+
+def _schedule(draft: Draft) -> tuple[Stage, ...]:
+    return draft.scene.stages or (Stage(name="run"),)
+
+
+def _stages_wanted(wall: Wall) -> Iterator[tuple[KeyPath, tuple[str, ...]]]:
+    yield (), wall.stages or ()
+    for index, motion in enumerate(wall.motion):
+        yield ("motion", index), motion.stages or ()
+
+
+def _duration(draft: Draft) -> Iterator[Finding]:
+    """A duration of the run, or stages with their own."""
+    duration = draft.scene.run.duration
+    if duration is None and not draft.scene.stages:
+        yield ("run", "duration"), Fault((), "is missing: the simulated time, such as 2 s; or give stages", whole=True)
+    if duration is not None and draft.scene.stages:
+        yield ("run", "duration"), Fault((), "the stages have durations of their own; drop run.duration")
+
+
+def _gamma(draft: Draft) -> Iterator[Finding]:
+    """Gamma means nothing without gravity."""
+    if any(draft.scene.gravity):
+        return
+    for name, wall in draft.scene.walls.items():
+        for index, motion in enumerate(wall.motion):
+            if isinstance(motion, Vibration) and motion.gamma is not None:
+                path = ("walls", name, "motion", index, "gamma")
+                yield path, Fault((), "gravity is zero; give amplitude and frequency")
+
+
+def _regions(draft: Draft) -> Iterator[Finding]:
+    """Particles begin inside the domain."""
+    low, high = draft.scene.domain.min, draft.scene.domain.max
+    for name, group in draft.scene.particles.items():
+        path: KeyPath = ("particles", name, "place")
+        if isinstance(group.place, Listed):
+            for index, point in enumerate(group.place.positions):
+                if not all(a <= x <= b for a, x, b in zip(low, point, high, strict=True)):
+                    yield (*path, "positions", index), Fault((), "it lies outside the domain")
+            continue
+        for axis, (a, b) in enumerate(zip(*_extent(group.place.region), strict=True)):
+            if a < low[axis] or b > high[axis]:
+                reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
+                reason = f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m"
+                yield (*path, "region"), Fault((), reason, whole=True)
+
+
+def _extent(region: BoxRegion | CylinderRegion) -> tuple[Vector3, Vector3]:
+    """Smallest and largest coordinates of a region [m]."""
+    if isinstance(region, BoxRegion):
+        return region.box.min, region.box.max
+    a, b, radius = region.cylinder.from_, region.cylinder.to, region.cylinder.radius
+    length = math.dist(a, b) or 1.0
+    reach = [radius * math.sqrt(max(0.0, 1 - ((q - p) / length) ** 2)) for p, q in zip(a, b, strict=True)]
+    low = tuple(min(p, q) - r for p, q, r in zip(a, b, reach, strict=True))
+    high = tuple(max(p, q) + r for p, q, r in zip(a, b, reach, strict=True))
+    return low, high  # type: ignore[return-value]
+
+
+def _meters(draft: Draft) -> Iterator[Finding]:
+    """Expectations of flow meters that exist."""
+    meters = draft.scene.output.meters
+    for index, expectation in enumerate(draft.scene.expect):
+        quantity, dot, meter = expectation.quantity.partition(".")
+        if dot and quantity in _METER_QUANTITIES and meter not in meters:
+            yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
+
+
+_CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
+    ((), _materials),
+    ((), _some_particles),
+    ((), _pair_names),
+    (("particles",), _missing_pairs),
+    (("contact",), _friction),
+    (("contact",), _restitution),
+    (("stages",), _stage_names),
+    (("stages", "run"), _duration),
+    (("gravity",), _gamma),
+    (("domain",), _regions),
+    (("output", "expect"), _meters),
+)

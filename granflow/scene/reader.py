@@ -1,0 +1,110 @@
+"""Reads a scene: file to tree, overrides, schema, checks between the parts. All problems at once."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from granflow.errors import SceneError
+from granflow.scene import overrides as overriding
+from granflow.scene.check import checked
+from granflow.scene.document import Document, DocumentError, Problem, parse
+from granflow.scene.draft import Draft, draft_of
+from granflow.scene.matter import RestitutionFit, ZhouNormal
+from granflow.scene.schema import Scene
+from granflow.scene.words import problems_of
+
+_LARGEST_FILE = 64 * 2**20  # bytes
+
+
+def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+    """Read the scene in a YAML file.
+
+    Each override, "key.path=value", replaces or adds a value before the scene is validated; the value is YAML.
+    Raises `SceneError` with every problem at once, in the order of the file.
+    """
+    document = _document(Path(path))
+    problems = list(document.problems)
+    for override in overrides:
+        problems += overriding.apply(document, override)
+    scene, found = _validated(document)
+    problems += found
+    if scene is None or problems:
+        ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
+        raise SceneError(str(problem) for problem in ordered)
+    scene._path, scene._document = Path(path), document
+    return scene
+
+
+def _document(path: Path) -> Document:
+    try:
+        document = parse(_text(path), str(path))
+    except DocumentError as error:
+        raise SceneError(str(error.problem)) from None
+    if document.root.entries is None:
+        shown = document.root.shown()
+        reason = "the file is empty" if shown == "empty" else "this is no mapping"
+        raise SceneError(f"{path}:1:1: {reason}, but a scene is keys with values, beginning with title: My scene.")
+    return document
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.is_dir():
+            raise SceneError(f"{path}: this is a directory; name the scene file in it.")
+        if path.exists() and not path.is_file():
+            raise SceneError(f"{path}: this is not a regular file; name a scene file.")
+        if path.stat().st_size > _LARGEST_FILE:
+            raise SceneError(f"{path}: this file is larger than {_LARGEST_FILE // 2**20} MiB, too large for a scene.")
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise SceneError(f"{path}: the file cannot be read: {why}.") from None
+    return _decoded(raw, path)
+
+
+def _similar(path: Path) -> str:
+    from granflow.scene.words import nearest
+
+    try:
+        near = nearest(path.name, [each.name for each in path.parent.glob("*.y*ml")])
+    except OSError:
+        near = None
+    return f" Did you mean {path.parent / near}?" if near else ""
+
+
+def _decoded(raw: bytes, path: Path) -> str:
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise SceneError(f"{path}:1:1: the file is in UTF-16; save it as UTF-8.")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        column = error.start - raw.rfind(b"\n", 0, error.start)
+        raise SceneError(f"{path}:{line}:{column}: the file is not text in UTF-8; save it as UTF-8.") from None
+    if "\0" in text:
+        raise SceneError(f"{path}: the file is binary; a scene is text in UTF-8.")
+    return text
+
+
+def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
+    data = document.root.data()
+    try:
+        scene = _settled(Scene.model_validate(data))
+    except ValidationError as error:
+        return None, problems_of(document, error) + checked(draft_of(document, data))
+    return scene, checked(Draft.of(document, scene))
+
+
+def _settled(scene: Scene) -> Scene:
+    """With a restitution number in every pair, the Zhou law has no velocity to look at: it is constant."""
+    normal: Any = scene.contact.normal
+    fitted = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
+    if not isinstance(normal, ZhouNormal) or fitted:
+        return scene
+    constant = normal.model_copy(update={"restitution": "constant"})
+    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": constant})})
