@@ -126,3 +126,23 @@ METER_QUANTITIES = _by_name(
         Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the table, steady mean in the result"),
     )
 )
+
+RUN_QUANTITIES = _by_name(
+    (
+        Quantity("simulated_time", "t", "s", "simulated time at the end"),
+        Quantity("step_count", "", "1", "steps done"),
+        Quantity("time_step", "dt", "s", "time step"),
+        Quantity("wall_clock", "", "s", "seconds that the whole run took, compilation included"),
+        Quantity("steps_per_second", "", "1/s", "steps per second of wall clock, without compilation"),
+        Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second, without compilation"),
+    )
+)
+
+
+def unit_of(name: str) -> str:
+    """Unit of a number of a finished run, a meter's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
+    base, _, part = name.partition(".")
+    if base == "seconds" and part:
+        return "s"
+    known = METER_QUANTITIES if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    return known[base].unit if base in known and known[base].unit != "1" else ""

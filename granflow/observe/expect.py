@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol
 
-from granflow.quantities import METER_QUANTITIES, TOTAL_QUANTITIES
+from granflow.quantities import unit_of
 
 
 class Expectation(Protocol):
@@ -60,7 +60,7 @@ def _judge_one(expectation: Expectation, numbers: Mapping[str, float]) -> Judgem
         return Judgement(_unknown(name, numbers), False)
     number = numbers[name]
     met, asked = _compare(expectation, number)
-    unit = _unit(name)
+    unit = f" {unit_of(name)}".rstrip()
     joint = "as expected" if met else "but should be"
     return Judgement(f"{name} is {number:.6g}{unit}, {joint} {asked}{unit}.", met)
 
@@ -88,9 +88,3 @@ def _unknown(name: str, numbers: Mapping[str, float]) -> str:
     if near:
         return f"{name} is not a number of this run. Did you mean {' or '.join(near)}?"
     return f"{name} is not a number of this run. It has {', '.join(sorted(numbers))}."
-
-
-def _unit(name: str) -> str:
-    base = name.split(".")[0]
-    quantity = TOTAL_QUANTITIES.get(base) or METER_QUANTITIES.get(base)
-    return f" {quantity.unit}" if quantity is not None and quantity.unit != "1" else ""

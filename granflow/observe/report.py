@@ -3,14 +3,14 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.table import Table
 
-from granflow.observe.expect import Judgement
+from granflow.observe.expect import Expectation, Judgement, judge
 from granflow.observe.files import write_text
-from granflow.quantities import METER_QUANTITIES, TOTAL_QUANTITIES
+from granflow.quantities import unit_of
 
 _COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
@@ -30,7 +30,13 @@ class Result:
     seconds: Mapping[str, float]
     totals: Mapping[str, float]
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    expectations: tuple[Judgement, ...] = ()
 
+    def held_to(self, expectations: Iterable[Expectation]) -> "Result":
+        """Give the same result with the expectations of the scene judged."""
+        return replace(self, expectations=tuple(judge(expectations, self.numbers)))
+
+    @property
     def numbers(self) -> dict[str, float]:
         """All numbers by the names that a scene's `expect:` block uses.
 
@@ -44,14 +50,14 @@ class Result:
         return named
 
 
-def write_result(directory: Path, result: Result, judgements: Iterable[Judgement] = ()) -> Path:
+def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json`, whole or not at all; a number that is not finite becomes null. Return its path."""
     sections = {
         "run": _finite(result.run),
         "seconds": _finite(result.seconds),
         "totals": _finite(result.totals),
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
-        "expect": [{"sentence": sentence, "met": met} for sentence, met in judgements],
+        "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
     write_text(path, json.dumps(sections, indent=2) + "\n")
@@ -79,7 +85,7 @@ def readable(number: float) -> str:
 
 
 def _run_rows(result: Result) -> list[tuple[str, str, str]]:
-    return [(_words(name), readable(number), "") for name, number in result.run.items()]
+    return [(_words(name), readable(number), unit_of(name)) for name, number in result.run.items()]
 
 
 def _time_rows(result: Result) -> list[tuple[str, str, str]]:
@@ -93,12 +99,12 @@ def _time_rows(result: Result) -> list[tuple[str, str, str]]:
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
-    return [(_words(name), readable(result.totals[name]), _unit(TOTAL_QUANTITIES[name].unit)) for name in names]
+    return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
 def _meter_rows(result: Result) -> list[tuple[str, str, str]]:
     return [
-        (f"{_words(quantity)}, {meter}", readable(number), _unit(METER_QUANTITIES[quantity].unit))
+        (f"{_words(quantity)}, {meter}", readable(number), unit_of(f"{quantity}.{meter}"))
         for meter, readings in result.meters.items()
         for quantity, number in readings.items()
     ]
@@ -106,10 +112,6 @@ def _meter_rows(result: Result) -> list[tuple[str, str, str]]:
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:

@@ -1,7 +1,9 @@
 """The closing numbers: table, JSON, log and the scene as run."""
 
+import io
 import json
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,15 +21,23 @@ RESULT = Result(
 
 
 def test_numbers_go_by_the_names_of_the_expect_block():
-    numbers = RESULT.numbers()
+    numbers = RESULT.numbers
     assert numbers["mass_flow.outlet"] == 0.153
     assert numbers["seconds.forces"] == 3.0
     assert numbers["kinetic_energy"] == 1e-3
     assert numbers["step_count"] == 1_234_567
 
 
+def test_result_is_held_to_the_scene():
+    nothing = dict.fromkeys(("between", "below", "above", "equals", "tolerance"))
+    expectation = SimpleNamespace(**{**nothing, "quantity": "mass_flow.outlet", "above": 0.1})
+    ((sentence, met),) = RESULT.held_to([expectation]).expectations
+    assert met
+    assert sentence == "mass_flow.outlet is 0.153 kg/s, as expected above 0.1 kg/s."
+
+
 def test_json_is_strict_and_has_the_same_numbers(tmp_path):
-    path = write_result(tmp_path, RESULT, [Judgement("All is well.", True)])
+    path = write_result(tmp_path, replace(RESULT, expectations=(Judgement("All is well.", True),)))
 
     def refuse(word):
         raise AssertionError(f"{word} is not JSON")
@@ -40,7 +50,7 @@ def test_json_is_strict_and_has_the_same_numbers(tmp_path):
 
 
 def test_table_shows_where_the_time_went():
-    console = Console(width=100, record=True, quiet=False, file=open("/dev/null", "w"))
+    console = Console(width=100, record=True, file=io.StringIO())
     console.print(closing_table(RESULT))
     text = console.export_text()
     for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000"):
