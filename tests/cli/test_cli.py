@@ -38,7 +38,7 @@ def stand_ins(monkeypatch, tmp_path):
         calls.collide = options
         return {"restitution_asked": 0.7, "restitution": 0.70001, "duration": 4e-5, "duration_theory": 4.1e-5}
 
-    monkeypatch.setattr(granflow.scene, "load", load, raising=False)
+    monkeypatch.setattr(granflow.scene, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
     monkeypatch.setitem(sys.modules, "granflow.study.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
@@ -68,7 +68,7 @@ def test_the_module_is_the_command():
         (["bake"], "invalid choice: 'bake'"),
         (["run"], "required: SCENE"),
         (["run", "a.yaml", "--threads", "0"], "0 is given, but a whole number from 1 is asked"),
-        (["run", "a.yaml", "--until", "4 mm"], "mm is a unit of a length"),
+        (["run", "a.yaml", "--until", "4 mm"], "argument --until: 4 mm is given, but"),
         (["run", "a.yaml", "--until", "nan"], "nan is given, but a finite value is asked"),
         (["run", "a.yaml", "--arch", "abacus"], "invalid choice: 'abacus'"),
         (["collide", "--material", "glass", "--diameter", "1 mm"], "required: --velocity"),

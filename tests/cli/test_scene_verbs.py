@@ -1,0 +1,67 @@
+"""`granflow check` and `schema` on real scene files, and the scene of the README."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from granflow.cli import main
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+
+@pytest.fixture(scope="module")
+def readme_scene():
+    """The first scene a reader meets."""
+    return re.search(r"```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[1]
+
+
+@pytest.fixture
+def scene_file(tmp_path, monkeypatch, readme_scene):
+    monkeypatch.chdir(tmp_path)
+    path = Path("two.yaml")
+    path.write_text(readme_scene)
+    return path
+
+
+def test_the_scene_of_the_readme_has_no_problems(scene_file, capsys):
+    assert main(["check", "two.yaml"]) == 0
+    assert capsys.readouterr().out == "two.yaml: no problems found.\n"
+
+
+def test_every_problem_has_its_line_and_they_are_counted(scene_file, capsys):
+    text = scene_file.read_text().replace("friction: 0", "frcition: 0").replace("duration: 20 ms", "duration: 20 mm")
+    scene_file.write_text(text)
+    assert main(["check", "two.yaml"]) == 2
+    shown = capsys.readouterr()
+    *problems, count = shown.err.splitlines()
+    assert shown.out == ""
+    assert len(problems) >= 2 and count == f"{len(problems)} problems found."
+    assert all(re.match(r"two\.yaml:\d+:\d+: .*[.?]$", problem) for problem in problems)
+    assert "Did you mean friction?" in shown.err
+
+
+def test_values_set_on_the_command_line_are_checked(scene_file, capsys):
+    assert main(["check", "two.yaml", "--set", "run.duration=1 s", "--set", "seed=7"]) == 0
+    assert main(["check", "two.yaml", "--set", "run.duration=-1 s"]) == 2
+    assert "run.duration" in capsys.readouterr().err
+
+
+def test_missing_file_is_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", "nosuch.yaml"]) == 2
+    assert capsys.readouterr().err.startswith("nosuch.yaml: ")
+
+
+def test_schema_is_json_that_names_the_parts_of_a_scene(capsys):
+    assert main(["schema"]) == 0
+    assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)["properties"].keys()
+
+
+def test_checking_does_not_start_taichi(scene_file):
+    program = "import sys, granflow.cli; print(granflow.cli.main(['check', 'two.yaml']), 'taichi' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "0 False", done.stderr
