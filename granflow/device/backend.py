@@ -1,0 +1,86 @@
+"""The only place that starts Taichi: architecture, precision, threads. Once per process."""
+
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any, Literal
+
+import taichi as ti
+
+from granflow.errors import GranflowError
+
+Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
+Precision = Literal["f64", "f32", "mixed"]
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What was started. `real` is the type of forces and velocities, `position_real` that of positions."""
+
+    arch: str
+    precision: Precision
+    threads: int | None
+    real: Any
+    position_real: Any
+
+    @property
+    def on_cpu(self) -> bool:
+        """True where kernels run on the host's own cores."""
+        return self.arch == "cpu"
+
+
+_started: Backend | None = None
+
+
+def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
+    """Start Taichi, or return what runs already if it is the same.
+
+    Raises GranflowError where the architecture is absent or lacks float64, or where this process has already
+    started with other settings (a second start would invalidate every field).
+    """
+    global _started
+    if _started is not None:
+        _refuse_change(_started, arch, precision, threads)
+        return _started
+    wanted = getattr(ti, arch)
+    if not _available(arch):
+        raise GranflowError(f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU.")
+    real = ti.f64 if precision == "f64" else ti.f32
+    position_real = ti.f32 if precision == "f32" else ti.f64
+    options = {"cpu_max_num_threads": threads} if threads else {}
+    with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
+        ti.init(arch=wanted, default_fp=real, fast_math=False, log_level=ti.WARN, **options)
+    name = _arch_name(arch)
+    if position_real == ti.f64 and name in ("metal", "vulkan"):
+        raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
+    _started = Backend(name, precision, threads, real, position_real)
+    return _started
+
+
+def _available(arch: Arch) -> bool:
+    if arch == "cpu":
+        return True
+    if arch == "gpu":
+        return any(_available(kind) for kind in ("cuda", "vulkan", "metal"))
+    return bool(ti._lib.core.__dict__[f"with_{arch}"]())
+
+
+def _arch_name(asked: Arch) -> str:
+    """Name of the architecture that really runs: Taichi falls back to the CPU without an exception."""
+    running = ti.lang.impl.current_cfg().arch
+    for name in ("cuda", "vulkan", "metal"):
+        if running == getattr(ti, name):
+            return name
+    if asked != "cpu":
+        raise GranflowError(f"Taichi could not start {asked} here and fell back to the CPU. Leave out --arch to accept that.")
+    return "cpu"
+
+
+def _refuse_change(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
+    same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
+    if same_arch and precision == running.precision and threads in (None, running.threads):
+        return
+    raise GranflowError(
+        f"Taichi already runs in this process on {running.arch} with {running.precision}; "
+        f"start {arch} with {precision} in a process of its own."
+    )

@@ -1,0 +1,298 @@
+"""Neighbour search: particles sorted in cell order, then one row of near partners for each.
+
+Cells lie in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is a compact lump and few pairs cross
+chunks. Everything is decided by integers or by one order of the sums: the same bits on any number of threads.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import SCAN_BLOCK, State
+from granflow.device.walls import build_wall_geometry
+
+BLOCK_SIDE = 8
+BLOCK_CELLS = BLOCK_SIDE**3
+
+STRIDE = 512
+"""Taichi gives every CPU thread at least this many iterations of a loop: loops over chunks run chunk * STRIDE."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells over the particles that are there: low corner, side, blocks along each axis."""
+
+    low: np.ndarray
+    side: float
+    blocks: tuple[int, int, int]
+
+    @property
+    def cell_count(self) -> int:
+        """Cells in all blocks."""
+        return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
+
+    @classmethod
+    def over(cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int) -> "Grid":
+        """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells."""
+        while True:
+            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1).astype(np.int64)
+            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1):
+                return cls(low, side, tuple(int(count) for count in blocks))
+            side *= 1.25
+
+
+def build_bounds(state: State) -> Callable[[int], None]:
+    """Box around all particles, into sorting.low and sorting.high."""
+    position, low, high = state.particles.position, state.sorting.low, state.sorting.high
+
+    @ti.kernel
+    def bounds(count: ti.i32):
+        for axis in ti.static(range(3)):
+            low[0][axis] = position[0][axis]
+            high[0][axis] = position[0][axis]
+        for i in range(count):
+            for axis in ti.static(range(3)):
+                ti.atomic_min(low[0][axis], position[i][axis])
+                ti.atomic_max(high[0][axis], position[i][axis])
+
+    return bounds
+
+
+def build_cell_of(position_real: Any) -> Any:
+    """Device function: cell coordinates to the number of the cell in block order."""
+
+    @ti.func
+    def cell_number(x, y, z, blocks_x, blocks_y):
+        block = ((z // BLOCK_SIDE) * blocks_y + y // BLOCK_SIDE) * blocks_x + x // BLOCK_SIDE
+        inside = ((z % BLOCK_SIDE) * BLOCK_SIDE + y % BLOCK_SIDE) * BLOCK_SIDE + x % BLOCK_SIDE
+        return block * BLOCK_CELLS + inside
+
+    return cell_number
+
+
+def build_sort(state: State) -> Callable[..., None]:
+    """Counting sort by cell, by id within a cell; particles outside the domain come last.
+
+    Reads:   position, id
+    Writes:  cell, cell_start, order, rank
+    """
+    particles, sorting, real = state.particles, state.sorting, state.backend.position_real
+    number = build_cell_of(real)
+    low_x, low_y, low_z = (float(value) for value in state.plan.domain_low)
+    high_x, high_y, high_z = (float(value) for value in state.plan.domain_high)
+
+    @ti.func
+    def inside_domain(p):
+        in_x = p[0] >= low_x and p[0] <= high_x
+        in_y = p[1] >= low_y and p[1] <= high_y
+        return in_x and in_y and p[2] >= low_z and p[2] <= high_z
+
+    @ti.kernel
+    def sort(count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32):
+        cells = bx * by * bz * BLOCK_CELLS + 1
+        blocks = (cells + 1 + SCAN_BLOCK - 1) // SCAN_BLOCK
+        for c in range(cells + 1):
+            sorting.cell_start[c] = 0
+            sorting.cell_fill[c] = 0
+        for i in range(count):
+            p = particles.position[i]
+            x = ti.min(ti.cast((p[0] - x0) / side, ti.i32), bx * BLOCK_SIDE - 1)
+            y = ti.min(ti.cast((p[1] - y0) / side, ti.i32), by * BLOCK_SIDE - 1)
+            z = ti.min(ti.cast((p[2] - z0) / side, ti.i32), bz * BLOCK_SIDE - 1)
+            cell = cells - 1
+            if inside_domain(p):
+                cell = number(ti.max(x, 0), ti.max(y, 0), ti.max(z, 0), bx, by)
+            sorting.cell[i] = cell
+            ti.atomic_add(sorting.cell_start[cell], 1)
+        for b in range(blocks):
+            total = 0
+            for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
+                total += sorting.cell_start[c]
+            sorting.block_sum[b] = total
+        for _ in range(1):
+            total = 0
+            for b in range(blocks):
+                here = sorting.block_sum[b]
+                sorting.block_sum[b] = total
+                total += here
+        for b in range(blocks):
+            total = sorting.block_sum[b]
+            for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
+                here = sorting.cell_start[c]
+                sorting.cell_start[c] = total
+                total += here
+        for i in range(count):
+            cell = sorting.cell[i]
+            slot = ti.atomic_add(sorting.cell_fill[cell], 1)
+            sorting.order[sorting.cell_start[cell] + slot] = i
+        for c in range(cells):
+            order_by_id(sorting.cell_start[c], sorting.cell_start[c + 1])
+        for k in range(count):
+            sorting.rank[sorting.order[k]] = k
+
+    @ti.func
+    def order_by_id(begin, end):
+        for k in range(begin + 1, end):
+            moving = sorting.order[k]
+            slot = k
+            while slot > begin and particles.id[sorting.order[ti.max(slot - 1, 0)]] > particles.id[moving]:
+                sorting.order[slot] = sorting.order[slot - 1]
+                slot -= 1
+            sorting.order[slot] = moving
+
+    return sort
+
+
+def build_gather(state: State) -> Callable[[int], None]:
+    """Bring every particle to its new place, and set rows and history aside under the old one."""
+    sorting, fields = state.sorting, state.particles.sorted_fields()
+    copies = sorting.copies
+
+    @ti.kernel
+    def gather(count: ti.i32):
+        for k in range(count):
+            i = sorting.order[k]
+            for f in ti.static(range(len(fields))):
+                copies[f][k] = fields[f][i]
+        for k in range(count):
+            for f in ti.static(range(len(fields))):
+                fields[f][k] = copies[f][k]
+
+    return gather
+
+
+def build_set_aside(state: State) -> Callable[[int], None]:
+    """Copy rows and history to `before`, where the new rows look them up."""
+    contacts, names = state.contacts, list(state.contacts.history)
+
+    @ti.kernel
+    def set_aside(count: ti.i32):
+        for i in range(count):
+            begin = contacts.row_begin[i]
+            end = contacts.row_end[i]
+            contacts.row_begin_before[i] = begin
+            contacts.row_end_before[i] = end
+            for slot in range(begin, end):
+                contacts.partner_before[slot] = contacts.partner[slot]
+                for name in ti.static(names):
+                    contacts.before[name][slot] = contacts.history[name][slot]
+
+    return set_aside
+
+
+def build_recall(state: State) -> Any:
+    """Device function: history of the pair (i, j) from before the sort, into its new slot.
+
+    A pair that stood in the partner's row comes with its vectors turned round.
+    """
+    contacts, sorting, chunk_size = state.contacts, state.sorting, state.plan.chunk_size
+    names = list(contacts.history)
+    odd = [name != "normal" for name in names]
+
+    @ti.func
+    def find(row, partner):
+        found = -1
+        for slot in range(contacts.row_begin_before[row], contacts.row_end_before[row]):
+            if contacts.partner_before[slot] == partner:
+                found = slot
+        return found
+
+    @ti.func
+    def recall(slot, i, j):
+        i_before = sorting.order[i]
+        j_before = j
+        if j >= 0:
+            j_before = sorting.order[j]
+        source = find(i_before, j_before)
+        sign = 1.0
+        if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
+            source = find(j_before, i_before)
+            sign = -1.0
+        for n in ti.static(range(len(names))):
+            contacts.history[names[n]][slot] *= 0.0
+            if source >= 0:
+                if ti.static(odd[n]):
+                    contacts.history[names[n]][slot] = sign * contacts.before[names[n]][source]
+                else:
+                    contacts.history[names[n]][slot] = contacts.before[names[n]][source]
+
+    return recall
+
+
+def build_rows(state: State) -> Callable[..., None]:
+    """Fill every row with the partners and walls nearer than the skin.
+
+    Reads:   position, radius, cell_start, walls
+    Writes:  row_begin, row_end, partner, history, chunk_need, position_at_search, search_due
+    """
+    plan, particles, sorting, contacts = state.plan, state.particles, state.sorting, state.contacts
+    real, chunk_size, slots = state.backend.position_real, plan.chunk_size, contacts.slots_per_chunk
+    wall_count, remembers = len(plan.walls), bool(contacts.history)
+    number = build_cell_of(real)
+    geometry = build_wall_geometry(state)
+    recall = build_recall(state) if remembers else None
+
+    @ti.func
+    def append(chunk, slot, i, j):
+        if slot < (chunk + 1) * slots:
+            contacts.partner[slot] = j
+            if ti.static(remembers):
+                recall(slot, i, j)
+        return slot + 1
+
+    @ti.func
+    def near_walls(chunk, slot, i, skin, pose):
+        filled = slot
+        for w in range(wall_count):
+            if state.walls.present[w] == 1:
+                if geometry.distance(w, pose, particles.position[i]) < particles.radius[i] + skin:
+                    filled = append(chunk, filled, i, -1 - w)
+        return filled
+
+    @ti.func
+    def near_in_cell(chunk, slot, i, cell, skin):
+        filled = slot
+        first, last = chunk * chunk_size, (chunk + 1) * chunk_size
+        for j in range(sorting.cell_start[cell], sorting.cell_start[cell + 1]):
+            if j > i or (j < first) or (j >= last):
+                apart = particles.position[i] - particles.position[j]
+                reach = particles.radius[i] + particles.radius[j] + skin
+                if apart.dot(apart) < reach * reach:
+                    filled = append(chunk, filled, i, j)
+        return filled
+
+    @ti.func
+    def fill_row(chunk, slot, i, low, side, bx, by, bz, skin, pose):
+        filled = slot
+        if ti.static(wall_count > 0):
+            filled = near_walls(chunk, filled, i, skin, pose)
+        p = (particles.position[i] - low) / side
+        x, y, z = ti.cast(p[0], ti.i32), ti.cast(p[1], ti.i32), ti.cast(p[2], ti.i32)
+        for dz in range(ti.max(z - 1, 0), ti.min(z + 2, bz * BLOCK_SIDE)):
+            for dy in range(ti.max(y - 1, 0), ti.min(y + 2, by * BLOCK_SIDE)):
+                for dx in range(ti.max(x - 1, 0), ti.min(x + 2, bx * BLOCK_SIDE)):
+                    filled = near_in_cell(chunk, filled, i, number(dx, dy, dz, bx, by), skin)
+        return filled
+
+    @ti.kernel
+    def rows(
+        count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32,
+        skin: real, pose: ti.i32
+    ):  # fmt: skip
+        state.control.search_due[0] = 0
+        state.control.search_wanted[0] = 0
+        for task in range((count + chunk_size - 1) // chunk_size * STRIDE):
+            if task % STRIDE == 0:
+                chunk = task // STRIDE
+                slot = chunk * slots
+                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                    particles.position_at_search[i] = particles.position[i]
+                    contacts.row_begin[i] = slot
+                    slot = fill_row(chunk, slot, i, ti.Vector([x0, y0, z0]), side, bx, by, bz, skin, pose)
+                    contacts.row_end[i] = slot
+                contacts.chunk_need[chunk] = slot - chunk * slots
+
+    return rows

@@ -1,0 +1,260 @@
+"""The compiled phases of one plan, in order: motion, search when it is due, contact forces.
+
+One launch does one step of many chunks, or many steps of one chunk. Once a particle has travelled half the skin
+every later phase of the launch does nothing until the host has run the search: no transfer per step.
+"""
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.contacts import build_forces
+from granflow.device.motion import build_move
+from granflow.device.search import (
+    STRIDE,
+    Grid,
+    build_bounds,
+    build_gather,
+    build_rows,
+    build_set_aside,
+    build_sort,
+)
+from granflow.device.state import WALL_BATCH, State
+from granflow.device.walls import upload_poses
+
+
+BATCH = 16
+"""Steps launched between two looks at the flags where every step is a launch of its own."""
+
+ONE_CHUNK_BATCH = 4096
+"""The same where one launch does all of them."""
+
+SAMPLE_EVERY = 256
+"""Every so many steps one is done phase by phase with a clock beside it."""
+
+
+@dataclass
+class Timing:
+    """Wall seconds by phase. `forces` and `motion` come from sampled steps: their share of `advance` is theirs."""
+
+    search: float = 0.0
+    advance: float = 0.0
+    sampled_forces: float = 0.0
+    sampled_motion: float = 0.0
+    search_count: int = 0
+    step_count: int = 0
+    growth_count: int = 0
+
+    @property
+    def forces(self) -> float:
+        """Wall seconds spent on contact forces."""
+        sampled = self.sampled_forces + self.sampled_motion
+        return self.advance * self.sampled_forces / sampled if sampled else self.advance
+
+    @property
+    def motion(self) -> float:
+        """Wall seconds spent on motion."""
+        return self.advance - self.forces
+
+
+class Stepper:
+    """Advances a State by steps. `on_gone` is told the index range of particles that left the domain."""
+
+    def __init__(self, state: State, on_gone: Callable[[int, int], None]) -> None:
+        self.state = state
+        self.timing = Timing()
+        self._on_gone = on_gone
+        self._steps_since_search = 0
+        self._since_sample = SAMPLE_EVERY
+        self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
+        self._build_phases()
+
+    def _build_phases(self) -> None:
+        """Compile what knows the contact rows."""
+        state = self.state
+        self._set_aside = build_set_aside(state) if state.contacts.history else None
+        self._rows = build_rows(state)
+        move, forces = build_move(state), build_forces(state)
+        self._move_only, self._forces_only = _build_single_phases(state, move, forces)
+        self._advance_one_chunk = _build_one_chunk(state, move, forces)
+        self._advance_chunks = _build_chunks(state, move, forces)
+
+    def search(self, pose: int = 0) -> None:
+        """Sort, let go of what left the domain, and list who is near whom."""
+        began = clock.perf_counter()
+        state = self.state
+        if state.count:
+            gone = self._sort_particles()
+            if gone:
+                self._on_gone(state.count - gone, state.count)
+                state.count -= gone
+        self._fill_rows(pose)
+        self._steps_since_search = 0
+        self.timing.search += clock.perf_counter() - began
+        self.timing.search_count += 1
+
+    def _sort_particles(self) -> int:
+        """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
+        state, plan = self.state, self.state.plan
+        self._bounds(state.count)
+        low = np.maximum(state.sorting.low.to_numpy()[0].astype(float), plan.domain_low)
+        high = np.minimum(state.sorting.high.to_numpy()[0].astype(float), plan.domain_high)
+        side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
+        self._grid = Grid.over(low, np.maximum(high, low), side, state.sorting.cell_capacity)
+        self._sort(state.count, *self._grid.low, self._grid.side, *self._grid.blocks)
+        if self._set_aside is not None:
+            self._set_aside(state.count)
+        self._gather(state.count)
+        return state.count - int(state.sorting.cell_start[self._grid.cell_count])
+
+    def _fill_rows(self, pose: int) -> None:
+        state = self.state
+        if not state.count:
+            state.control.search_due[0] = 0
+            state.control.search_wanted[0] = 0
+            return
+        while True:
+            self._rows(state.count, *self._grid.low, self._grid.side, *self._grid.blocks, state.plan.skin, pose)
+            need = int(state.contacts.chunk_need.to_numpy()[: state.chunk_count].max())
+            if need <= state.contacts.slots_per_chunk:
+                return
+            state.grow_contacts(int(1.3 * need) + 8)
+            self.timing.growth_count += 1
+            self._build_phases()
+
+    def forces(self, pose: int = 0, history_step: float | None = None) -> None:
+        """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
+        step = self.state.plan.time_step if history_step is None else history_step
+        self._forces_only(self.state.chunk_count, self.state.count, pose, step)
+
+    def advance(self, steps: int, time: float) -> int:
+        """Do `steps` steps from `time` [s], searching on the way; returns the steps done, fewer if a guard tripped."""
+        done = 0
+        while done < steps and not self.guard_code:
+            done += self._advance_batch(steps - done, time + done * self.state.plan.time_step)
+        return done
+
+    @property
+    def guard_code(self) -> int:
+        """0, or why the run must stop."""
+        return int(self.state.control.guard[0])
+
+    def _advance_batch(self, steps: int, time: float) -> int:
+        state, plan = self.state, self.state.plan
+        if plan.features.moving_walls:
+            if self._steps_walls_allow() < 1:
+                self.search(pose=0)
+            steps = min(steps, WALL_BATCH, max(self._steps_walls_allow(), 1))
+            upload_poses(state, time, plan.time_step)
+        state.control.steps_done[0] = 0
+        began, searched = clock.perf_counter(), self.timing.search
+        done = self._launch(steps)
+        if state.control.search_due[0]:
+            self.search(pose=done)
+            self.forces(pose=done)
+            done += 1
+        self._steps_since_search += done
+        self._since_sample += done
+        self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
+        self.timing.step_count += done
+        return done
+
+    def _launch(self, steps: int) -> int:
+        """Start up to `steps` steps; returns those completed."""
+        state, step = self.state, self.state.plan.time_step
+        if self._since_sample >= SAMPLE_EVERY:
+            return self._sampled_step()
+        if state.chunk_count <= 1:
+            self._advance_one_chunk(min(steps, ONE_CHUNK_BATCH), state.count, step)
+        else:
+            for _ in range(min(steps, BATCH)):
+                self._advance_chunks(state.chunk_count, state.count, step)
+        return int(state.control.steps_done[0])
+
+    def _sampled_step(self) -> int:
+        """One step phase by phase, timed."""
+        state, began = self.state, clock.perf_counter()
+        self._since_sample = 0
+        self._move_only(state.chunk_count, state.count, state.plan.time_step)
+        ti.sync()
+        moved = clock.perf_counter()
+        if state.control.search_due[0]:
+            return 0
+        looked = clock.perf_counter()
+        self.forces()
+        ti.sync()
+        self.timing.sampled_motion += moved - began
+        self.timing.sampled_forces += clock.perf_counter() - looked
+        return 1
+
+    def _steps_walls_allow(self) -> int:
+        """Steps until the fastest wall may have crossed half the skin since the last search."""
+        plan = self.state.plan
+        if plan.wall_speed == 0.0:
+            return WALL_BATCH
+        return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self._steps_since_search
+
+
+def _build_single_phases(state: State, move: Any, forces: Any) -> tuple[Callable[..., None], Callable[..., None]]:
+    control, real = state.control, state.backend.real
+
+    @ti.kernel
+    def move_only(chunks: ti.i32, count: ti.i32, dt: real):
+        for task in range(chunks * STRIDE):
+            if task % STRIDE == 0:
+                move(task // STRIDE, count, dt)
+        for _ in range(1):
+            control.search_due[0] = control.search_wanted[0]
+
+    @ti.kernel
+    def forces_only(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
+        for task in range(chunks * STRIDE):
+            if task % STRIDE == 0:
+                forces(task // STRIDE, count, pose, dt)
+
+    return move_only, forces_only
+
+
+def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    control, real = state.control, state.backend.real
+
+    @ti.kernel
+    def advance_chunks(chunks: ti.i32, count: ti.i32, dt: real):
+        for task in range(chunks * STRIDE):
+            if task % STRIDE == 0:
+                if control.search_due[0] == 0 and control.guard[0] == 0:
+                    move(task // STRIDE, count, dt)
+        for _ in range(1):
+            control.search_due[0] = control.search_wanted[0]
+        for task in range(chunks * STRIDE):
+            if task % STRIDE == 0:
+                if control.search_due[0] == 0 and control.guard[0] == 0:
+                    forces(task // STRIDE, count, control.steps_done[0], dt)
+        for _ in range(1):
+            if control.search_due[0] == 0 and control.guard[0] == 0:
+                control.steps_done[0] += 1
+
+    return advance_chunks
+
+
+def _build_one_chunk(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    control, real = state.control, state.backend.real
+
+    @ti.kernel
+    def advance_one_chunk(steps: ti.i32, count: ti.i32, dt: real):
+        for _ in range(1):
+            done = 0
+            while done < steps and control.search_due[0] == 0 and control.guard[0] == 0:
+                move(0, count, dt)
+                if control.search_wanted[0] == 1:
+                    control.search_due[0] = 1
+                else:
+                    forces(0, count, done, dt)
+                    done += 1
+            control.steps_done[0] = done
+
+    return advance_one_chunk

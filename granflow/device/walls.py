@@ -1,0 +1,91 @@
+"""Walls on the device: distance, normal and velocity of the surface at a point, wherever the wall stands now."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import WALL_BATCH, State
+from granflow.walls.catalogue import SHAPE_KINDS
+from granflow.walls.motion import pose
+
+
+@dataclass(frozen=True)
+class WallGeometry:
+    """Device functions of (wall, pose, point)."""
+
+    distance: Any
+    """Distance [m] of the bare surface, for the list of near walls."""
+    closest: Any
+    """(distance, normal) of the contact."""
+    surface_velocity: Any
+    """Velocity [m/s] of the wall's material at the point."""
+
+
+def build_wall_geometry(state: State) -> WallGeometry:
+    """Functions that know only the kinds of shapes this plan has, and motion only where a wall moves."""
+    walls, moving = state.walls, state.plan.features.moving_walls
+    used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls})
+
+    @ti.func
+    def to_rest(w, pose, point):
+        local = point
+        if ti.static(moving):
+            local = walls.rotation[pose, w].transpose() @ (point - walls.center[pose, w]) + walls.pivot[w]
+        return local
+
+    @ti.func
+    def distance(w, pose, point):
+        local = to_rest(w, pose, point)
+        parameters = walls.parameters[w]
+        result = 0.0 * point[0]
+        for code in ti.static(used):
+            if walls.kind[w] == code:
+                result = SHAPE_KINDS[code].bare_distance(local, parameters)
+        return result
+
+    @ti.func
+    def closest(w, pose, point):
+        local = to_rest(w, pose, point)
+        parameters = walls.parameters[w]
+        gap = 0.0 * point[0]
+        normal = 0.0 * point
+        for code in ti.static(used):
+            if walls.kind[w] == code:
+                gap, normal = SHAPE_KINDS[code].closest(local, parameters)
+        if ti.static(moving):
+            normal = walls.rotation[pose, w] @ normal
+        return gap, normal
+
+    @ti.func
+    def surface_velocity(w, pose, point):
+        velocity = 0.0 * point
+        if ti.static(moving):
+            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - walls.center[pose, w])
+        return velocity
+
+    return WallGeometry(distance, closest, surface_velocity)
+
+
+def upload_poses(state: State, time: float, time_step: float) -> None:
+    """Put the poses of the WALL_BATCH steps after `time` on the device, velocities from the middle of each step.
+
+    Entry s belongs to the forces at time + (s + 1) dt.
+    """
+    walls, plan = state.walls, state.plan
+    times = time + (np.arange(WALL_BATCH) + 1.0) * time_step
+    now = [pose(wall.motions, times) for wall in plan.walls]
+    middle = [pose(wall.motions, times - 0.5 * time_step) for wall in plan.walls]
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+
+    def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
+        field.from_numpy(np.ascontiguousarray(np.stack(arrays, axis=1), dtype=dtype))
+
+    upload(walls.center, [p.offset + p.pivot for p in now], position_real)
+    upload(walls.rotation, [p.rotation for p in now], position_real)
+    upload(walls.velocity, [p.velocity for p in middle], real)
+    upload(walls.spin, [p.angular_velocity for p in middle], real)
+    for index, poses in enumerate(now):
+        walls.pivot[index] = poses.pivot.tolist()

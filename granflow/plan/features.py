@@ -1,0 +1,103 @@
+"""Which parts of the simulator a scene needs, and why: everything else is left out."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+from granflow.scene import Scene
+from granflow.scene.schema import ZhouNormal
+
+
+@dataclass(frozen=True)
+class Features:
+    """Switches that kernels are compiled with. What is off costs no time and no memory."""
+
+    friction: bool
+    rolling: Literal["none", "epsd", "cdt"]
+    rotation: bool
+    rate_dependent: bool
+    walls: bool
+    moving_walls: bool
+    one_material: bool
+    ledger: bool
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One line of `granflow explain`: a feature, whether it is on, and why."""
+
+    feature: str
+    setting: str
+    why: str
+
+
+def features_of(scene: Scene, law_is_damped: bool) -> Features:
+    """Decide every feature from the scene alone."""
+    friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
+    rolling = scene.contact.rolling
+    if not any(pair.rolling_friction for pair in scene.pairs.values()):
+        rolling = "none"
+    return Features(
+        friction=friction,
+        rolling=rolling,
+        rotation=friction or rolling != "none",
+        rate_dependent=law_is_damped,
+        walls=bool(scene.walls),
+        moving_walls=any(wall.motion for wall in scene.walls.values()),
+        one_material=len({group.material for group in scene.particles.values()}) == 1,
+        ledger=scene.output.energy,
+    )
+
+
+def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
+    """Say of every feature why it is on or off, with the line of the scene that decided it."""
+    why = {
+        "friction": _first_pair(scene, "friction", features.friction),
+        "rolling": _rolling_reason(scene, features),
+        "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
+        "rate_dependent": _rate_reason(scene, features),
+        "walls": f"{len(scene.walls)} walls ({scene.where('walls')})" if features.walls else "the scene has no walls",
+        "moving_walls": _moving_reason(scene, features),
+        "one_material": _material_reason(scene),
+        "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output')})",
+    }
+    return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
+
+
+def _setting(value: bool | str) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "off" if value == "none" else value
+
+
+def _first_pair(scene: Scene, key: str, on: bool) -> str:
+    if not on:
+        return f"every pair has {key} 0"
+    name, pair = next((name, pair) for name, pair in scene.pairs.items() if getattr(pair, key))
+    return f"pairs.{name}.{key} is {getattr(pair, key):g} ({scene.where('pairs', name, key)})"
+
+
+def _rolling_reason(scene: Scene, features: Features) -> str:
+    if scene.contact.rolling == "none":
+        return f"contact.rolling is none ({scene.where('contact')})"
+    return _first_pair(scene, "rolling_friction", features.rolling != "none")
+
+
+def _rate_reason(scene: Scene, features: Features) -> str:
+    normal = scene.contact.normal
+    if not features.rate_dependent:
+        return f"the {normal.law} law as set here has no viscous term"
+    if isinstance(normal, ZhouNormal):
+        return f"contact.normal.damping_ratio is {normal.damping_ratio:g} ({scene.where('contact', 'normal')})"
+    return f"the {normal.law} law reaches a restitution below 1 by damping ({scene.where('contact', 'normal')})"
+
+
+def _moving_reason(scene: Scene, features: Features) -> str:
+    if not features.moving_walls:
+        return "no wall has a motion"
+    name = next(name for name, wall in scene.walls.items() if wall.motion)
+    return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _material_reason(scene: Scene) -> str:
+    materials = sorted({group.material for group in scene.particles.values()})
+    return f"particles are of {', '.join(materials)}"

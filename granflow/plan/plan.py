@@ -1,0 +1,272 @@
+"""Scene -> Plan: everything that is decided before anything is allocated."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import (
+    PairMaterial,
+    Solid,
+    VelocityRestitution,
+    limit_velocity,
+    modulus_eff,
+    shear_modulus_eff,
+)
+from granflow.plan.features import Features, Reason, features_of, reasons_for
+from granflow.plan.sizes import diameter_range
+from granflow.plan.time_step import Meeting, TimeStep, choose_time_step
+from granflow.plan.walls import PlannedWall, planned_walls, surface_speed, wall_speed
+from granflow.scene import Scene
+from granflow.scene.schema import GivenStiffness, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
+
+SLOTS_PER_PARTICLE = 5
+"""First guess of the near partners in a row; rows grow when it is too small."""
+
+CELLS_PER_PARTICLE = 8
+"""Search cells for every particle at most; a sparser domain gets larger cells."""
+
+LEAST_CELLS = 8192
+
+SLOWEST_SPRING = 0.01
+"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
+
+SKIN_STEPS = 60
+"""A particle at the largest velocity should cross half the skin in no fewer steps than this."""
+
+SKIN_SHARES = (0.05, 0.3)
+"""Smallest and largest skin over the smallest radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All decisions for one scene, in SI; see the functions that make them for the reasons."""
+
+    scene: Scene
+    features: Features
+    reasons: tuple[Reason, ...]
+    law: NormalLaw
+    materials: tuple[str, ...]
+    """Names of the materials in the plan's order: those of particles first."""
+    pair_constants: np.ndarray
+    """(materials^2, constants): the law's, then friction, then rolling friction."""
+    particle_capacity: int
+    radius_min: float
+    radius_max: float
+    chunk_size: int
+    skin: float
+    step: TimeStep
+    velocity_max: float
+    walls: tuple[PlannedWall, ...]
+    wall_speed: float
+
+    @property
+    def time_step(self) -> float:
+        """Time step [s]."""
+        return self.step.value
+
+    @property
+    def material_count(self) -> int:
+        """Materials of particles and walls."""
+        return len(self.materials)
+
+    @property
+    def friction_index(self) -> int:
+        """Place of the friction coefficient among the pair constants."""
+        return len(self.law.constant_names)
+
+    @property
+    def rolling_index(self) -> int:
+        """Place of the rolling friction coefficient among the pair constants."""
+        return self.friction_index + 1
+
+    @property
+    def has_walls(self) -> bool:
+        """Whether there is any wall."""
+        return self.features.walls
+
+    @property
+    def history(self) -> dict[str, int]:
+        """What a contact remembers: name of the field -> numbers in it."""
+        sizes = {"normal": self.law.history_count, "lateral": 3 * self.features.friction}
+        sizes["rolling"] = 3 * (self.features.rolling == "epsd")
+        return {name: size for name, size in sizes.items() if size}
+
+    @property
+    def chunk_capacity(self) -> int:
+        """Chunks that all particles fill."""
+        return max(-(-self.particle_capacity // self.chunk_size), 1)
+
+    @property
+    def slots_per_chunk(self) -> int:
+        """First guess of contact slots in one chunk."""
+        return SLOTS_PER_PARTICLE * min(self.chunk_size, self.particle_capacity) + 16
+
+    @property
+    def cell_capacity(self) -> int:
+        """Most cells of the search grid."""
+        return max(CELLS_PER_PARTICLE * self.particle_capacity, LEAST_CELLS)
+
+    @property
+    def gravity(self) -> tuple[float, float, float]:
+        """Gravity [m/s2]."""
+        return self.scene.gravity
+
+    @property
+    def overlap_limit(self) -> float:
+        """Overlap over radius at which the guard stops the run."""
+        return self.scene.numerics.overlap_limit
+
+    @cached_property
+    def domain_low(self) -> np.ndarray:
+        """Smallest coordinates of the domain (3,) [m]."""
+        return np.array(self.scene.domain.min)
+
+    @cached_property
+    def domain_high(self) -> np.ndarray:
+        """Largest coordinates of the domain (3,) [m]."""
+        return np.array(self.scene.domain.max)
+
+
+def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
+    """Decide everything for a scene.
+
+    Raises SceneError where the laws cannot serve a pair or the time step given is not stable.
+    """
+    materials = tuple(dict.fromkeys(_used_materials(scene)))
+    numbers = {name: number for number, name in enumerate(materials)}
+    walls = planned_walls(scene, numbers)
+    velocity = scene.run.velocity_max or fastest_approach(scene)
+    law = build_law(scene, velocity)
+    features = features_of(scene, law.rate_dependent)
+    step = _time_step(scene, law, velocity)
+    radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
+    radius_min, radius_max = min(radii), max(radii)
+    return Plan(
+        scene=scene,
+        features=features,
+        reasons=reasons_for(scene, features),
+        law=law,
+        materials=materials,
+        pair_constants=_pair_table(scene, law, materials),
+        particle_capacity=sum(group.count for group in scene.particles.values()),
+        radius_min=radius_min,
+        radius_max=radius_max,
+        chunk_size=1 if on_gpu else scene.numerics.chunk_size,
+        skin=_skin(scene, radius_min, velocity, step.value),
+        step=step,
+        velocity_max=velocity,
+        walls=walls,
+        wall_speed=wall_speed(scene, walls),
+    )
+
+
+def build_law(scene: Scene, velocity: float) -> NormalLaw:
+    """The scene's normal law with its settings."""
+    normal = scene.contact.normal
+    build = NORMAL_LAWS[normal.law]
+    numbers_only = not any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
+    if isinstance(normal, ZhouNormal):
+        source = "constant" if numbers_only else normal.restitution
+        return build(source, scene.numerics.unloading_angle, normal.damping_ratio)
+    if isinstance(normal, LinearNormal):
+        given = normal.stiffness
+        value = given.value if isinstance(given, GivenStiffness) else None
+        reference = given.reference_velocity if isinstance(given, ReferenceVelocity) else None
+        return build(value, reference, SLOWEST_SPRING * velocity)
+    return build(any(pair.restitution != 1.0 for pair in scene.pairs.values()))
+
+
+def solid(scene: Scene, material: str) -> Solid:
+    """Constants of one material of the scene."""
+    given = scene.materials[material]
+    return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
+
+
+def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
+    """Mixed constants of two materials. Raises KeyError where the scene has no such pair."""
+    pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
+    restitution = pair.restitution
+    if isinstance(restitution, RestitutionFit):
+        limit = restitution.limit_velocity or limit_velocity(a, b)
+        restitution = VelocityRestitution(restitution.sigma, restitution.psi, limit)
+    rolling = pair.rolling_friction or 0.0
+    return PairMaterial(modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling)
+
+
+def fastest_approach(scene: Scene) -> float:
+    """Estimate of the fastest approach [m/s]: free fall through the domain, initial speeds, moving walls."""
+    gravity = np.array(scene.gravity)
+    size = np.subtract(scene.domain.max, scene.domain.min)
+    fall = float(np.sqrt(2.0 * np.abs(gravity) @ size))
+    initial = max(
+        float(np.linalg.norm(np.atleast_2d(np.array(group.velocity)), axis=1).max())
+        for group in scene.particles.values()
+    )
+    estimate = max(fall, initial) + max(surface_speed(scene), initial if initial > fall else 0.0)
+    return estimate or 1.0
+
+
+def _used_materials(scene: Scene) -> Iterator[str]:
+    yield from (group.material for group in scene.particles.values())
+    yield from (wall.material for wall in scene.walls.values())
+
+
+def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
+    """Constants of every pair of materials; pairs that never touch hold no numbers."""
+    count = len(materials)
+    table = np.full((count * count, len(law.constant_names) + 2), np.nan)
+    for i, first in enumerate(materials):
+        for j, second in enumerate(materials):
+            if scene.pair_key(first, second) in scene.pairs:
+                pair = pair_material(scene, first, second)
+                table[i * count + j] = (*law.pair_constants(pair), pair.friction, pair.rolling_friction)
+    return table
+
+
+def meetings_of(scene: Scene) -> list[Meeting]:
+    """How any two groups, and any group and wall, can meet: their smallest particles."""
+    found = []
+    groups = list(scene.particles.items())
+    for n, (name, group) in enumerate(groups):
+        radius = 0.5 * diameter_range(group)[0]
+        body = solid(scene, group.material)
+        mass = _sphere_mass(radius, body.density)
+        for other_name, other in groups[n:]:
+            other_radius = 0.5 * diameter_range(other)[0]
+            other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
+            pair = pair_material(scene, group.material, other.material)
+            radius_eff = radius * other_radius / (radius + other_radius)
+            mass_eff = mass * other_mass / (mass + other_mass)
+            found.append(Meeting(f"{name}-{other_name}", pair, radius_eff, mass_eff, radius, body))
+        for wall in dict.fromkeys(wall.material for wall in scene.walls.values()):
+            pair = pair_material(scene, group.material, wall)
+            found.append(Meeting(f"{name}-{wall} wall", pair, radius, mass, radius, body))
+    return found
+
+
+def _sphere_mass(radius: float, density: float) -> float:
+    return 4.0 / 3.0 * np.pi * radius**3 * density
+
+
+def _time_step(scene: Scene, law: NormalLaw, velocity: float) -> TimeStep:
+    given = None if scene.run.time_step == "auto" else float(scene.run.time_step)
+    numerics = scene.numerics
+    try:
+        return choose_time_step(
+            given, meetings_of(scene), law, velocity,
+            numerics.time_step_safety, numerics.rayleigh_fraction, numerics.unloading_angle,
+        )  # fmt: skip
+    except ValueError as error:
+        raise SceneError(f"{scene.where('run', 'time_step')}: run.time_step {error}") from None
+
+
+def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
+    if scene.numerics.skin != "auto":
+        return float(scene.numerics.skin)
+    least, most = (share * radius_min for share in SKIN_SHARES)
+    return float(np.clip(2.0 * SKIN_STEPS * velocity * step, least, most))

@@ -1,0 +1,117 @@
+"""The time step: from the stiffest phase of any contact the scene can have, or given and then checked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.laws import theory
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import PairMaterial, Solid
+
+LEAST_RESOLVED_RESTITUTION = 0.1
+"""Unloading faster than at this restitution is left to the bound on the unloading tangent."""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """The stiffest way in which two groups, or a group and a wall, can meet."""
+
+    name: str
+    pair: PairMaterial
+    radius_eff: float
+    mass_eff: float
+    radius: float
+    solid: Solid
+
+
+@dataclass(frozen=True)
+class TimeStep:
+    """A time step [s], what limits it, and what it can carry."""
+
+    value: float
+    limited_by: str
+    stable_below: float
+    stable_limit: str
+    least_restitution: float
+    """Smallest restitution that the unloading bound lets this step reach, at the largest velocity."""
+    warnings: tuple[str, ...]
+
+
+def choose_time_step(
+    given: float | None,
+    meetings: Sequence[Meeting],
+    law: NormalLaw,
+    velocity: float,
+    safety: float,
+    rayleigh_fraction: float,
+    angle: float,
+) -> TimeStep:
+    """Pick the step, or check the one given [s]; `velocity` is the fastest approach expected [m/s].
+
+    Raises ValueError with one sentence where the given step is above the stable one.
+    """
+    resolved, name = min((safety * shortest_phase(meeting, law, velocity), meeting.name) for meeting in meetings)
+    rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in meetings)
+    stable, stable_name = min((stable_step(meeting, law, velocity), meeting.name) for meeting in meetings)
+    value = given if given is not None else min(resolved, rayleigh)
+    limited = f"{safety:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
+    if rayleigh < resolved:
+        limited = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
+    if given is not None:
+        limited = "given in the scene"
+    if value > stable:
+        raise ValueError(
+            f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
+            f"Lower it to {min(resolved, rayleigh):.2g} s or leave it out."
+        )
+    least, warnings = _restitution_reached(value, meetings, law, velocity, angle)
+    return TimeStep(value, limited, stable, stable_name, least, warnings)
+
+
+def shortest_phase(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
+    """Shorter of loading and unloading [s] at an approach velocity, unloading no faster than resolved."""
+    loading, unloading = law.phase_durations(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
+    scale = loading / theory.LOADING_DURATION
+    floor = theory.unloading_duration(LEAST_RESOLVED_RESTITUTION) * scale
+    return min(loading, max(unloading, floor))
+
+
+def stable_step(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
+    """Step [s] above which a grain held between others gains energy: half of 2 sqrt(M/K) on the loading tangent.
+
+    The unloading tangent of the zhou law never exceeds its own bound, so loading counts there.
+    """
+    if law.name == "linear":
+        stiffness = law.unloading_stiffness(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
+    else:
+        k = float(theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff))
+        stiffness = 1.5 * k * float(np.sqrt(theory.overlap_max(k, meeting.mass_eff, velocity)))
+    return float(np.sqrt(meeting.mass_eff / stiffness))
+
+
+def rayleigh_time(solid: Solid, radius: float) -> float:
+    """Rayleigh time pi R sqrt(rho/G) / (0.1631 nu + 0.8766) [s] of a sphere."""
+    nu = solid.poisson_ratio
+    return float(np.pi * radius * np.sqrt(solid.density / solid.shear_modulus) / (0.1631 * nu + 0.8766))
+
+
+def _restitution_reached(
+    step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float, angle: float
+) -> tuple[float, tuple[str, ...]]:
+    """Smallest restitution that the step can carry, and a sentence for each meeting that asks for less."""
+    if law.name != "zhou":
+        return 0.0, ()
+    least, warnings = 0.0, []
+    for meeting in meetings:
+        k = float(theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff))
+        largest = theory.overlap_max(k, meeting.mass_eff, velocity)
+        bound = float(min(theory.least_restitution(k, meeting.mass_eff, largest, step, angle), 1.0))
+        asked = meeting.pair.restitution_at(velocity)
+        least = max(least, bound)
+        if asked < bound:
+            warnings.append(
+                f"{meeting.name}: restitution {asked:.3g} is asked for at {velocity:.3g} m/s, "
+                f"but a step of {step:.3g} s can reach no less than {bound:.3g}."
+            )
+    return least, tuple(warnings)

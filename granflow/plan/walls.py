@@ -1,0 +1,118 @@
+"""Walls of the scene as shapes and motions of plain numbers; motions know their times once stages have begun."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.scene import Scene
+from granflow.scene import schema as scene_schema
+from granflow.walls import motion, plane, revolved
+from granflow.walls.catalogue import reach_about
+from granflow.walls.rims import join_rims
+from granflow.walls.shape import Shape, unit
+
+StageTimes = Mapping[str, tuple[float, float]]
+"""Start and end [s] of every stage that has begun; the end is infinite while it runs."""
+
+
+@dataclass(frozen=True)
+class PlannedWall:
+    """One wall: its name in the scene, its shape at rest, its material's number in the plan."""
+
+    name: str
+    shape: Shape
+    material: int
+
+
+def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
+    """Shapes of all walls, rims shared by walls that stay together joined."""
+    walls = scene.walls
+    shapes = [shape_of(wall) for wall in walls.values()]
+    groups = [(wall.motion, wall.stages, wall.appears_at, wall.vanishes_at) for wall in walls.values()]
+    joined = join_rims(shapes, groups) if shapes else []
+    return tuple(
+        PlannedWall(name, shape, material_numbers[wall.material])
+        for (name, wall), shape in zip(walls.items(), joined, strict=True)
+    )
+
+
+def shape_of(wall: scene_schema.AnyWall) -> Shape:
+    """The shape of one wall of the scene at rest."""
+    if isinstance(wall, scene_schema.Plane):
+        return plane.half_space(wall.point, wall.normal)
+    if isinstance(wall, scene_schema.Rectangle):
+        return plane.rectangle(wall.corner, *wall.sides)
+    if isinstance(wall, scene_schema.Cylinder):
+        return revolved.cylinder(wall.from_, wall.to, wall.radius)
+    if isinstance(wall, scene_schema.Cone):
+        return revolved.cone(wall.from_, wall.to, wall.radius_from, wall.radius_to)
+    return revolved.disc(wall.center, wall.normal, wall.radius, wall.hole_radius)
+
+
+def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Motion, ...], ...]:
+    """Motions of every wall in the order of the scene, given when stages began and ended."""
+    return tuple(
+        tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values()
+    )
+
+
+def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
+    start, end = _span(given, stage_times)
+    if isinstance(given, scene_schema.Translation):
+        return motion.Translation(given.velocity, start, end)
+    if isinstance(given, scene_schema.Rotation):
+        axis = tuple(float(value) for value in unit(given.axis))
+        return motion.Rotation(given.point, axis, given.angular_velocity, start, end)
+    amplitude, omega = given.amplitude_and_angular_frequency(scene.gravity)
+    direction = tuple(float(value) for value in unit(given.direction))
+    return motion.Vibration(direction, amplitude, omega, given.phase, start, end)
+
+
+def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
+    if given.stages is None:
+        return given.start or 0.0, inf if given.end is None else given.end
+    begun = [stage_times[name] for name in given.stages if name in stage_times]
+    if not begun:
+        return inf, inf
+    return begun[0][0], begun[-1][1]
+
+
+def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
+    """Which walls are there, in the order of the scene."""
+    return tuple(
+        (wall.stages is None or stage in wall.stages)
+        and (wall.appears_at or 0.0) <= time
+        and (wall.vanishes_at is None or time < wall.vanishes_at)
+        for wall in scene.walls.values()
+    )
+
+
+def wall_change_times(scene: Scene) -> tuple[float, ...]:
+    """Times [s] given in the scene at which a wall appears or vanishes."""
+    times = {time for wall in scene.walls.values() for time in (wall.appears_at, wall.vanishes_at) if time}
+    return tuple(sorted(times))
+
+
+def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
+    """Largest speed [m/s] at which the geometry of any wall can move within the domain."""
+    always = {stage.name: (0.0, inf) for stage in scene.schedule}
+    corners = np.array([scene.domain.min, scene.domain.max])
+    fastest = 0.0
+    for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
+        turning = motion.single_rotation(motions)
+        reach = 0.0
+        if turning is not None:
+            farthest = float(np.linalg.norm(np.abs(corners - turning.point).max(axis=0)))
+            reach = reach_about(wall.shape, np.array(turning.point), np.array(turning.axis), farthest)
+        fastest = max(fastest, motion.speed_bound(motions, reach))
+    return fastest
+
+
+def surface_speed(scene: Scene) -> float:
+    """Largest speed [m/s] of any wall's material, spinning in place included."""
+    always = {stage.name: (0.0, inf) for stage in scene.schedule}
+    extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
+    return max((motion.speed_bound(motions, extent / 2) for motions in wall_motions(scene, always)), default=0.0)
