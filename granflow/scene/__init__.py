@@ -1,6 +1,7 @@
 """The scene: read from YAML, checked, frozen."""
 
+from granflow.scene.jsonschema import json_schema
 from granflow.scene.reader import load
 from granflow.scene.schema import Scene
 
-__all__ = ["Scene", "load"]
+__all__ = ["Scene", "json_schema", "load"]

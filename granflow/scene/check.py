@@ -11,7 +11,8 @@ from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
 from granflow.scene.matter import HertzNormal, LinearNormal, RestitutionFit
 from granflow.scene.schema import Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
-from granflow.scene.words import known_or_meant, nearest, problem_of
+from granflow.scene.suggest import known_or_meant, nearest
+from granflow.scene.words import problem_of
 
 Finding = tuple[KeyPath, Fault]
 Check = Callable[[Draft], Iterator[Finding]]
@@ -60,7 +61,7 @@ def _pair_names(draft: Draft) -> Iterator[Finding]:
             if name not in known and len(both) == 2:
                 remedy = known_or_meant(name, known, "materials")
                 yield ("pairs", key), Fault((), f"names {name}, which is not under materials. {remedy}", whole=True)
-        first = seen.setdefault(frozenset(both), key)
+        first = seen.setdefault(frozenset(both), key) if len(both) == 2 else key
         if first != key:
             line = draft.document.key_place(("pairs", first)).line
             there = f"at line {line} as {first}" if line else f"as {first}"
@@ -190,11 +191,11 @@ def _regions(draft: Draft) -> Iterator[Finding]:
         path: KeyPath = ("particles", name, "place")
         if isinstance(group.place, Listed):
             for index, point in enumerate(group.place.positions):
-                if not all(a <= x <= b for a, x, b in zip(low, point, high, strict=True)):
+                if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                     yield (*path, "positions", index), Fault((), "it lies outside the domain")
             continue
         for axis, (a, b) in enumerate(zip(*_extent(group.place.region), strict=True)):
-            if a < low[axis] or b > high[axis]:
+            if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
                 reason = f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m"
                 yield (*path, "region"), Fault((), reason, whole=True)

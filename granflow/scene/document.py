@@ -27,6 +27,7 @@ DEEPEST = 40  # a scene is at most 9 deep
 _MOST_ALIASED = 100_000  # nodes that aliases may add
 _LONGEST_SHOWN = 60  # characters of a value shown in a message
 _LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
+_YAML_TAGS = "tag:yaml.org,2002:"
 _NULL = re.compile(r"|~|null|Null|NULL")
 _TRUE = re.compile(r"true|True|TRUE")
 _FALSE = re.compile(r"false|False|FALSE")
@@ -101,6 +102,11 @@ class Node:
         if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
             return self.items[key]
         return None
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is written where the value should be."""
+        return self.entries is None and self.items is None and self.scalar is None and not self.text
 
     def shown(self) -> str | None:
         """The value as a message shows it: as written, shortened; None for what is too big to show."""
@@ -209,8 +215,11 @@ class _Composer:
 
     def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
         mark = error.problem_mark or error.context_mark
+        if error.context_mark and _begun(error):
+            mark = error.context_mark
         place = self._place(mark.line + 1, mark.column + 1) if mark else Place(self.source)
-        return Problem(place, _syntax_sentence(error, text))
+        line = text.splitlines()[mark.line : mark.line + 1] if mark else []
+        return Problem(place, _syntax_sentence(error, "".join(line).strip()))
 
     def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
         if isinstance(event, AliasEvent):
@@ -218,7 +227,8 @@ class _Composer:
         if depth > DEEPEST:
             raise self._error(event, f"this is nested more than {DEEPEST} deep, far more than any scene needs")
         if getattr(event, "tag", None):
-            raise self._error(event, f"the tag {event.tag} is not used in scenes; leave it out")
+            tag = event.tag.replace(_YAML_TAGS, "!!")
+            raise self._error(event, f"the tag {tag} is not used in scenes; leave it out")
         if event.anchor:
             self.anchors[event.anchor] = None
         node = self._untagged(event, events, depth)
@@ -256,6 +266,8 @@ class _Composer:
         while not isinstance(event := next(events), MappingEndEvent):
             key = self._key(event)
             entry = Entry(self._at(event), self._node(next(events), events, depth + 1))
+            if entry.node.empty:
+                entry.node.place = entry.key_place  # the parser puts it at whatever comes next
             if key in entries:
                 first = entries[key].key_place
                 self.problems.append(
@@ -291,21 +303,26 @@ def resolve(text: str) -> Any:
     return math.nan if _NAN.fullmatch(text) else text
 
 
-def _syntax_sentence(error: MarkedYAMLError, text: str) -> str:
-    problem = str(error.problem or error.context)
-    lines = text.splitlines()
-    line = lines[error.problem_mark.line] if error.problem_mark and error.problem_mark.line < len(lines) else ""
+def _begun(error: MarkedYAMLError) -> bool:
+    """Whether the place where something begins helps more than the place where the parser gave up."""
+    context = str(error.context)
+    return "simple key" in context or "flow" in context or "quoted" in context
+
+
+def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
+    problem, context = str(error.problem or error.context), str(error.context)
     if r"\t" in problem or "'\t'" in problem:
         return "a tab stands here, but YAML is indented with spaces. Replace the tab by spaces."
     if "mapping values are not allowed" in problem:
-        return "a second key begins here, or the line is indented differently from the one above. One key per line."
-    if "expected ':'" in problem:
-        return f'a key without a value stands here: "{line.strip()}". Write a colon and a space after the key.'
-    if "unexpected end of stream" in problem or "stream end" in problem:
-        return "the file ends before a quote or bracket is closed. Close it."
-    opened = str(error.context or "")
-    if "flow sequence" in opened or "flow mapping" in opened:
-        bracket, at = ("[", "]") if "sequence" in opened else ("{", "}")
-        line_number = error.context_mark.line + 1 if error.context_mark else 0
-        return f"the {bracket} opened at line {line_number} is not closed by {at}, or a comma is missing before this."
+        return (
+            "a second key begins here, or this line is indented unlike the one above. "
+            "Give each key a line of its own, and put text with a colon in quotes."
+        )
+    if "simple key" in context:
+        return f'"{line}" has no colon. Write key: value, with a space after the colon.'
+    if "quoted" in context:
+        return "the quote that opens here is not closed."
+    for kind, opening, closing in (("sequence", "[", "]"), ("mapping", "{", "}"), ("node", "bracket", "its partner")):
+        if "flow " + kind in context:
+            return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
     return f"this is not YAML: {problem}."

@@ -31,9 +31,10 @@ class Draft:
         return cls(document, scene, frozenset(Scene.model_fields), sections)
 
     def names(self, section: str) -> tuple[str, ...]:
-        """All names in a section of the file, also of entries that are wrong."""
+        """All names in a section of the file, also of entries that are wrong; of bad names also the good form."""
         node = self.document.root.child(section)
-        return tuple(node.entries) if node is not None and node.entries else ()
+        names = tuple(node.entries) if node is not None and node.entries else ()
+        return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
 
     def faults(self) -> Iterator[tuple[KeyPath, Fault]]:
         """What is wrong between the fields of each part that is right otherwise."""

@@ -6,7 +6,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, GetCoreSchemaHandler
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    GetCoreSchemaHandler,
+    WithJsonSchema,
+)
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from granflow.scene.units import UnitError, dimension_of, to_si
@@ -14,6 +22,7 @@ from granflow.scene.units import UnitError, dimension_of, to_si
 KeyPath = tuple[str | int, ...]
 LARGEST = 1e30  # no SI number in a scene is beyond this
 SMALLEST = 1e-30  # and none that must be above zero is below this
+_NAME = r"[a-z][a-z0-9_]*"
 _LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
 
 
@@ -75,16 +84,17 @@ class Number:
         return self._count(number) if self.whole else number
 
     def _number(self, value: Any) -> float:
-        if isinstance(value, str):
+        if isinstance(value, str) and not self.whole:
             try:
                 return to_si(value, self.dimension)
             except UnitError as error:
                 raise but(f"{error}{self._word_hint()}") from None
         if isinstance(value, bool) or not isinstance(value, int | float):
-            asked = dimension_of(self.dimension)
-            example = "8000" if self.whole else asked.example
-            raise but(f"{self.noun or asked.noun} is asked here, such as {example}{self._word_hint()}")
-        return float(value) if abs(value) < 10**300 else math.inf
+            raise but(f"{self._noun} is asked here{self._example()}{self._word_hint()}")
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf
 
     def _count(self, number: float) -> int:
         if number != int(number):
@@ -103,6 +113,12 @@ class Number:
     @property
     def _noun(self) -> str:
         return self.noun or dimension_of(self.dimension).noun
+
+    def _example(self) -> str:
+        """One that a user could write, where the dimension's own example would be misleading."""
+        if self.whole:
+            return ", a whole number such as 8000"
+        return f", such as {dimension_of(self.dimension).example}"
 
     def _word_hint(self) -> str:
         return f", or {' or '.join(self.words)}" if self.words else ""
@@ -161,15 +177,48 @@ def _flag(value: Any) -> Any:
 
 
 def _name(value: Any) -> Any:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", str(value)):
+    if not re.fullmatch(_NAME, str(value)):
         raise whole("is not a name: begin with a small letter and go on with small letters, digits and _")
     return value
 
 
 def _pair_name(value: Any) -> Any:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*-[a-z][a-z0-9_]*", str(value)):
+    if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
         raise whole("is not a pair: write two names of materials with a dash between, such as glass-steel")
     return value
+
+
+@dataclass(frozen=True)
+class AlsoWritten:
+    """Adds to the JSON Schema of a value a shorter way to write it: words, or one item of a list."""
+
+    words: tuple[str, ...] = ()
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Put the shorter way first; what describes the value stays outside."""
+        full = handler(schema)
+        short = {"enum": list(self.words)} if self.words else full["items"]
+        return {"anyOf": [short, full]}
+
+
+def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
+    """Change of a JSON Schema: the `others` need not be written where `key` is."""
+
+    def change(schema: dict[str, Any]) -> None:
+        always = [name for name in schema["required"] if name not in others]
+        schema["required"] = always
+        schema["anyOf"] = [{"required": [key]}, {"required": list(others)}]
+
+    return change
+
+
+def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
+    """Change of a JSON Schema: these keys need not be written."""
+
+    def change(schema: dict[str, Any]) -> None:
+        schema["required"] = [name for name in schema["required"] if name not in keys]
+
+    return change
 
 
 Tagger = Callable[[Any], str | None]
@@ -220,7 +269,7 @@ def listing(*, one: bool = False, some: str = "") -> BeforeValidator:
         if not isinstance(value, list | tuple):
             if one:
                 return [value]
-            raise but("a list is asked here, [ ... ]")
+            raise but(f"a list is asked here, {some or '[ ... ]'}")
         if some and not value:
             raise but(f"at least one item is needed, such as {some}")
         return value
@@ -241,8 +290,10 @@ def couple(meaning: str) -> BeforeValidator:
 
 Text = Annotated[str, BeforeValidator(_text)]
 Flag = Annotated[bool, BeforeValidator(_flag)]
-Name = Annotated[str, AfterValidator(_name)]
-PairName = Annotated[str, AfterValidator(_pair_name)]
+Name = Annotated[str, AfterValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
+PairName = Annotated[
+    str, AfterValidator(_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
+]
 
 Plain = Annotated[float, Number()]
 NotNegative = Annotated[float, Number(at_least=0)]

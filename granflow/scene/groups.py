@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, Tag, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, Tag, model_validator
 
 from granflow.scene.fields import (
     Count,
@@ -22,6 +22,7 @@ from granflow.scene.fields import (
     choice,
     chosen,
     listing,
+    not_required,
     whole,
 )
 
@@ -50,13 +51,13 @@ class Cut(Model):
 class UniformSizes(Cut):
     """Diameters spread evenly from `min` to `max`."""
 
-    distribution: Literal["uniform"]
+    distribution: Literal["uniform"] = Field(description="kind of size distribution")
 
 
 class NormalSizes(Cut):
     """Normally distributed diameters, cut off at `min` and `max`."""
 
-    distribution: Literal["normal"]
+    distribution: Literal["normal"] = Field(description="kind of size distribution")
     mean: Diameter = Field(description="mean diameter before the cut [m]")
     deviation: PositiveLength = Field(description="standard deviation before the cut [m]")
 
@@ -69,7 +70,7 @@ class NormalSizes(Cut):
 class LogNormalSizes(Cut):
     """Log-normally distributed diameters, cut off at `min` and `max`."""
 
-    distribution: Literal["log_normal"]
+    distribution: Literal["log_normal"] = Field(description="kind of size distribution")
     median: Diameter = Field(description="median diameter before the cut [m]")
     sigma: Positive = Field(description="standard deviation of ln(diameter) before the cut")
 
@@ -96,13 +97,13 @@ def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
     return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
 
 
-Classes = Annotated[tuple[SizeClass, ...], listing(some="{diameter: 4 mm, fraction: 1}"), AfterValidator(_scaled)]
+Classes = Annotated[tuple[SizeClass, ...], listing(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)]
 
 
 class ClassSizes(Model):
     """A list of diameters with their shares, by number or by mass. The shares sum to 1 once read."""
 
-    distribution: Literal["classes"]
+    distribution: Literal["classes"] = Field(description="kind of size distribution")
     by: Literal["number", "mass"] = Field(description="whether the fractions count particles or mass")
     classes: Classes = Field(description="the classes")
 
@@ -173,7 +174,7 @@ Region = Annotated[
 class Lattice(Model):
     """Particles on a regular lattice in a region."""
 
-    kind: Literal["lattice"]
+    kind: Literal["lattice"] = Field(description="way of placing the particles")
     region: Region = Field(description="the room to fill: a box or a cylinder")
     jitter: Jitter = Field(0.0, description="random shift, as a fraction of the free gap")
 
@@ -181,14 +182,14 @@ class Lattice(Model):
 class Pack(Model):
     """Particles at random in a region, none overlapping."""
 
-    kind: Literal["pack"]
+    kind: Literal["pack"] = Field(description="way of placing the particles")
     region: Region = Field(description="the room to fill: a box or a cylinder")
 
 
 class Rain(Model):
     """Particles that appear at random in a region at a rate, until the count is reached."""
 
-    kind: Literal["rain"]
+    kind: Literal["rain"] = Field(description="way of placing the particles")
     region: Region = Field(description="where they appear: a box or a cylinder")
     rate: Rate = Field(description="particles per second [1/s]")
     start: Time = Field(0.0, description="time of the first particle [s]")
@@ -197,7 +198,7 @@ class Rain(Model):
 class Listed(Model):
     """Particles at given positions."""
 
-    kind: Literal["list"]
+    kind: Literal["list"] = Field(description="way of placing the particles")
     positions: Annotated[tuple[Point, ...], listing(some="[[0, 0, 0]]")] = Field(description="centres [m]")
 
 
@@ -228,6 +229,8 @@ SpinOrMany = Annotated[
 class Group(Model):
     """Particles of one material, put in place in one way. A list placement needs no count: it has its rows."""
 
+    model_config = ConfigDict(json_schema_extra=not_required("count"))
+
     material: Text = Field(description="name of the particles' material")
     count: Count = Field(description="number of particles; with a list of positions: its length")
     diameter: Sizes = Field(description="diameter [m], or a size distribution; a list with a list of positions")
@@ -254,7 +257,8 @@ class Group(Model):
             if rows is None:
                 yield Fault(key, "is a list, which goes only with place {kind: list}; give one value", whole=True)
             elif length != rows:
-                yield Fault(key, f"has {length} entries and place.positions has {rows} rows", whole=True)
+                reason = f"is a list of length {length} and place.positions one of {rows}; give one to each position"
+                yield Fault(key, reason, whole=True)
 
     def _lists(self) -> Iterator[tuple[KeyPath, int]]:
         if isinstance(self.diameter, tuple):

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag, model_validator
+from pydantic import ConfigDict, Field, Tag, model_validator
 
 from granflow.scene.fields import (
+    AlsoWritten,
     Density,
     Model,
     Number,
     Positive,
-    Pressure,
     Speed,
     Stiffness,
     Text,
@@ -18,10 +18,14 @@ from granflow.scene.fields import (
     choice,
     chosen,
     couple,
+    required_unless,
     shorthand,
 )
 from granflow.scene.presets import PRESETS
+from granflow.scene.suggest import known_or_meant
 
+YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
@@ -33,17 +37,22 @@ def _preset_in(given: Any, known: Iterable[str], kind: str) -> str | None:
     name = given.get("preset") if isinstance(given, dict) else None
     if name is None or name in list(known):
         return name
-    raise but(f"the {kind} are {', '.join(known)}", "preset")
+    raise but(f"this is not one of the {kind}. {known_or_meant(str(name), known, kind)}", "preset")
+
+
+_OPTIONAL = ("yield_strength", "restitution_fit")  # of a material: nothing written after the key leaves it out
 
 
 class Material(Model):
     """What a particle or a wall is made of. A preset fills in what is not given here."""
 
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
+
     preset: Text | None = Field(None, description="name of a known material that fills in what is not given")
-    young_modulus: Pressure = Field(description="Young's modulus [Pa], such as 70 GPa")
+    young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
     poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.23")
     density: Density = Field(description="density of the solid [kg/m3], such as 2500")
-    yield_strength: Pressure | None = Field(
+    yield_strength: YieldStrength | None = Field(
         None, description="yield strength [Pa]; only needed for the limit velocity of Eq. 11"
     )
     restitution_fit: Annotated[tuple[Positive, Positive], couple("[sigma, psi]")] | None = Field(
@@ -57,7 +66,8 @@ class Material(Model):
         if name is None:
             return given
         preset = {key: getattr(PRESETS[name], key) for key in cls.model_fields if key != "preset"}
-        return preset | given
+        left_out = {key for key, value in given.items() if value is None and key in _OPTIONAL}
+        return preset | {key: value for key, value in given.items() if key not in left_out}
 
     @property
     def shear_modulus(self) -> float:
@@ -67,6 +77,8 @@ class Material(Model):
 
 class RestitutionFit(Model):
     """Restitution that falls with the approach velocity: e(v) = exp(-sigma (v / (vlim - v))^psi) (Eq. 12)."""
+
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
     sigma: Positive = Field(description="sigma of Eq. 12")
     psi: Positive = Field(description="psi of Eq. 12")
@@ -108,7 +120,7 @@ class Pair(Model):
 class ZhouNormal(Model):
     """Hertz loading, nonlinear plastic unloading (Zhou 2011)."""
 
-    law: Literal["zhou"]
+    law: Literal["zhou"] = Field(description="name of the normal law")
     restitution: Literal["onset", "peak", "constant"] = Field(
         "onset",
         description="which velocity gives e: that at first touch, that which Eq. 5 gives for the largest overlap, "
@@ -122,7 +134,7 @@ class ZhouNormal(Model):
 class HertzNormal(Model):
     """Hertz spring; viscous damping that gives each pair's restitution number, 1 being elastic."""
 
-    law: Literal["hertz"]
+    law: Literal["hertz"] = Field(description="name of the normal law")
 
 
 class ReferenceVelocity(Model):
@@ -138,10 +150,12 @@ class GivenStiffness(Model):
 
 
 def _stiffness_tag(value: Any) -> str | None:
-    if isinstance(value, str):
-        return "<onset>" if value == "onset" else None
-    given = isinstance(value, GivenStiffness) or (isinstance(value, dict) and "value" in value)
-    return "<value>" if given else "<reference_velocity>"
+    if value == "onset":
+        return "<onset>"
+    for tag, model in (("value", GivenStiffness), ("reference_velocity", ReferenceVelocity)):
+        if isinstance(value, model) or (isinstance(value, dict) and tag in value):
+            return f"<{tag}>"
+    return None
 
 
 LinearStiffness = Annotated[
@@ -155,7 +169,7 @@ LinearStiffness = Annotated[
 class LinearNormal(Model):
     """Linear spring and dashpot."""
 
-    law: Literal["linear"]
+    law: Literal["linear"] = Field(description="name of the normal law")
     stiffness: LinearStiffness = Field(
         description="onset (Eq. 19 per contact, from its own first velocity), {reference_velocity: 1 m/s} "
         "or {value: 1e4 N/m}"
@@ -168,6 +182,7 @@ Normal = Annotated[
     | Annotated[LinearNormal, Tag("<linear>")],
     choice("law"),
     shorthand("law"),
+    AlsoWritten(("zhou", "hertz")),
 ]
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem, parse
 from granflow.scene.schema import Scene
-from granflow.scene.words import dotted, known_or_meant, model_at
+from granflow.scene.suggest import known_or_meant
+from granflow.scene.words import dotted, model_at
 
 
 class _Refused(Exception):

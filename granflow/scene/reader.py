@@ -14,6 +14,7 @@ from granflow.scene.document import Document, DocumentError, Problem, parse
 from granflow.scene.draft import Draft, draft_of
 from granflow.scene.matter import RestitutionFit, ZhouNormal
 from granflow.scene.schema import Scene
+from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
 
 _LARGEST_FILE = 64 * 2**20  # bytes
@@ -68,8 +69,6 @@ def _text(path: Path) -> str:
 
 
 def _similar(path: Path) -> str:
-    from granflow.scene.words import nearest
-
     try:
         near = nearest(path.name, [each.name for each in path.parent.glob("*.y*ml")])
     except OSError:

@@ -6,9 +6,9 @@ defaults, all of them in `Run` and `Numerics`.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr
 
 from granflow.scene.document import Document
 from granflow.scene.fields import (
@@ -74,6 +74,7 @@ from granflow.scene.shapes import (
     Vibration,
     Wall,
 )
+from granflow.scene.writer import to_yaml
 
 __all__ = [
     "AnyWall",
@@ -192,19 +193,15 @@ class Output(Model):
     """What is written, and how often."""
 
     interval: PositiveTime = Field(description="time between VTU frames [s]")
-    timeseries_interval: PositiveTime = Field(description="time between rows of timeseries.csv [s]; default: interval")
+    timeseries_interval: PositiveTime = Field(
+        default_factory=lambda given: given["interval"],
+        description="time between rows of timeseries.csv [s]; left out: interval",
+    )
     particles: Flag = Field(True, description="write particles_*.vtu")
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill_in_interval(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "interval" in given:
-            return {"timeseries_interval": given["interval"]} | given
-        return given
 
 
 class Expectation(Model):
@@ -280,6 +277,10 @@ class Scene(Model):
         """The key under `pairs` for two materials, named in either order."""
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
+
+    def text(self) -> str:
+        """The scene as it is run, as YAML with every default filled in; it loads again to an equal scene."""
+        return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
 
     def where(self, *key_path: str | int) -> str:
         """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, Tag
 
 from granflow.scene.fields import (
+    AlsoWritten,
     Angle,
     AngularVelocity,
     Direction,
@@ -38,6 +39,7 @@ def _dot(a: Vector3, b: Vector3) -> float:
 class Timed(Model):
     """A motion that lasts from `start` to `end`, or through stages; left out: all the time."""
 
+    kind: str = Field(description="kind of motion")
     start: Time | None = Field(None, description="time at which the motion begins [s]; left out: the beginning")
     end: Time | None = Field(None, description="time at which the motion ends [s]; left out: never")
     stages: Names | None = Field(
@@ -55,7 +57,7 @@ class Timed(Model):
 class Vibration(Timed):
     """Sinusoidal motion along a direction: s(t) = amplitude sin(angular_frequency t + phase)."""
 
-    kind: Literal["vibration"]
+    kind: Literal["vibration"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the motion; its length does not matter")
     amplitude: PositiveLength | None = Field(None, description="amplitude, half of peak to peak [m]")
     frequency: Frequency | None = Field(None, description="frequency [Hz]")
@@ -90,14 +92,14 @@ class Vibration(Timed):
 class Translation(Timed):
     """Motion at a constant velocity."""
 
-    kind: Literal["translation"]
+    kind: Literal["translation"] = Field(description="kind of motion")
     velocity: VelocityVector = Field(description="velocity [m/s]")
 
 
 class Rotation(Timed):
     """Rotation about an axis at a constant rate, right-handed."""
 
-    kind: Literal["rotation"]
+    kind: Literal["rotation"] = Field(description="kind of motion")
     point: Point = Field(description="a point on the axis [m]")
     axis: Direction = Field(description="direction of the axis; its length does not matter")
     angular_velocity: AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
@@ -114,11 +116,12 @@ Motion = Annotated[
 class Wall(Model):
     """What every wall has, whatever its shape."""
 
+    shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
     appears_at: Time | None = Field(None, description="time at which the wall appears [s]; left out: the beginning")
     vanishes_at: Time | None = Field(None, description="time at which the wall vanishes [s]; left out: never")
     stages: Names | None = Field(None, description="stages in which the wall is there; left out: all")
-    motion: Annotated[tuple[Motion, ...], listing(one=True)] = Field(
+    motion: Annotated[tuple[Motion, ...], listing(one=True), AlsoWritten()] = Field(
         (), description="how the wall moves: one motion or a list of them"
     )
 
@@ -136,7 +139,7 @@ class Wall(Model):
 class Plane(Wall):
     """An infinite plane with a solid half space behind it: particles live on the side of the normal."""
 
-    shape: Literal["plane"]
+    shape: Literal["plane"] = Field(description="shape of the wall")
     point: Point = Field(description="a point on the plane [m]")
     normal: Direction = Field(description="normal, towards the particles; its length does not matter")
 
@@ -144,7 +147,7 @@ class Plane(Wall):
 class Rectangle(Wall):
     """A flat rectangle that works from both sides."""
 
-    shape: Literal["rectangle"]
+    shape: Literal["rectangle"] = Field(description="shape of the wall")
     corner: Point = Field(description="one corner [m]")
     sides: Annotated[tuple[Point, Point], couple("two edge vectors")] = Field(
         description="the two edges from that corner, perpendicular vectors [m]"
@@ -179,14 +182,14 @@ class Axial(Wall):
 class Cylinder(Axial):
     """A thin tube without ends, touched from inside and outside."""
 
-    shape: Literal["cylinder"]
+    shape: Literal["cylinder"] = Field(description="shape of the wall")
     radius: PositiveLength = Field(description="radius [m]")
 
 
 class Cone(Axial):
     """A thin cone frustum without ends, touched from inside and outside."""
 
-    shape: Literal["cone"]
+    shape: Literal["cone"] = Field(description="shape of the wall")
     radius_from: NotNegativeLength = Field(description="radius at `from` [m]")
     radius_to: NotNegativeLength = Field(description="radius at `to` [m]")
 
@@ -200,7 +203,7 @@ class Cone(Axial):
 class Disc(Wall):
     """A thin round disc, with or without a round hole, that works from both sides."""
 
-    shape: Literal["disc"]
+    shape: Literal["disc"] = Field(description="shape of the wall")
     center: Point = Field(description="centre [m]")
     normal: Direction = Field(description="normal; its length and sign do not matter")
     radius: PositiveLength = Field(description="outer radius [m]")

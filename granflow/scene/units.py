@@ -117,7 +117,7 @@ def _wrong_unit(unit: str, asked: Dimension) -> str:
     if not asked.units or asked is DIMENSIONS["number"]:
         return f"{asked.noun} without a unit is asked here, such as {asked.example}"
     if owners:
-        return f"{unit} is a unit of {owners[0]} and {asked.noun} is asked here, such as {asked.example}"
+        return f"{unit} measures {owners[0]} and {asked.noun} is asked here, such as {asked.example}"
     near = difflib.get_close_matches(unit, list(asked.units), n=1, cutoff=0.6)
     known = ", ".join(name for name in asked.units if name.isascii())
     hint = f" (did you mean {near[0]}?)" if near else ""

@@ -1,6 +1,5 @@
 """Every complaint of the schema as one plain sentence with its place and remedy."""
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator
 from types import UnionType
@@ -11,8 +10,9 @@ from pydantic import BaseModel, Tag, ValidationError
 from granflow.scene.document import Document, KeyPath, Node, Problem
 from granflow.scene.fields import Fault
 from granflow.scene.schema import Scene
+from granflow.scene.suggest import known_or_meant, nearest
 
-_CLOSE = 0.6  # similarity from which a name is suggested
+_FOLLOWS = "default_factory_not_called"  # a value copied from another one that is wrong itself
 _SHAPES_OF_TYPES = {
     "dict_type": "names with their values are asked here, name: {...}",
     "tuple_type": "a list is asked here, [ ... ]",
@@ -24,21 +24,6 @@ _SHAPES_OF_TYPES = {
 def dotted(path: Iterable[str | int]) -> str:
     """The path as messages and `--set` write it: walls.floor.normal.2."""
     return ".".join(str(key) for key in path)
-
-
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that was probably meant, if there is one."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=_CLOSE)
-    return near[0] if near else None
-
-
-def known_or_meant(word: str, known: Iterable[str], kind: str) -> str:
-    """Remedy for an unknown word: the one meant, or all there are."""
-    names = list(known)
-    near = nearest(word, names)
-    if near:
-        return f"Did you mean {near}?"
-    return f"The {kind} {'is' if len(names) == 1 else 'are'} {', '.join(names)}" if names else f"There are no {kind}"
 
 
 def problem_of(document: Document, path: KeyPath, fault: Fault) -> Problem:
@@ -75,7 +60,7 @@ def problems_of(document: Document, error: ValidationError) -> list[Problem]:
     return [
         complaint.problem()
         for complaint in complaints
-        if not (complaint.type == "missing" and complaint.path in meant) and not complaint.about_a_default()
+        if complaint.type != _FOLLOWS and not (complaint.type == "missing" and complaint.path in meant)
     ]
 
 
@@ -90,11 +75,6 @@ class _Complaint:
         self.of_key = bool(loc) and loc[-1] == "[key]"
         self.loc = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
         self.path = as_written(document, self.loc)
-
-    def about_a_default(self) -> bool:
-        """Whether it is about a value that was copied from another key, where the same complaint stands."""
-        own_words = self.type in ("but", "whole") and not self.of_key
-        return own_words and bool(self.path) and self.document.find(self.path) is None
 
     def meant(self) -> Iterator[KeyPath]:
         """The key that was probably meant, for an unknown one."""

@@ -1,0 +1,44 @@
+"""Writes a scene back as YAML, every default filled in, that loads again to an equal scene."""
+
+import json
+import re
+from typing import Any
+
+from granflow.scene.document import resolve
+
+_WIDTH = 110  # of a line that holds a whole mapping or list
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
+
+
+def to_yaml(value: Any, indent: int = 0) -> str:
+    """YAML text of plain data (dict, list or tuple, str, bool, int, float): what is short on one line."""
+    pad = " " * indent
+    if isinstance(value, dict):
+        return "".join(f"{pad}{key}:{_below(each, indent)}" for key, each in value.items())
+    return "".join(f"{pad}- {_in_list(each, indent)}" for each in value)
+
+
+def _below(value: Any, indent: int) -> str:
+    """The value of a key: on the same line if it fits, else on the lines below."""
+    line = _inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f" {line}\n"
+    return "\n" + to_yaml(value, indent + 2)
+
+
+def _in_list(value: Any, indent: int) -> str:
+    line = _inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f"{line}\n"
+    return to_yaml(value, indent + 2).lstrip(" ")
+
+
+def _inline(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_inline(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_inline(each) for each in value) + "]"
+    if isinstance(value, str):
+        plain = _PLAIN.fullmatch(value) and isinstance(resolve(value), str) and ": " not in value
+        return value if plain else json.dumps(value, ensure_ascii=True)
+    return json.dumps(value)
