@@ -47,7 +47,8 @@ def _materials(draft: Draft) -> Iterator[Finding]:
 
 
 def _some_particles(draft: Draft) -> Iterator[Finding]:
-    if draft.document.root.child("particles") is not None and not draft.names("particles"):
+    node = draft.document.root.child("particles")
+    if node is not None and node.entries == {}:
         yield ("particles",), Fault((), "at least one group of particles is needed")
 
 
@@ -150,8 +151,13 @@ def _stage_names(draft: Draft) -> Iterator[Finding]:
     for wall_name, wall in draft.scene.walls.items():
         for path, wanted in _stages_wanted(wall):
             for index, name in enumerate(wanted):
-                if name not in names:
-                    yield _unknown(("walls", wall_name, *path, "stages", index), name, names, "stage")
+                if name in names:
+                    continue
+                place = ("walls", wall_name, *path, "stages", index)
+                if draft.scene.stages:
+                    yield _unknown(place, name, names, "stage")
+                else:
+                    yield place, Fault((), "the scene has no stages; give times instead of stages")
 
 
 def _schedule(draft: Draft) -> tuple[Stage, ...]:

@@ -9,6 +9,7 @@ from fractions import Fraction
 
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
+_COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
 _PI = Fraction(math.pi)
 _STANDARD_GRAVITY = "9.80665"
 _LONGEST_EXACT = 100  # characters; more digits than this are rounded before the unit is applied
@@ -81,6 +82,8 @@ def to_si(text: str, dimension: str) -> float:
     Raises `UnitError` where the text is no number, or the unit is unknown or of another dimension.
     """
     asked = dimension_of(dimension)
+    if _COMMA.search(text):
+        raise UnitError(f"a decimal point is asked here, not a comma: {text.replace(',', '.')}")
     match = _AMOUNT.fullmatch(text)
     if match is None:
         raise UnitError(f"{asked.noun} is asked here, such as {asked.example}")

@@ -1,0 +1,149 @@
+"""Every bad scene gives its sentences, each with its place, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from granflow.errors import SceneError
+from granflow.scene import load
+
+HERE = Path(__file__).parent
+GOOD = (HERE / "good.yaml").read_text(encoding="utf-8")
+CASES = YAML(typ="safe", pure=True).load((HERE / "cases.yaml").read_text(encoding="utf-8"))
+DEEPEST_KEY = "particles.grit.diameter.classes.0.fraction"
+
+
+def changed(change):
+    text = GOOD
+    for old, new in change.items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def sentences(path, *overrides):
+    with pytest.raises(SceneError) as caught:
+        load(path, overrides)
+    return list(caught.value.problems)
+
+
+def test_the_good_scene_is_good():
+    assert load(HERE / "good.yaml").title == "Small hopper on a shaker"
+
+
+def test_there_are_many_cases_with_names_of_their_own():
+    names = [case["name"] for case in CASES]
+    assert len(names) == len(set(names)) >= 100
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"].replace(" ", "_"))
+def test_a_bad_scene_says_what_is_wrong(case, tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(changed(case["change"]), encoding="utf-8")
+    assert sentences(path) == [f"{path}:{sentence}" for sentence in case["says"]]
+
+
+FILES = [
+    (b"", ":1:1: the file is empty, but a scene is keys with values, beginning with title: My scene."),
+    (b"# nothing\n", ":1:1: the file is empty, but a scene is keys with values, beginning with title: My scene."),
+    (b"- a\n", ":1:1: this is no mapping, but a scene is keys with values, beginning with title: My scene."),
+    (b"hopper", ":1:1: this is no mapping, but a scene is keys with values, beginning with title: My scene."),
+    ("title: x\n".encode("utf-16"), ":1:1: the file is in UTF-16; save it as UTF-8."),
+    (b"title: x\nseed: \xff\n", ":2:7: the file is not text in UTF-8; save it as UTF-8."),
+    (b"title: x\0\n", ": the file is binary; a scene is text in UTF-8."),
+]
+
+
+@pytest.mark.parametrize(("raw", "sentence"), FILES)
+def test_a_file_that_is_no_scene(raw, sentence, tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(raw)
+    assert sentences(path) == [f"{path}{sentence}"]
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    (tmp_path / "hopper.yaml").touch()
+    near, far = tmp_path / "hoper.yaml", tmp_path / "x.yaml"
+    assert sentences(near) == [f"{near}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"]
+    assert sentences(far) == [f"{far}: there is no such file."]
+
+
+def test_a_directory(tmp_path):
+    assert sentences(tmp_path) == [f"{tmp_path}: this is a directory; name the scene file in it."]
+
+
+def test_a_bom_is_no_problem(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
+    assert load(path) == load(HERE / "good.yaml")
+
+
+def test_all_at_once_in_the_order_of_the_file(tmp_path):
+    changes = {
+        "  - {quantity: mass_flow.outlet,": "  - {quantity: mass_flow.outlets,",
+        "density: 8030": "density: heavy",
+        "material: steel}\n  tube": "material: steal}\n  tube",
+        "radius: 5 cm\n": "radus: 5 cm\n",
+        "hole_radius: 1 cm": "hole_radius: 3 cm",
+        "count: 8000": "count: 0",
+        "name: discharge": "name: fill",
+        "friction: 0.4, ": "",
+    }
+    path = tmp_path / "scene.yaml"
+    path.write_text(changed(changes), encoding="utf-8")
+    found = [sentence.removeprefix(f"{path}:") for sentence in sentences(path, "run.precision=f63")]
+    assert [sentence.split()[1] for sentence in found[:-1]] == [
+        "materials.steel.density",
+        "pairs.glass-glass.friction",
+        "walls.floor.material",
+        "walls.tube.radus",
+        "walls.gate.hole_radius",
+        "particles.beads.count",
+        "stages.2.name",
+        "expect.0.quantity",
+    ]
+    lines = [int(sentence.split(":")[0]) for sentence in found[:-1]]
+    assert lines == sorted(lines)
+    assert found[-1].startswith("--set run.precision=f63: run.precision is f63, but it must be one of")
+
+
+OVERRIDES = [
+    ("foo", "an override is written key.path=value, such as run.duration=2."),
+    ("=3", "an override is written key.path=value, such as run.duration=2."),
+    ("run..duration=3", "an override is written key.path=value, such as run.duration=2."),
+    ("seed=", "seed is given no value; write it after the equals sign."),
+    ("sead=3", "sead is not known here. Did you mean seed?"),
+    ("runn.precision=f32", "runn is not in the scene. Did you mean run?"),
+    ("walls.tube.radus=3 cm", "walls.tube.radus is not known here. Did you mean radius?"),
+    ("walls.tub.radius=3 cm", "walls.tub is not in the scene. Did you mean tube?"),
+    (
+        "walls.tube.radius=3 Pa",
+        "walls.tube.radius is 3 Pa, but Pa measures a pressure and a length is asked here, such as 4 mm.",
+    ),
+    ("stages.5.duration=3", "stages is a list of items 0 to 2, so 5 is not in it."),
+    ("stages.first.duration=3", "stages is a list of items 0 to 2, so first is not in it."),
+    (
+        "contact.normal.restitution=peak",
+        "contact.normal is zhou, which has nothing inside to set; set contact.normal as a whole.",
+    ),
+    ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
+    ("seed=!!python/name:os 3", "the tag !!python/name:os is not used in scenes; leave it out."),
+    (
+        "pairs.steel-glass.friction=-1",
+        "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0.",
+    ),
+    (f"{DEEPEST_KEY}=-1", f"{DEEPEST_KEY} is -1, but a fraction must be at least 0."),
+]
+
+
+@pytest.mark.parametrize(("override", "sentence"), OVERRIDES, ids=lambda text: text.split("=")[0])
+def test_a_bad_override_says_what_is_wrong(override, sentence):
+    assert sentences(HERE / "good.yaml", override) == [f"--set {override}: {sentence}"]
+
+
+def test_a_missing_key_in_an_override_stands_at_the_override():
+    assert sentences(HERE / "good.yaml", "walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}") == [
+        "--set walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}: "
+        "walls.lid.normal is missing: normal; its length and sign do not matter."
+    ]
