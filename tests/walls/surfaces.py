@@ -1,9 +1,13 @@
 """Shapes to try, random points about them, and the device functions run over arrays."""
 
+from functools import cache
+
 import numpy as np
 import taichi as ti
 
 from granflow.walls import PARAMETER_COUNT, cone, cylinder, disc, half_space, rectangle
+
+NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
 
 TILTED = np.array([0.3, -0.5, 0.8])
 
@@ -19,29 +23,39 @@ SHAPES = {
 }
 
 
-def on_device(shape, points, dtype=ti.f64, parameter_dtype=None, function="closest"):
-    """Distances (n,) and normals (n, 3) from the device function, computed in the given types."""
-    point = ti.Vector.field(3, dtype, shape=len(points))
-    parameters = ti.Vector.field(PARAMETER_COUNT, parameter_dtype or dtype, shape=())
-    distance = ti.field(dtype, shape=len(points))
-    normal = ti.Vector.field(3, dtype, shape=len(points))
-    point.from_numpy(points)
-    parameters.from_numpy(shape.parameters)
-    closest = shape.kind.closest
-    bare_distance = shape.kind.bare_distance
+def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
+    """Distances (n,), normals (n, 3) and bare distances (n,) from the device, computed in the given types."""
+    number, parameter_number = NUMPY_TYPES[dtype], NUMPY_TYPES[parameter_dtype]
+    distance, bare = np.zeros((2, len(points)), dtype=number)
+    normal = np.zeros((len(points), 3), dtype=number)
+    measure = kernel_for(shape.kind, dtype, parameter_dtype)
+    measure(points.astype(number), shape.parameters.astype(parameter_number), distance, normal, bare)
+    return distance, normal, bare
+
+
+@cache
+def kernel_for(kind, dtype, parameter_dtype):
+    """A kernel that runs the device functions of a kind over arrays."""
+    closest, bare_distance = kind.closest, kind.bare_distance
 
     @ti.kernel
-    def measure():
-        for i in point:
-            distance[i], normal[i] = closest(point[i], parameters[None])
+    def measure(
+        points: ti.types.ndarray(dtype, 2),
+        parameters: ti.types.ndarray(parameter_dtype, 1),
+        distance: ti.types.ndarray(dtype, 1),
+        normal: ti.types.ndarray(dtype, 2),
+        bare: ti.types.ndarray(dtype, 1),
+    ):
+        for i in range(points.shape[0]):
+            point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
+            all_parameters = ti.Vector([parameters[k] for k in ti.static(range(PARAMETER_COUNT))])
+            found, direction = closest(point, all_parameters)
+            distance[i] = found
+            bare[i] = bare_distance(point, all_parameters)
+            for k in ti.static(range(3)):
+                normal[i, k] = direction[k]
 
-    @ti.kernel
-    def measure_bare():
-        for i in point:
-            distance[i] = bare_distance(point[i], parameters[None])
-
-    (measure if function == "closest" else measure_bare)()
-    return distance.to_numpy(), normal.to_numpy()
+    return measure
 
 
 def points_around(shape, count, seed=1):

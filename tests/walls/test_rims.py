@@ -15,7 +15,7 @@ def contacts(shapes, point, reach=APART):
     found = []
     for index, shape in enumerate(shapes):
         distance, _ = shape.kind.reference_closest(points, shape.parameters)
-        on_the_device, _ = on_device(shape, points)
+        on_the_device, _, _ = on_device(shape, points)
         assert on_the_device[0] == pytest.approx(distance[0], abs=1e-15)
         if distance[0] < reach:
             found.append(index)

@@ -1,5 +1,9 @@
 """Distance and normal of every shape: device against twin, against geometry known by hand, in every precision."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import taichi as ti
@@ -16,7 +20,7 @@ COORDINATE_SIZE = 4.0
 def test_device_equals_twin(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 10_000)
-    distance, normal = on_device(shape, points)
+    distance, normal, _ = on_device(shape, points)
     expected_distance, expected_normal = shape.kind.reference_closest(points, shape.parameters)
     tolerance = 4 * EPSILON * COORDINATE_SIZE
     np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
@@ -30,15 +34,15 @@ def test_device_equals_twin(taichi_f64, name):
 def test_normal_is_unit_and_gradient(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
-    distance, normal = on_device(shape, points)
+    distance, normal, _ = on_device(shape, points)
     assert np.all(np.isfinite(normal)) and np.all(np.isfinite(distance))
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
     step = 1e-6
     smooth = (np.abs(distance) > 0.05) & off_axis(shape, points, 0.05)
     gradient = np.empty_like(points)
     for axis, shift in enumerate(step * np.eye(3)):
-        ahead, _ = on_device(shape, points + shift)
-        behind, _ = on_device(shape, points - shift)
+        ahead, _, _ = on_device(shape, points + shift)
+        behind, _, _ = on_device(shape, points - shift)
         gradient[:, axis] = (ahead - behind) / (2 * step)
     # Second derivatives are at most 1 / 0.05 away from edges; across an edge they jump, costing at most step / 0.05.
     np.testing.assert_allclose(normal[smooth], gradient[smooth], atol=2 * step / 0.05)
@@ -71,7 +75,7 @@ HAND_MADE = {
 @pytest.mark.parametrize("case", HAND_MADE)
 def test_known_by_hand(taichi_f64, case):
     shape, point, expected_distance, expected_normal = HAND_MADE[case]
-    distance, normal = on_device(shape, np.array([point], float))
+    distance, normal, _ = on_device(shape, np.array([point], float))
     assert distance[0] == pytest.approx(expected_distance, abs=1e-15)
     np.testing.assert_allclose(normal[0], expected_normal, atol=1e-15)
 
@@ -81,7 +85,7 @@ def test_on_the_axis_the_normal_is_defined(taichi_f64, name):
     """At r = 0 the radial direction is a choice, but distance and length of the normal are not."""
     shape = SHAPES[name]
     points = shape.parameters[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.parameters[3:6]
-    distance, normal = on_device(shape, points)
+    distance, normal, _ = on_device(shape, points)
     expected, _ = shape.kind.reference_closest(points, shape.parameters)
     np.testing.assert_allclose(distance, expected, atol=4 * EPSILON * COORDINATE_SIZE)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=8 * EPSILON)
@@ -91,8 +95,8 @@ def test_on_the_axis_the_normal_is_defined(taichi_f64, name):
 @pytest.mark.parametrize("name", SHAPES)
 def test_lower_precisions(taichi_f64, name, types):
     shape = SHAPES[name]
-    points = points_around(shape, 2_000).astype(np.float32 if types[0] == ti.f32 else np.float64)
-    distance, _ = on_device(shape, points, *types)
+    points = points_around(shape, 2_000)
+    distance, _, _ = on_device(shape, points, *types)
     expected, _ = shape.kind.reference_closest(points.astype(float), shape.parameters)
     np.testing.assert_allclose(distance, expected, atol=8 * np.finfo(np.float32).eps * COORDINATE_SIZE)
 
@@ -101,9 +105,29 @@ def test_lower_precisions(taichi_f64, name, types):
 def test_bare_distance_equals_distance_of_a_free_shape(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
-    bare, _ = on_device(shape, points, function="bare_distance")
-    distance, _ = on_device(shape, points)
+    distance, _, bare = on_device(shape, points)
     np.testing.assert_array_equal(bare, distance)
+
+
+def test_default_precision_does_not_leak():
+    """With f32 as the default type, f64 points and parameters still give f64 results: no literal narrows them."""
+    folders = os.pathsep.join(path for path in sys.path if path)
+    environment = os.environ | {"PYTHONPATH": folders}
+    subprocess.run([sys.executable, "-c", IN_SINGLE_PRECISION], env=environment, check=True)
+
+
+IN_SINGLE_PRECISION = """
+import taichi as ti
+ti.init(arch=ti.cpu, default_fp=ti.f32, fast_math=False)
+import numpy as np
+from walls.surfaces import SHAPES, on_device, points_around
+for shape in SHAPES.values():
+    points = points_around(shape, 500)
+    distance, normal, _ = on_device(shape, points)
+    expected, _ = shape.kind.reference_closest(points, shape.parameters)
+    assert np.abs(distance - expected).max() < 1e-14, shape.kind.name
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-14, shape.kind.name
+"""
 
 
 def test_bad_shapes_are_refused():

@@ -1,0 +1,132 @@
+"""Particles that arrive during the run: so many per second, at random in a region, wherever there is room."""
+
+import math
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.scene.grains import Grains, grains_of, random_for, shortfall, stream_of
+from granflow.scene.nearness import meets_any
+from granflow.scene.placing import NoRoomError, Spheres, check_width
+from granflow.scene.rooms import room_of
+from granflow.scene.schema import Scene
+from granflow.scene.sizes import draw_diameters
+
+POURS_AT_MOST = 500
+"""Into how many batches a long rain is gathered: each one stops the device for a moment."""
+
+POURED_FRACTION = 0.05
+"""Solid fraction of the region that one batch fills at most."""
+
+EARLY = 1e-6
+"""How much of a particle may be missing when it is called due: `next_time` is rounded."""
+
+RETRIED_BATCHES = 4
+"""How many batches of waiting particles are tried again in one pour, so that a clogged region costs little."""
+
+TRIES = (8, 56)
+"""Places tried for a particle: first round, and second round for those without luck."""
+
+
+class Rain:
+    """The rain of one group: which sizes come in which order is settled beforehand.
+
+    Particle k is due at start + k / rate. Those due are poured in batches; one that finds no room waits and goes
+    first the next time. The places depend on the scene's seed, the number of the pour, and what is there already.
+
+    radius (count,) [m]: all sizes in the order of arrival.  remaining: how many are still to come.
+    next_time [s]: when to pour next; infinite once all have come.
+    """
+
+    def __init__(self, scene: Scene, group_name: str) -> None:
+        group = scene.particles[group_name]
+        self.scene, self.group_name = scene, group_name
+        if group.place.kind != "rain":
+            raise ValueError(f"{group_name} does not rain.")
+        self.rate, self.start = group.place.rate, group.place.start
+        self.room = room_of(group.place.region)
+        self.radius = draw_diameters(group.diameter, group.count, random_for(scene, group_name)) / 2
+        self.radius.setflags(write=False)
+        check_width(self.room, self.radius.max())
+        self.batch = batch_size(self.radius, self.room.volume)
+        self.waiting = np.empty(0, dtype=np.int64)
+        self.due_count = 0
+        self.pour_count = 0
+        self.next_time = self.start
+
+    @property
+    def remaining(self) -> int:
+        """How many have not come yet, those waiting for room included."""
+        return len(self.radius) - self.due_count + len(self.waiting)
+
+    def pour(self, time: float, position: np.ndarray, radius: np.ndarray) -> Grains:
+        """The grains that come at `time`, clear of those present (position (m, 3), radius (m,)) and of each other."""
+        due = min(len(self.radius), math.floor((time - self.start) * self.rate + EARLY) + 1)
+        arriving = np.arange(self.due_count, due)
+        queue = np.concatenate([self.waiting, arriving])
+        self.due_count += len(arriving)
+        trying = queue[: RETRIED_BATCHES * self.batch + len(arriving)]
+        present = Spheres(np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
+        random = np.random.default_rng([*stream_of(self.scene, self.group_name), self.pour_count])
+        places = self.find_places(trying, present.near(self.room), random)
+        poured = np.array(list(places), dtype=np.int64)
+        self.waiting = queue[~np.isin(queue, poured)]
+        self.pour_count += 1
+        self.next_time = self.time_after(time)
+        centers = np.array([places[k] for k in poured]).reshape(-1, 3)
+        return grains_of(self.scene, self.group_name, centers, self.radius[poured])
+
+    def time_after(self, time: float) -> float:
+        """When the next batch is due; while only waiting ones are left, after the time a batch takes."""
+        if self.remaining == 0:
+            return math.inf
+        if self.due_count == 0:
+            return self.start
+        if self.due_count == len(self.radius):
+            return time + self.batch / self.rate
+        last = min(self.due_count + self.batch, len(self.radius)) - 1
+        return self.start + last / self.rate
+
+    def find_places(self, trying: np.ndarray, present: Spheres, random: np.random.Generator) -> dict[int, np.ndarray]:
+        """Centres found for those of `trying` that have room, by number, in the order tried."""
+        places: dict[int, np.ndarray] = {}
+        for tries in TRIES:
+            left = np.array([k for k in trying if k not in places], dtype=np.int64)
+            many = np.repeat(self.radius[left], tries)
+            proposed = self.room.sample(many, random)
+            free = ~meets_any(proposed, many, present.position, present.radius)
+            for row, k in enumerate(left):
+                own = slice(row * tries, (row + 1) * tries)
+                self.take_first_clear(int(k), proposed[own][free[own]], places)
+        return places
+
+    def take_first_clear(self, k: int, proposed: np.ndarray, places: dict[int, np.ndarray]) -> None:
+        """Note the first proposed centre (t, 3) for particle k that is clear of the places taken in this pour."""
+        if len(proposed) and places:
+            taken = np.array(list(places.values()))
+            limit = self.radius[k] + self.radius[list(places)]
+            apart = np.linalg.norm(proposed[:, None, :] - taken, axis=2) >= limit
+            proposed = proposed[apart.all(axis=1)]
+        if len(proposed):
+            places[k] = proposed[0]
+
+
+def batch_size(radius: np.ndarray, volume: float) -> int:
+    """How many particles to gather for one pour."""
+    mean_volume = float(np.mean(4 / 3 * np.pi * radius**3))
+    room_for = int(POURED_FRACTION * volume / mean_volume)
+    return max(1, min(math.ceil(len(radius) / POURS_AT_MOST), room_for))
+
+
+def rains(scene: Scene) -> tuple[Rain, ...]:
+    """One Rain for each group that rains, in the order of the scene. Raises SceneError."""
+    found, problems = [], []
+    for name, group in scene.particles.items():
+        if group.place.kind == "rain":
+            try:
+                found.append(Rain(scene, name))
+            except NoRoomError as error:
+                problems.append(shortfall(scene, name, error))
+    if problems:
+        raise SceneError(problems)
+    return tuple(found)
