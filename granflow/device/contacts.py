@@ -4,7 +4,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.encounter import build_encounter
+from granflow.device.encounter import build_encounter, build_pair_number, build_weight
 from granflow.device.state import LOSSES, State
 from granflow.device.walls import build_wall_geometry
 from granflow.laws.mindlin import carried_displacement, elastic_plastic_spring, spring_loss
@@ -13,7 +13,7 @@ from granflow.laws.rolling import directional_torque
 GUARD_OVERLAP = 3
 """Guard code: an overlap above the scene's limit."""
 
-PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(loss_count)
+PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 
 
 def build_lateral(state: State) -> Any:
@@ -155,6 +155,7 @@ def build_forces(state: State) -> Any:
     gravity = [float(g) for g in plan.gravity]
     memory_size = max(law.history_count, 1)
     encounter, surface, forget = build_encounter(state), build_surface(state), build_forget(state)
+    pair_number, weight = build_pair_number(state), build_weight(state)
     geometry, shared_chunks, loss_count = build_wall_geometry(state), plan.chunk_size > 1, len(LOSSES)
 
     @ti.func
@@ -163,18 +164,6 @@ def build_forces(state: State) -> Any:
             particles.force[i] = particles.mass[i] * ti.Vector(gravity, dt=real)
             if ti.static(features.rotation):
                 particles.torque[i] *= 0.0
-
-    @ti.func
-    def pair_number(i, j):
-        number = 0
-        if ti.static(not features.one_material):
-            number = particles.material[i] * plan.material_count
-            if j >= 0:
-                number += particles.material[j]
-        if ti.static(plan.has_walls):
-            if j < 0:
-                number += state.walls.material[-1 - j]
-        return number
 
     @ti.func
     def normal_memory(slot):
@@ -200,14 +189,11 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def react(j, first, last, force, torque):
-        inside = 0
         if ti.static(shared_chunks):
             if j >= first and j < last:
-                inside = 1
                 particles.force[j] -= force
                 if ti.static(features.rotation):
                     particles.torque[j] += torque
-        return inside
 
     @ti.func
     def forces(chunk, count, pose, dt):
@@ -241,17 +227,17 @@ def build_forces(state: State) -> Any:
                         spin_torque, other_torque = torque - arm * moment, -torque - arm_partner * moment
                     total += force
                     total_torque += spin_torque
-                    inside = react(j, first, last, force, other_torque)
+                    react(j, first, last, force, other_torque)
                     if ti.static(features.ledger):
-                        weight = ti.select(inside == 1 or j < 0, 1.0, 0.5)
-                        losses[FRICTION] += weight * friction_loss
-                        losses[ROLLING] += weight * rolling_loss
-                        losses[DAMPING] += weight * viscous * rate * dt
+                        share = weight(i, j)
+                        losses[FRICTION] += share * friction_loss
+                        losses[ROLLING] += share * rolling_loss
+                        losses[DAMPING] += share * viscous * rate * dt
                         losses[WALL_WORK] += wall_work(i, j, pose, force, dt)
                 else:
                     lost = forget(slot, i, j, constants, dt)
                     if ti.static(features.ledger):
-                        losses[PLASTIC] += ti.select(j < 0 or (j >= first and j < last), 1.0, 0.5) * lost
+                        losses[PLASTIC] += weight(i, j) * lost
             particles.force[i] += total
             if ti.static(features.rotation):
                 particles.torque[i] += total_torque

@@ -73,3 +73,37 @@ def build_encounter(state: State) -> Any:
         return overlap, normal, middle, late, -now.dot(normal), arm, arm_partner, radius_eff, mass_eff
 
     return encounter
+
+
+def build_weight(state: State) -> Any:
+    """Device function: 1 for a pair that stands in one row, 1/2 for one that stands in two."""
+    chunk_size = state.plan.chunk_size
+
+    @ti.func
+    def weight(i, j):
+        share = 1.0
+        if j >= 0 and i // chunk_size != j // chunk_size:
+            share = 0.5
+        return share
+
+    return weight
+
+
+def build_pair_number(state: State) -> Any:
+    """Device function: row of the pair constants for particle i and partner j."""
+    plan, particles, walls = state.plan, state.particles, state.walls
+    features = plan.features
+
+    @ti.func
+    def pair_number(i, j):
+        number = 0
+        if ti.static(not features.one_material):
+            number = particles.material[i] * plan.material_count
+            if j >= 0:
+                number += particles.material[j]
+        if ti.static(plan.has_walls):
+            if j < 0:
+                number += walls.material[-1 - j]
+        return number
+
+    return pair_number

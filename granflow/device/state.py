@@ -8,6 +8,7 @@ import taichi as ti
 from granflow.device.backend import Backend
 from granflow.plan import Plan
 from granflow.walls.catalogue import kind_code
+from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT
 
 WALL_BATCH = 64
@@ -199,6 +200,7 @@ class State:
         self.sorting = Sorting(plan, self.particles, plan.cell_capacity)
         self.walls = Walls(plan, backend)
         self.control = Control(plan, backend)
+        self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
 
     @property
     def chunk_count(self) -> int:

@@ -47,7 +47,9 @@ class Timing:
     sampled_motion: float = 0.0
     search_count: int = 0
     step_count: int = 0
+    particle_steps: int = 0
     growth_count: int = 0
+    compile: float = 0.0
 
     @property
     def forces(self) -> float:
@@ -69,23 +71,36 @@ class Stepper:
         self.timing = Timing()
         self._on_gone = on_gone
         self._steps_since_search = 0
-        self._since_sample = SAMPLE_EVERY
+        self._since_sample = 0
+        began = clock.perf_counter()
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
+        self._bounds(0)
+        self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
+        self._gather(0)
+        self.timing.compile = clock.perf_counter() - began
         self._build_phases()
 
     def _build_phases(self) -> None:
-        """Compile what knows the contact rows."""
-        state = self.state
+        """Compile what knows the contact rows, by launching it over nothing."""
+        began, state = clock.perf_counter(), self.state
         self._set_aside = build_set_aside(state) if state.contacts.history else None
         self._rows = build_rows(state)
         move, forces = build_move(state), build_forces(state)
         self._move_only, self._forces_only = _build_single_phases(state, move, forces)
-        self._advance_one_chunk = _build_one_chunk(state, move, forces)
-        self._advance_chunks = _build_chunks(state, move, forces)
+        self._one_chunk = state.plan.chunk_capacity == 1
+        build = _build_one_chunk if self._one_chunk else _build_chunks
+        self._advance = build(state, move, forces)
+        self._move_only(0, 0, 0.0)
+        self._forces_only(0, 0, 0, 0.0)
+        self._advance(0, 0, 0.0)
+        self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
+        if self._set_aside is not None:
+            self._set_aside(0)
+        self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
         """Sort, let go of what left the domain, and list who is near whom."""
-        began = clock.perf_counter()
+        began, compiled = clock.perf_counter(), self.timing.compile
         state = self.state
         if state.count:
             gone = self._sort_particles()
@@ -94,7 +109,7 @@ class Stepper:
                 state.count -= gone
         self._fill_rows(pose)
         self._steps_since_search = 0
-        self.timing.search += clock.perf_counter() - began
+        self.timing.search += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.search_count += 1
 
     def _sort_particles(self) -> int:
@@ -131,6 +146,13 @@ class Stepper:
         step = self.state.plan.time_step if history_step is None else history_step
         self._forces_only(self.state.chunk_count, self.state.count, pose, step)
 
+    def refresh(self, time: float) -> None:
+        """Search and forces anew at `time` [s] without a step: after grains or walls came or went."""
+        if self.state.plan.features.moving_walls:
+            upload_poses(self.state, time - self.state.plan.time_step, self.state.plan.time_step)
+        self.search()
+        self.forces(history_step=0.0)
+
     def advance(self, steps: int, time: float) -> int:
         """Do `steps` steps from `time` [s], searching on the way; returns the steps done, fewer if a guard tripped."""
         done = 0
@@ -147,7 +169,7 @@ class Stepper:
         state, plan = self.state, self.state.plan
         if plan.features.moving_walls:
             if self._steps_walls_allow() < 1:
-                self.search(pose=0)
+                self.refresh(time)
             steps = min(steps, WALL_BATCH, max(self._steps_walls_allow(), 1))
             upload_poses(state, time, plan.time_step)
         state.control.steps_done[0] = 0
@@ -161,6 +183,7 @@ class Stepper:
         self._since_sample += done
         self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
         self.timing.step_count += done
+        self.timing.particle_steps += done * state.count
         return done
 
     def _launch(self, steps: int) -> int:
@@ -168,11 +191,11 @@ class Stepper:
         state, step = self.state, self.state.plan.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        if state.chunk_count <= 1:
-            self._advance_one_chunk(min(steps, ONE_CHUNK_BATCH), state.count, step)
+        if self._one_chunk:
+            self._advance(min(steps, ONE_CHUNK_BATCH), state.count, step)
         else:
             for _ in range(min(steps, BATCH)):
-                self._advance_chunks(state.chunk_count, state.count, step)
+                self._advance(state.chunk_count, state.count, step)
         return int(state.control.steps_done[0])
 
     def _sampled_step(self) -> int:

@@ -73,10 +73,10 @@ def upload_poses(state: State, time: float, time_step: float) -> None:
 
     Entry s belongs to the forces at time + (s + 1) dt.
     """
-    walls, plan = state.walls, state.plan
+    walls = state.walls
     times = time + (np.arange(WALL_BATCH) + 1.0) * time_step
-    now = [pose(wall.motions, times) for wall in plan.walls]
-    middle = [pose(wall.motions, times - 0.5 * time_step) for wall in plan.walls]
+    now = [pose(motions, times) for motions in state.wall_motions]
+    middle = [pose(motions, times - 0.5 * time_step) for motions in state.wall_motions]
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
 

@@ -33,11 +33,11 @@ def build(damped: bool) -> NormalLaw:
         """
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         root = ti.sqrt(overlap)
-        normal_force = k * overlap * root
+        elastic = k * overlap * root
+        viscous = 0.0 * k
         if ti.static(damped):
-            viscous = constants[2] * ti.sqrt(mass_eff * k * root) * overlap_rate
-            normal_force = ti.max(normal_force + viscous, 0.0)
-        return normal_force, history
+            viscous = ti.max(constants[2] * ti.sqrt(mass_eff * k * root) * overlap_rate, -elastic)
+        return elastic + viscous, viscous, history
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):

@@ -26,7 +26,8 @@ class NormalLaw:
     in the order of `constant_names`, `history` the vector of what the contact remembers in the order of
     `history_names` (both at least one long; a law without history gets one unused number).
 
-    force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history) -> (normal_force, history)
+    force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
+        -> (normal_force, the viscous part of it, history)
     stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history) -> recoverable energy [J]
     lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history) -> energy this contact took for good
         that is a function of its history alone (plastic work) [J]

@@ -50,8 +50,9 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
         memory = history
         if memory[0] == 0.0:
             memory[0] = spring_at(constants, radius_eff, mass_eff, overlap_rate)
-        viscous = 2.0 * constants[2] * ti.sqrt(memory[0] * mass_eff) * overlap_rate
-        return ti.max(memory[0] * overlap + viscous, 0.0), memory
+        elastic = memory[0] * overlap
+        viscous = ti.max(2.0 * constants[2] * ti.sqrt(memory[0] * mass_eff) * overlap_rate, -elastic)
+        return elastic + viscous, viscous, memory
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):

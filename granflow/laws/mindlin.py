@@ -2,7 +2,8 @@
 
 The spring remembers its elastic displacement. While the contact grows the force is kept and the displacement
 shrinks with the stiffer contact; while it shrinks the displacement is kept and the force falls with the contact
-radius (Thornton, Cummins & Cleary 2013): so the spring never makes energy.
+radius (Thornton, Cummins & Cleary 2013): so the spring never makes energy. The rolling spring is the same thing
+with a torque and an angle.
 """
 
 import numpy as np
@@ -17,9 +18,9 @@ def mindlin_stiffness(constants, radius_eff, overlap, history):
 
 @ti.func
 def carried_displacement(displacement, normal_middle, twist_step):
-    """Tangential displacement turned with the contact plane over one step.
+    """Displacement turned with the contact plane over one step.
 
-        s' = s - (s . n) (n + n_before) / 2 + (twist of the pair about n) x s
+        s' = s - (s . n) n + (twist of the pair about n) n x s        n in the middle of the step
 
     The middle of the old and the new normal keeps the length of s to fourth order in the angle turned.
     """
@@ -28,27 +29,34 @@ def carried_displacement(displacement, normal_middle, twist_step):
 
 
 @ti.func
-def coulomb(stiffness, friction, normal_force, displacement):
-    """Spring force -k s, held at friction times the normal force; returns (force, displacement, slipped)."""
-    force = -stiffness * displacement
-    kept = displacement
-    slipped = 0
-    cap = friction * normal_force
+def elastic_plastic_spring(stiffness, share, cap, carried, step):
+    """Spring force -k s after one more step of displacement, held at `cap`; returns (force, displacement kept).
+
+    `share` is the stiffness one step ago over the present one: below 1 the force is kept, above 1 the displacement.
+    """
+    kept = ti.min(share, 1.0) * carried + step
+    force = -stiffness * kept
     square = force.dot(force)
     if square > cap * cap:
-        share = cap / ti.sqrt(square)
-        force = share * force
-        kept = share * displacement
-        slipped = 1
-    return force, kept, slipped
+        ratio = cap / ti.sqrt(square)
+        force = ratio * force
+        kept = ratio * kept
+    return force, kept
 
 
-def reference_coulomb(
-    stiffness: float, friction: float, normal_force: float, displacement: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Numpy twin of `coulomb`."""
-    force = -stiffness * displacement
-    size, cap = float(np.sqrt(force @ force)), friction * normal_force
-    if size <= cap:
-        return force, displacement, False
-    return force * (cap / size), displacement * (cap / size), True
+@ti.func
+def spring_loss(stiffness, share, carried, step, force, kept):
+    """Energy the spring took for good in one step [J]: work put in, less what it stores more than before."""
+    before = share * stiffness
+    work = 0.5 * (before * carried - force).dot(step)
+    return work + 0.5 * before * carried.dot(carried) - 0.5 * stiffness * kept.dot(kept)
+
+
+def reference_spring(
+    stiffness: float, share: float, cap: float, carried: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numpy twin of `elastic_plastic_spring`."""
+    trial = (carried * share if share < 1.0 else carried) + step
+    size = stiffness * float(np.sqrt(trial @ trial))
+    kept = trial if size <= cap else trial * (cap / size)
+    return -stiffness * kept, kept

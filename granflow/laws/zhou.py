@@ -139,12 +139,13 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
             memory[1] = e
             memory[2] = y
             normal_force = unloading_force(k, memory[0], e, y, overlap)
+        viscous = 0.0 * k
         if ti.static(damped):
             if normal_force > 0.0:
                 stiffness = 1.5 * k * ti.sqrt(overlap)
                 viscous = 2.0 * damping_ratio * ti.sqrt(stiffness * mass_eff) * overlap_rate
-                normal_force = ti.max(normal_force + viscous, 0.0)
-        return normal_force, memory
+                viscous = ti.max(viscous, -normal_force)
+        return normal_force + viscous, viscous, memory
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):

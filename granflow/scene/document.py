@@ -28,6 +28,7 @@ _MOST_ALIASED = 100_000  # nodes that aliases may add
 _LONGEST_SHOWN = 60  # characters of a value shown in a message
 _LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
 _YAML_TAGS = "tag:yaml.org,2002:"
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NULL = re.compile(r"|~|null|Null|NULL")
 _TRUE = re.compile(r"true|True|TRUE")
 _FALSE = re.compile(r"false|False|FALSE")
@@ -65,7 +66,8 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.sentence}"
+        text = f"{self.place}: {self.sentence}"
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class DocumentError(Exception):
@@ -191,6 +193,7 @@ class _Composer:
 
     def compose(self, text: str) -> Document:
         root: Node | None = None
+        self._printable(text)
         try:
             events = iter(YAML(typ="safe", pure=True).parse(text))
             for event in events:
@@ -201,8 +204,17 @@ class _Composer:
         except MarkedYAMLError as error:
             raise DocumentError(self._syntax(error, text)) from None
         except (YAMLError, ValueError, RecursionError) as error:
-            raise DocumentError(Problem(Place(self.source), f"this is not YAML text: {error}.")) from None
+            first = str(error).partition("\n")[0]
+            raise DocumentError(Problem(Place(self.source), f"this is not YAML text: {first}.")) from None
         return Document(self.source, root or Node(self._place(1, 1)), self.problems)
+
+    def _printable(self, text: str) -> None:
+        """Refuse characters that YAML has no room for."""
+        if found := _FORBIDDEN.search(text):
+            lines = text[: found.start()].splitlines() or [""]
+            place = self._place(len(lines), len(lines[-1]) + 1)
+            code = f"U+{ord(found.group()):04X}"
+            raise DocumentError(Problem(place, f"the control character {code} stands here; delete it."))
 
     def _place(self, line: int, column: int) -> Place:
         return Place(self.source, line, column) if self.placed else Place(self.source)

@@ -1,0 +1,71 @@
+"""What is counted on the host: who came, who left, and the energy they brought or took."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from granflow.device.state import LOSSES, State
+
+
+@dataclass
+class Books:
+    """Counts since the start, and facts about every particle by its id."""
+
+    inserted_count: int = 0
+    deleted_count: int = 0
+    deleted_mass: float = 0.0
+    brought_energy: float = 0.0
+    removed_energy: float = 0.0
+    removed_kinetic_energy: float = 0.0
+    material: list[np.ndarray] = field(default_factory=list)
+    group: list[np.ndarray] = field(default_factory=list)
+
+    def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
+        """`material` or `group` numbers of the scene for particle ids."""
+        parts = getattr(self, name)
+        if len(parts) > 1:
+            parts[:] = [np.concatenate(parts)]
+        return parts[0][ids] if parts else np.zeros(len(ids), np.int32)
+
+
+def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
+    """Kinetic, rotational and gravitational energy [J] of particles.
+
+    `arrays`: mass (n,), radius (n,), position (n, 3), velocity (n, 3) and, if they turn, spin (n, 3).
+    """
+    mass = arrays["mass"].astype(float)
+    kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
+    rotational = 0.0
+    if "spin" in arrays:
+        inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
+        rotational = 0.5 * float(inertia @ np.sum(arrays["spin"].astype(float) ** 2, axis=1))
+    return kinetic, rotational, -float(mass @ (arrays["position"] @ gravity))
+
+
+def ledger_totals(
+    state: State, books: Books, energies: tuple[float, float, float], measured: dict[str, float]
+) -> dict[str, float]:
+    """The energy ledger [J], and its error over the energy that passed through it.
+
+    Whatever gravity, initial motion, arriving particles and walls put in must be found again as kinetic, elastic,
+    dissipated or taken away.
+    """
+    assert state.control.losses is not None
+    losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
+    losses["plastic"] += measured["plastic_dissipation"]
+    dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
+    held = sum(energies) + measured["elastic_energy"]
+    removed = books.removed_energy - books.brought_energy
+    missing = held + dissipated + removed - losses["wall_work"]
+    passed = energies[0] + energies[1] + measured["elastic_energy"] + dissipated + books.removed_kinetic_energy
+    return {
+        "gravitational_energy": energies[2],
+        "elastic_energy": measured["elastic_energy"],
+        "plastic_dissipation": losses["plastic"],
+        "friction_dissipation": losses["friction"],
+        "rolling_dissipation": losses["rolling"],
+        "damping_dissipation": losses["damping"],
+        "wall_work": losses["wall_work"],
+        "removed_energy": removed,
+        "energy_error": missing / passed if passed > 0.0 else 0.0,
+    }

@@ -1,0 +1,205 @@
+"""The device as the simulation sees it: insert grains, set walls, advance, take a snapshot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.device.books import Books, ledger_totals, mechanical_energy
+from granflow.device.contacts import GUARD_OVERLAP
+from granflow.device.motion import GUARD_LOST, GUARD_TRAVEL
+from granflow.device.records import ContactRecords
+from granflow.device.state import State
+from granflow.device.stepper import Stepper, Timing
+from granflow.device.survey import Survey
+from granflow.device.transfer import Transfer
+from granflow.device.walls import upload_poses
+from granflow.plan import Plan
+from granflow.scene.generate import Grains
+from granflow.snapshot import Snapshot, WallPose
+from granflow.walls.motion import Motion, pose
+
+NO_PARTICLE = 2**31 - 1
+
+GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap"}
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Which guard tripped, and the particle with the smallest id that tripped it."""
+
+    guard: str
+    particle: int
+
+
+class Engine:
+    """One plan running on one backend. Time is steps times the time step."""
+
+    def __init__(self, plan: Plan, backend: Backend) -> None:
+        self.plan = plan
+        self.state = State(plan, backend)
+        self.stepper = Stepper(self.state, self._on_gone)
+        self.transfer = Transfer(self.state)
+        self.survey = Survey(self.state)
+        self.books = Books()
+        self.step_count = 0
+        self._records: ContactRecords | None = None
+        self._gravity = np.array(plan.gravity)
+        self.state.control.guard_particle[0] = NO_PARTICLE
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.step_count * self.plan.time_step
+
+    @property
+    def timing(self) -> Timing:
+        """Wall seconds by phase."""
+        return self.stepper.timing
+
+    @property
+    def trip(self) -> Trip | None:
+        """The guard that tripped, if one did."""
+        code = self.stepper.guard_code
+        if not code:
+            return None
+        return Trip(GUARDS[code], int(self.state.control.guard_particle[0]))
+
+    def insert(self, grains: Grains) -> None:
+        """Put grains in at the present time; their forces come with the next `refresh`."""
+        if not len(grains):
+            return
+        scene, books, count = self.plan.scene, self.books, len(grains)
+        density = np.array([scene.materials[name].density for name in scene.materials])
+        number = np.array([self._plan_number(name) for name in scene.materials])
+        arrays = {
+            "id": books.inserted_count + np.arange(count),
+            "material": number[grains.material],
+            "radius": grains.radius,
+            "mass": 4.0 / 3.0 * pi * grains.radius**3 * density[grains.material],
+            "position": grains.position,
+            "velocity": grains.velocity,
+            "spin": grains.spin,
+        }
+        books.brought_energy += sum(mechanical_energy(arrays, self._gravity))
+        arrays["velocity"] = grains.velocity - 0.5 * self.plan.time_step * self._gravity
+        self.transfer.append(arrays)
+        books.inserted_count += count
+        books.material.append(grains.material)
+        books.group.append(grains.group)
+
+    def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
+        """Say which walls are there and how they move; takes effect with the next `refresh`."""
+        self.state.wall_motions = tuple(tuple(each) for each in motions)
+        for index, there in enumerate(present):
+            self.state.walls.present[index] = int(there)
+
+    def refresh(self) -> None:
+        """Search and forces anew, after grains or walls came or went."""
+        self.stepper.refresh(self.time)
+
+    def begin(self) -> None:
+        """First forces. Grains made overlapping count what their contacts store as brought along."""
+        self.refresh()
+        if self.plan.features.ledger:
+            measured = self.survey.measure()
+            self.books.brought_energy += measured["elastic_energy"] + measured["plastic_dissipation"]
+
+    def advance(self, steps: int) -> None:
+        """Do `steps` steps, fewer if a guard trips."""
+        self.step_count += self.stepper.advance(steps, self.time)
+
+    def mean_kinetic_energy(self) -> float:
+        """Mean kinetic energy per particle, of centres and spins [J]."""
+        arrays = self._synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))
+        kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
+        return (kinetic + rotational) / max(self.state.count, 1)
+
+    def snapshot(self, stage: str, wants: frozenset[str]) -> Snapshot:
+        """What stands on the device now; `wants` as for observers."""
+        if self.plan.features.moving_walls:
+            upload_poses(self.state, self.time - self.plan.time_step, self.plan.time_step)
+        measured = self.survey.measure()
+        names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
+        arrays = self._synchronized(names)
+        particles = self._particle_arrays(arrays) if "particles" in wants else {}
+        contacts = self._contact_arrays(arrays) if "contacts" in wants else None
+        totals = self._totals(arrays, measured)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
+
+    def wall_poses(self) -> dict[str, WallPose]:
+        """Pose of every wall now, by name."""
+        found = {}
+        for index, wall in enumerate(self.plan.walls):
+            poses = pose(self.state.wall_motions[index], np.array([self.time]))
+            present = bool(self.state.walls.present[index])
+            found[wall.name] = WallPose(present, poses.offset[0], poses.rotation[0], poses.pivot)
+        return found
+
+    def free(self) -> None:
+        """Give the device's memory back."""
+        self.state.free()
+        self.survey.block.free()
+        if self._records is not None:
+            self._records.block.free()
+
+    def _plan_number(self, material: str) -> int:
+        return self.plan.materials.index(material) if material in self.plan.materials else 0
+
+    def _on_gone(self, first: int, last: int) -> None:
+        """Enter particles that left the domain into the books."""
+        arrays = self.transfer.taken(("mass", "radius", "position", "velocity", "spin"), first, last)
+        kinetic, rotational, potential = mechanical_energy(arrays, self._gravity)
+        self.books.deleted_count += last - first
+        self.books.deleted_mass += float(arrays["mass"].sum(dtype=float))
+        self.books.removed_energy += kinetic + rotational + potential
+        self.books.removed_kinetic_energy += kinetic + rotational
+
+    def _synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Fields on the host, velocities and spins brought forward to the time of the positions."""
+        arrays = self.transfer.taken(names)
+        half = 0.5 * self.plan.time_step
+        mass = arrays["mass"].astype(float)[:, None]
+        arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
+        if "spin" in arrays:
+            inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
+            arrays["spin"] = arrays["spin"] + half * arrays["torque"] / inertia
+        return arrays
+
+    def _particle_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        order = np.argsort(arrays["id"], kind="stable")
+        found = {name: values[order] for name, values in arrays.items()}
+        found["id"] = found["id"].astype(np.int64)
+        found["coordination_number"] = found.pop("coordination")
+        for name in ("material", "group"):
+            found[name] = self.books.by_id(name, found["id"])
+        for name in ("spin", "torque"):
+            found.setdefault(name, np.zeros_like(found["velocity"]))
+        return found
+
+    def _contact_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        if self._records is None or self._records.capacity != self.state.contacts.capacity:
+            self._records = ContactRecords(self.state)
+        return self._records.take(arrays)
+
+    def _totals(self, arrays: dict[str, np.ndarray], measured: dict[str, float]) -> dict[str, float]:
+        books, count = self.books, self.state.count
+        energies = mechanical_energy(arrays, self._gravity)
+        contacts = measured["contact_count"]
+        totals = {
+            "particle_count": float(count),
+            "inserted_count": float(books.inserted_count),
+            "deleted_count": float(books.deleted_count),
+            "deleted_mass": books.deleted_mass,
+            "contact_count": contacts,
+            "kinetic_energy": energies[0],
+            "rotational_energy": energies[1],
+            "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
+            "overlap_largest": measured["overlap_largest"],
+            "coordination_number": float(arrays["coordination"].mean()) if count else 0.0,
+        }
+        if self.plan.features.ledger:
+            totals |= ledger_totals(self.state, books, energies, measured)
+        return totals

@@ -1,0 +1,112 @@
+"""One record per contact, for files. Its arrays exist only where contacts are asked for."""
+
+from collections.abc import Callable
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.encounter import build_encounter, build_pair_number
+from granflow.device.state import Block, State
+from granflow.device.walls import build_wall_geometry
+
+AT_LIMIT = 1.0 - 1e-6
+"""Share of the Coulomb limit from which on a contact counts as sliding."""
+
+
+class ContactRecords:
+    """Forces and overlaps of all contacts, evaluated where the particles stand, histories left as they are."""
+
+    def __init__(self, state: State) -> None:
+        self.state, self.block = state, Block()
+        self.capacity = state.contacts.capacity
+        real = state.backend.real
+        self.numbers = {name: self.block.scalar(real, self.capacity) for name in RECORDED}
+        self.foot = self.block.vector(state.backend.position_real, self.capacity)
+        self.block.finish()
+        self._record = _build_record(state, self)
+
+    def take(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Every contact once, as in Snapshot.contacts; `arrays` holds id and position in the device's order."""
+        owner, slot, partner = self._pairs()
+        found = {name: field.to_numpy()[slot].astype(float) for name, field in self.numbers.items()}
+        memory = self._memory(slot)
+        loading = found["overlap"] >= memory["overlap_max"]
+        other = np.maximum(partner, 0)
+        with_wall = partner < 0
+        foot = self.foot.to_numpy()[slot]
+        cap = found.pop("friction_limit")
+        return found | memory | {
+            "first_id": arrays["id"][owner].astype(np.int64),
+            "second_id": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),
+            "wall": np.where(with_wall, -1 - partner, -1).astype(np.int32),
+            "first_position": arrays["position"][owner],
+            "second_position": np.where(with_wall[:, None], foot, arrays["position"][other]),
+            "state": np.where(loading, 0, 1).astype(np.uint8),
+            "sliding": ((cap > 0.0) & (found["tangential_force"] >= AT_LIMIT * cap)).astype(np.uint8),
+        }  # fmt: skip
+
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Owner, slot and partner of every contact, each pair once."""
+        state, contacts = self.state, self.state.contacts
+        if state.count:
+            self._record(state.count, state.plan.time_step)
+        begin, end = (f.to_numpy()[: state.count] for f in (contacts.row_begin, contacts.row_end))
+        owner = np.repeat(np.arange(state.count), end - begin)
+        first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
+        slot = (first + np.arange(len(owner))).astype(np.int64)
+        partner = contacts.partner.to_numpy()[slot].astype(np.int64)
+        kept = ((partner < 0) | (partner > owner)) & (self.numbers["overlap"].to_numpy()[slot] > 0.0)
+        return owner[kept], slot[kept], partner[kept]
+
+    def _memory(self, slot: np.ndarray) -> dict[str, np.ndarray]:
+        """Largest overlap and restitution that the law remembers; the overlap itself and 1 where it does not."""
+        names, history = self.state.plan.law.history_names, self.state.contacts.history
+        found = {"overlap_max": self.numbers["overlap"].to_numpy()[slot].astype(float)}
+        found["restitution"] = np.ones(len(slot))
+        for index, name in enumerate(names):
+            if name in found:
+                found[name] = history["normal"].to_numpy()[slot, index].astype(float)
+        return found
+
+
+RECORDED = ("overlap", "normal_force", "tangential_force", "friction_limit")
+
+
+def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
+    plan, law, particles, contacts = state.plan, state.plan.law, state.particles, state.contacts
+    real, memory_size = state.backend.real, max(law.history_count, 1)
+    encounter, pair_number, geometry = build_encounter(state), build_pair_number(state), build_wall_geometry(state)
+    overlap_out, normal_out, tangential_out, limit_out = (records.numbers[name] for name in RECORDED)
+
+    @ti.func
+    def foot_point(i, j):
+        foot = particles.position[i]
+        if ti.static(plan.has_walls):
+            if j < 0:
+                gap, direction = geometry.closest(-1 - j, 0, foot)
+                foot -= gap * direction
+        return foot
+
+    @ti.kernel
+    def record(count: ti.i32, dt: real):
+        for i in range(count):
+            for slot in range(contacts.row_begin[i], contacts.row_end[i]):
+                j = contacts.partner[slot]
+                overlap, _n, _m, _v, rate, _a, _b, radius_eff, mass_eff = encounter(i, j, 0, dt)
+                overlap_out[slot] = overlap
+                if overlap > 0.0:
+                    constants = state.control.pair_constants[pair_number(i, j)]
+                    memory = ti.Vector.zero(real, memory_size)
+                    if ti.static("normal" in contacts.history):
+                        memory = contacts.history["normal"][slot]
+                    force, _viscous, _m2 = law.force(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
+                    normal_out[slot] = force
+                    tangential_out[slot] = 0.0
+                    limit_out[slot] = constants[plan.friction_index] * force
+                    records.foot[slot] = foot_point(i, j)
+                    if ti.static("lateral" in contacts.history):
+                        slide = contacts.history["lateral"][slot]
+                        stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
+                        tangential_out[slot] = stiffness * ti.sqrt(slide.dot(slide))
+
+    return record
