@@ -12,7 +12,7 @@ import numpy as np
 from granflow.device.backend import Arch, Precision, start
 from granflow.device.engine import Engine
 from granflow.errors import RunError
-from granflow.guards import guard_message
+from granflow.device.guards import guard_message
 from granflow.observe import (
     Observer,
     Result,
@@ -244,4 +244,3 @@ class Simulation:
     def free(self) -> None:
         """Give the device's memory back; the simulation cannot go on afterwards."""
         self.engine.free()
-

@@ -44,7 +44,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         return _started
     wanted = getattr(ti, arch)
     if not _available(arch):
-        raise GranflowError(f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU.")
+        raise GranflowError(
+            f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."
+        )
     real = ti.f64 if precision == "f64" else ti.f32
     position_real = ti.f32 if precision == "f32" else ti.f64
     options = {"cpu_max_num_threads": threads} if threads else {}
@@ -72,7 +74,9 @@ def _arch_name(asked: Arch) -> str:
         if running == getattr(ti, name):
             return name
     if asked != "cpu":
-        raise GranflowError(f"Taichi could not start {asked} here and fell back to the CPU. Leave out --arch to accept that.")
+        raise GranflowError(
+            f"Taichi could not start {asked} here and fell back to the CPU. Leave out --arch to accept that."
+        )
     return "cpu"
 
 

@@ -5,13 +5,11 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.encounter import build_encounter, build_pair_number, build_weight
+from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.state import LOSSES, State
 from granflow.device.walls import build_wall_geometry
 from granflow.laws.mindlin import carried_displacement, elastic_plastic_spring, spring_loss
 from granflow.laws.rolling import directional_torque
-
-GUARD_OVERLAP = 3
-"""Guard code: an overlap above the scene's limit."""
 
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 
@@ -99,9 +97,7 @@ def build_surface(state: State) -> Any:
         force, torque = 0.0 * late, 0.0 * late
         friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
         if ti.static(features.friction):
-            force, friction_loss = lateral(
-                slot, constants, stiffness, share, normal_force, middle, dt * slip, twist
-            )
+            force, friction_loss = lateral(slot, constants, stiffness, share, normal_force, middle, dt * slip, twist)
         if ti.static(features.rolling != "none"):
             torque, rolling_loss = rolling(
                 slot, constants, stiffness, share, normal_force, radius_eff, inertia_eff(i, j), middle,
@@ -204,9 +200,7 @@ def build_forces(state: State) -> Any:
             total, total_torque = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
             for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                 j = contacts.partner[slot]
-                overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff = encounter(
-                    i, j, pose, dt
-                )
+                overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff = encounter(i, j, pose, dt)
                 constants = control.pair_constants[pair_number(i, j)]
                 if overlap > 0.0:
                     check_overlap(i, overlap, radius_eff)

@@ -1,15 +1,13 @@
 """The device as the simulation sees it: insert grains, set walls, advance, take a snapshot."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 
 from granflow.device.backend import Backend
 from granflow.device.books import Books, ledger_totals, mechanical_energy
-from granflow.device.contacts import GUARD_OVERLAP
-from granflow.device.motion import GUARD_LOST, GUARD_TRAVEL
+from granflow.device.guards import GUARDS, NO_PARTICLE, Trip
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -20,18 +18,6 @@ from granflow.plan import Plan
 from granflow.scene.generate import Grains
 from granflow.snapshot import Snapshot, WallPose
 from granflow.walls.motion import Motion, pose
-
-NO_PARTICLE = 2**31 - 1
-
-GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap"}
-
-
-@dataclass(frozen=True)
-class Trip:
-    """Which guard tripped, and the particle with the smallest id that tripped it."""
-
-    guard: str
-    particle: int
 
 
 class Engine:

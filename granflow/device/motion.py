@@ -9,13 +9,8 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.guards import GUARD_LOST, GUARD_TRAVEL
 from granflow.device.state import State
-
-GUARD_LOST = 2
-"""Guard code: a position that is no number."""
-
-GUARD_TRAVEL = 1
-"""Guard code: one step took a particle farther than half the skin."""
 
 
 def build_move(state: State) -> Any:

@@ -176,9 +176,7 @@ class Control(Block):
         self.steps_left = self.scalar(ti.i32, 1)
         self.guard = self.scalar(ti.i32, 1)
         self.guard_particle = self.scalar(ti.i32, 1)
-        self.pair_constants = self.vector(
-            backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1]
-        )
+        self.pair_constants = self.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
         self.losses = self.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
         self.finish()

@@ -82,9 +82,7 @@ def reference_force(
     return float(elastic if constants[2] == 0.0 else max(elastic + viscous, 0.0)), history
 
 
-def phase_durations(
-    pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-) -> tuple[float, float]:
+def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
     """Loading and unloading duration [s] of the undamped contact (Zhou 2011, Eq. 13 with e = 1)."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     half = theory.LOADING_DURATION * float(theory.time_scale(k, mass_eff, velocity))

@@ -12,9 +12,7 @@ from granflow.laws.material import PairMaterial
 class PhaseDurations(Protocol):
     """Durations [s] of loading and of unloading in a binary collision."""
 
-    def __call__(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> tuple[float, float]:
+    def __call__(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
         """Loading and unloading duration at an approach velocity [m/s]."""
 
 

@@ -74,9 +74,7 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
         k = theory.hertz_stiffness(pair.modulus_eff, radius_eff)
         return float(theory.equivalent_spring(k, mass_eff, speed))
 
-    def phase_durations(
-        pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> tuple[float, float]:
+    def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
         quarter = 0.5 * np.pi * float(np.sqrt(mass_eff / host_spring(pair, radius_eff, mass_eff, velocity)))
         return quarter, quarter
 

@@ -115,9 +115,7 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         y = history[2]
         if y == 0.0:
             if ti.static(peak):
-                e = restitution_at(
-                    constants, ti.sqrt(0.8 * k * history[0] ** 2 * ti.sqrt(history[0]) / mass_eff)
-                )
+                e = restitution_at(constants, ti.sqrt(0.8 * k * history[0] ** 2 * ti.sqrt(history[0]) / mass_eff))
             e = ti.max(e, ti.min(least_restitution(k, mass_eff, history[0], time_step, unloading_angle), 1.0))
             y = recovery_of(e)
         return e, y
@@ -178,9 +176,7 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
     )
 
 
-def phase_durations(
-    pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-) -> tuple[float, float]:
+def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
     """Loading and unloading duration [s] (Zhou 2011, Eqs. 13-15)."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     scale = float(theory.time_scale(k, mass_eff, velocity))

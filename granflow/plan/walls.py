@@ -54,9 +54,7 @@ def shape_of(wall: scene_schema.AnyWall) -> Shape:
 
 def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Motion, ...], ...]:
     """Motions of every wall in the order of the scene, given when stages began and ended."""
-    return tuple(
-        tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values()
-    )
+    return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:

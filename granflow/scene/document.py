@@ -250,11 +250,18 @@ class _Composer:
 
     def _untagged(self, event: Any, events: Iterator[Event], depth: int) -> Node:
         if isinstance(event, ScalarEvent):
-            value = resolve(event.value) if event.style is None else event.value
+            value = resolve(event.value) if event.style is None else self._quoted(event)
             return Node(self._at(event), scalar=value, text=event.value)
         if isinstance(event, SequenceStartEvent):
             return self._list(event, events, depth)
         return self._mapping(event, events, depth)
+
+    def _quoted(self, event: ScalarEvent) -> str:
+        """Quoted text, with escaped halves of a character (as JSON writes them) put together."""
+        try:
+            return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
+        except UnicodeDecodeError:
+            raise self._error(event, "half a character is escaped here; write the character itself") from None
 
     def _alias(self, event: AliasEvent) -> Node:
         if event.anchor not in self.anchors:

@@ -40,5 +40,12 @@ def _inline(value: Any) -> str:
         return "[" + ", ".join(_inline(each) for each in value) + "]"
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and isinstance(resolve(value), str) and ": " not in value
-        return value if plain else json.dumps(value, ensure_ascii=True)
+        return value if plain else '"' + "".join(map(_escaped, value)) + '"'
     return json.dumps(value)
+
+
+def _escaped(character: str) -> str:
+    """A character as it stands between double quotes in YAML."""
+    if character in '"\\':
+        return "\\" + character
+    return character if character.isprintable() else f"\\U{ord(character):08x}"

@@ -1,9 +1,25 @@
-"""What to say when a guard stops a run: which particle, when, the likely cause, what to change."""
+"""Guards: their codes, and what to say when one stops a run: which particle, when, likely why, what to change."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from granflow.device.engine import Trip
 from granflow.plan import Plan
+
+GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP = 1, 2, 3
+"""Codes that kernels raise: a step longer than half the skin, a position that is no number, an overlap too large."""
+
+GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap"}
+
+NO_PARTICLE = 2**31 - 1
+"""Larger than any id: kernels lower it to the smallest id that tripped a guard."""
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Which guard tripped, and the particle with the smallest id that tripped it."""
+
+    guard: str
+    particle: int
 
 
 def guard_message(trip: Trip, plan: Plan, time: float, out: Path | None) -> str:
