@@ -1,0 +1,82 @@
+"""YAML 1.2: what plain text means, and where things stand."""
+
+import math
+
+import pytest
+
+from granflow.scene.document import DocumentError, parse
+
+FACTS = [
+    ("012", 12),
+    ("0o14", 12),
+    ("0x1F", 31),
+    ("1e-5", 1e-5),
+    ("1E5", 1e5),
+    (".5", 0.5),
+    ("-4.", -4.0),
+    ("+3", 3),
+    ("true", True),
+    ("False", False),
+    ("yes", "yes"),
+    ("no", "no"),
+    ("on", "on"),
+    ("null", None),
+    ("~", None),
+    ("none", "none"),
+    ("1:30", "1:30"),
+    ("1_000", "1_000"),
+    ("2020-01-01", "2020-01-01"),
+    ("'1e-5'", "1e-5"),
+    (".inf", math.inf),
+    ("-.INF", -math.inf),
+    ("4 mm", "4 mm"),
+    ("1" * 500, math.inf),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), FACTS, ids=lambda value: str(value)[:20])
+def test_plain_text(text, value):
+    data = parse(f"key: {text}", "file").root.data()["key"]
+    assert data == value and type(data) is type(value)
+
+
+def test_nan_is_nan():
+    assert math.isnan(parse(".nan", "file").root.data())
+
+
+def test_places_of_keys_and_values():
+    document = parse("a:\n  - b: 1\n    c: [2, {d: 3}]\n", "file")
+    assert str(document.key_place(("a",))) == "file:1:1"
+    assert str(document.key_place(("a", 0, "c"))) == "file:3:5"
+    assert str(document.value_place(("a", 0, "c", 1, "d"))) == "file:3:16"
+    assert document.where(("a", 0, "c", 1, "x", "y")) == "file:3"
+
+
+def test_anchors_and_aliases():
+    assert parse("a: &x {b: 1}\nc: *x\n", "file").root.data() == {"a": {"b": 1}, "c": {"b": 1}}
+
+
+@pytest.mark.parametrize(
+    "text", ["&a [*a]", "&a {b: *a}", "*a", "!!python/object:os {}", "a: 1\n---\nb: 2", "? [a]\n: b"]
+)
+def test_what_is_refused(text):
+    with pytest.raises(DocumentError):
+        parse(text, "file")
+
+
+def test_duplicate_keys_do_not_stop_the_reading():
+    document = parse("a: 1\na: 2\nb: 3\nb: 4\n", "file")
+    assert document.root.data() == {"a": 1, "b": 3}
+    assert [str(problem.place) for problem in document.problems] == ["file:2:1", "file:4:1"]
+
+
+def test_aliases_that_multiply_are_refused():
+    lines = ["a0: &a0 [1]"] + [f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 10) + "]" for i in range(1, 30)]
+    with pytest.raises(DocumentError, match="aliases add more than"):
+        parse("\n".join(lines), "file")
+
+
+def test_escaped_halves_of_a_character():
+    assert parse(r'"\ud83d\ude00"', "file").root.data() == "\U0001f600"
+    with pytest.raises(DocumentError, match="half a character"):
+        parse(r'"\ud83d"', "file")

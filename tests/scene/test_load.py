@@ -1,0 +1,191 @@
+"""A scene is read into SI, presets and defaults filled in; it writes itself back and reads again the same."""
+
+import math
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from granflow.errors import SceneError
+from granflow.scene import Scene, json_schema, load
+from granflow.scene import schema as scene_schema
+from granflow.scene.presets import PRESETS
+
+GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
+ROOT = Path(__file__).parent.parent.parent
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load(GOOD)
+
+
+def test_numbers_are_si(scene):
+    assert scene.walls["tube"].radius == 0.05
+    assert scene.walls["tube"].motion[0].frequency == 25.0
+    assert scene.materials["steel"].young_modulus == 193e9
+    assert scene.particles["beads"].diameter.deviation == 0.0004
+    assert scene.gravity == (0.0, 0.0, -9.81)
+
+
+def test_presets_are_filled_in(scene):
+    glass = scene.materials["glass"]
+    assert (glass.young_modulus, glass.yield_strength) == (PRESETS["glass"].young_modulus, 50e6)
+    steel = load(GOOD, ["materials.steel={preset: stainless_316}"]).materials["steel"]
+    assert steel.restitution_fit == (3.0432, 0.540) and steel.density == 8030.0
+    pair = load(GOOD, ["pairs.glass-steel.restitution={preset: chrome_52100, limit_velocity: 3}"]).pair(
+        "steel", "glass"
+    )
+    assert (pair.restitution.sigma, pair.restitution.psi) == (0.1418, 0.3114)
+
+
+def test_every_preset_has_a_source():
+    assert all(preset.source for preset in PRESETS.values())
+
+
+def test_what_is_left_out_is_filled_in(scene):
+    assert scene.output.timeseries_interval == scene.output.interval == 0.01
+    assert scene.particles["pair"].count == 2
+    assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution == "onset"
+    assert scene.numerics.chunk_size == 512
+    assert scene.run.time_step == "auto"
+
+
+def test_shares_of_classes_sum_to_1(scene):
+    assert [each.fraction for each in scene.particles["grit"].diameter.classes] == [0.75, 0.25]
+
+
+def test_a_number_in_every_pair_makes_the_restitution_constant():
+    scene = load(GOOD, ["pairs.glass-steel.restitution=0.5"])
+    assert scene.contact.normal.restitution == "constant"
+
+
+def test_without_stages_there_is_one_named_run(scene):
+    assert [stage.name for stage in scene.schedule] == ["fill", "settle", "discharge"]
+    short = load(GOOD, ["stages=[]", "run.duration=2", "walls.gate.stages=[run]"])
+    assert [(stage.name, stage.duration) for stage in short.schedule] == [("run", 2.0)]
+
+
+def test_pairs_in_either_order(scene):
+    assert scene.pair("steel", "glass") is scene.pair("glass", "steel") is scene.pairs["glass-steel"]
+    with pytest.raises(KeyError):
+        scene.pair("steel", "steel")
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"amplitude": 0.001, "frequency": 25}, {"frequency": 25, "gamma": 2.5151}, {"amplitude": 1e-3, "gamma": 2.5151}],
+)
+def test_two_of_three_give_a_vibration(given):
+    vibration = scene_schema.Vibration(kind="vibration", direction=[0, 0, 1], **given)
+    amplitude, omega = vibration.amplitude_and_angular_frequency((0.0, 0.0, -9.81))
+    assert amplitude == pytest.approx(0.001, rel=1e-4)
+    assert omega == pytest.approx(50 * math.pi, rel=1e-4)
+
+
+def test_where(scene):
+    assert scene.where("walls", "tube", "radius") == f"{GOOD}:26"
+    assert scene.where("walls", "tube", "appears_at") == f"{GOOD}:22"
+    assert scene.where("run", "velocity_max") == f"{GOOD}:68"
+    assert load(GOOD, ["seed=3"]).where("seed") == "--set seed=3"
+    assert scene.path == GOOD
+
+
+def test_text_reads_again_to_the_same_scene(scene, tmp_path):
+    path = tmp_path / "again.yaml"
+    path.write_text(scene.text(), encoding="utf-8")
+    again = load(path)
+    assert again == scene
+    assert again.text() == scene.text()
+
+
+@pytest.mark.parametrize(
+    "title",
+    ["a: b", "1e-5", "true", "", "'", '"', "{x}", "# no", "ü\n\t\\", "- a", "null", "012", "\U00010000", "\x00\x85"],
+)
+def test_any_title_comes_back(title, scene, tmp_path):
+    path = tmp_path / "again.yaml"
+    path.write_text(scene.model_copy(update={"title": title}).text(), encoding="utf-8")
+    assert load(path).title == title
+
+
+def test_scenes_that_differ_are_not_equal(scene):
+    assert scene != load(GOOD, ["seed=8"])
+
+
+def test_overrides():
+    scene = load(
+        GOOD,
+        [
+            "run.precision=f32",
+            "numerics.chunk_size=64",
+            "walls.tube.radius=6 cm",
+            "stages.2.duration=5 s",
+            "pairs.steel-glass.friction=0",
+            "contact.normal={law: zhou, restitution: peak}",
+            "output.meters.inlet={point: [0, 0, 1], normal: [0, 0, -1]}",
+            "title=a = b",
+        ],
+    )
+    assert (scene.run.precision, scene.numerics.chunk_size, scene.walls["tube"].radius) == ("f32", 64, 0.06)
+    assert scene.stages[2].duration == 5.0 and scene.pairs["glass-steel"].friction == 0.0
+    assert scene.contact.normal.restitution == "peak" and list(scene.output.meters) == ["outlet", "inlet"]
+    assert scene.title == "a = b"
+
+
+def test_an_override_changes_one_of_two_walls_that_share_an_anchor(tmp_path):
+    path = tmp_path / "scene.yaml"
+    text = GOOD.read_text(encoding="utf-8").replace("  floor: {", "  base: &base {", 1)
+    path.write_text(text.replace("  tube:\n", "  floor: *base\n  tube:\n", 1), encoding="utf-8")
+    scene = load(path, ["walls.floor.point=[0, 0, 1]"])
+    assert (scene.walls["base"].point[2], scene.walls["floor"].point[2]) == (0.0, 1.0)
+
+
+def test_scenes_are_frozen(scene):
+    with pytest.raises(ValidationError):
+        scene.seed = 2
+    with pytest.raises(ValidationError):
+        scene.walls["tube"].radius = 2.0
+
+
+def models():
+    return [each for each in vars(scene_schema).values() if isinstance(each, type) and issubclass(each, BaseModel)]
+
+
+def test_every_field_is_described():
+    bare = [
+        f"{model.__name__}.{name}"
+        for model in models()
+        for name, field in model.model_fields.items()
+        if not field.description
+    ]
+    assert bare == []
+
+
+def test_json_schema():
+    schema = json_schema()
+    definitions = schema["$defs"]
+    assert set(schema["required"]) >= {"title", "gravity", "materials", "pairs", "contact", "particles", "output"}
+    assert schema["additionalProperties"] is False
+    assert {"enum": ["zhou", "hertz"]} in definitions["Contact"]["properties"]["normal"]["anyOf"]
+    assert {"required": ["preset"]} in definitions["Material"]["anyOf"]
+    assert "count" not in definitions["Group"]["required"]
+    assert "timeseries_interval" not in definitions["Output"]["required"]
+    assert "from" in definitions["Cylinder"]["properties"]
+
+
+def test_scene_files_fit_the_json_schema(scene):
+    jsonschema = pytest.importorskip("jsonschema")
+    validator = jsonschema.Draft202012Validator(json_schema())
+    data = scene._document.root.data()
+    assert [error.message for error in validator.iter_errors(data)] == []
+    data["walls"]["tube"]["radius"] = "5 Pa"
+    assert list(validator.iter_errors(data))
+
+
+def test_models_are_checked_when_made_in_python():
+    with pytest.raises(ValidationError):
+        scene_schema.Plane(shape="plane", point=[0, 0], normal=[0, 0, 1], material="a")
+    assert isinstance(load(GOOD), Scene)
+    with pytest.raises(SceneError):
+        load(GOOD.parent / "none.yaml")

@@ -1,0 +1,51 @@
+"""Units in text: the SI number, rounded once; what is refused."""
+
+import math
+
+import pytest
+
+from granflow.scene.units import DIMENSIONS, UnitError, to_si
+
+GOOD = [
+    ("4 mm", "length", 0.004),
+    ("25.4mm", "length", 0.0254),
+    ("  1e-5  ", "length", 1e-5),
+    ("7 µm", "length", 7e-6),
+    ("1 GPa", "pressure", 1e9),
+    ("0.31 GPa", "pressure", 0.31e9),
+    ("25 Hz", "frequency", 25.0),
+    ("30 rpm", "angular_velocity", math.pi),
+    ("180 deg", "angle", math.pi),
+    ("36 km/h", "velocity", 10.0),
+    ("2.5 g/cm3", "density", 2500.0),
+    ("3.6 t/h", "mass_flow", 1.0),
+    ("3.6 t/h", "any", 1.0),
+    ("10 %", "number", 0.1),
+    ("1 nJ", "energy", 1e-9),
+    ("1e-400 m", "length", 0.0),
+    ("1e400 m", "length", math.inf),
+    ("-1e308 km", "length", -math.inf),
+    ("1" * 5000, "length", math.inf),
+    ("0." + "3" * 5000 + " m", "length", 1 / 3),
+]
+
+
+@pytest.mark.parametrize(("text", "dimension", "value"), GOOD, ids=lambda value: str(value)[:20])
+def test_text_to_si(text, dimension, value):
+    assert to_si(text, dimension) == value
+
+
+@pytest.mark.parametrize("text", ["four mm", "4 furlong", "4 Pa", "4 m m", "1e", "4,5 mm", "", "mm", "4 MM", "0x10 m"])
+def test_what_is_no_length(text):
+    with pytest.raises(UnitError):
+        to_si(text, "length")
+
+
+def test_a_unit_of_two_kinds_is_refused_where_any_is_asked():
+    with pytest.raises(UnitError, match="g means more than one thing"):
+        to_si("2 g", "any")
+
+
+def test_every_example_is_of_its_dimension():
+    for name, dimension in DIMENSIONS.items():
+        assert math.isfinite(to_si(dimension.example, name))
