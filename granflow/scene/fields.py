@@ -1,6 +1,5 @@
 """The building blocks of the schema: the frozen base model, numbers with units, vectors, names, choices."""
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,18 +11,13 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Discriminator,
-    GetCoreSchemaHandler,
     WithJsonSchema,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from granflow.scene.units import UnitError, dimension_of, to_si
+from granflow.scene.document import KeyPath
+from granflow.scene.numbers import Number, but, whole
 
-KeyPath = tuple[str | int, ...]
-LARGEST = 1e30  # no SI number in a scene is beyond this
-SMALLEST = 1e-30  # and none that must be above zero is below this
 _NAME = r"[a-z][a-z0-9_]*"
-_LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
 
 
 class Model(BaseModel):
@@ -46,110 +40,6 @@ class Fault:
     path: KeyPath
     reason: str
     whole: bool = False
-
-
-def but(reason: str, *at: str) -> PydanticCustomError:
-    """Make the error that reads "key.path is VALUE, but REASON."; `at` names a key within the value."""
-    return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
-
-
-def whole(reason: str) -> PydanticCustomError:
-    """Make the error that reads "key.path REASON."."""
-    return PydanticCustomError("whole", "{reason}", {"reason": reason})
-
-
-@dataclass(frozen=True)
-class Number:
-    """Reads one number: a plain one in SI, or text with a unit of `dimension`; refuses what is out of range."""
-
-    dimension: str = "number"
-    noun: str = ""
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    words: tuple[str, ...] = ()
-    whole: bool = False
-
-    def read(self, value: Any) -> float | int | str:
-        """Turn what stood in the file into a number within the bounds, or one of the words."""
-        if isinstance(value, str) and value in self.words:
-            return value
-        number = self._number(value)
-        if not math.isfinite(number):
-            raise but("only finite numbers make sense here")
-        if not self._inside(number):
-            raise but(f"{self._noun} {self._bounds()}")
-        if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
-            raise but(f"{self._noun} of that size makes no sense")
-        return self._count(number) if self.whole else number
-
-    def _number(self, value: Any) -> float:
-        if isinstance(value, str) and not self.whole:
-            try:
-                return to_si(value, self.dimension)
-            except UnitError as error:
-                raise but(f"{error}{self._word_hint()}") from None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise but(f"{self._noun} is asked here{self._example()}{self._word_hint()}")
-        try:
-            return float(value)
-        except OverflowError:
-            return math.inf
-
-    def _count(self, number: float) -> int:
-        if number != int(number):
-            raise but(f"{self._noun} is a whole number")
-        if number > _LARGEST_COUNT:
-            raise but(f"{self._noun} goes up to {_LARGEST_COUNT}")
-        return int(number)
-
-    def _inside(self, number: float) -> bool:
-        return (
-            (self.above is None or number > self.above)
-            and (self.at_least is None or number >= self.at_least)
-            and (self.at_most is None or number <= self.at_most)
-        )
-
-    @property
-    def _noun(self) -> str:
-        return self.noun or dimension_of(self.dimension).noun
-
-    def _example(self) -> str:
-        """One that a user could write, where the dimension's own example would be misleading."""
-        if self.whole:
-            return ", a whole number such as 8000"
-        return f", such as {dimension_of(self.dimension).example}"
-
-    def _word_hint(self) -> str:
-        return f", or {' or '.join(self.words)}" if self.words else ""
-
-    def _bounds(self) -> str:
-        if self.at_least is not None and self.at_most is not None:
-            return f"lies in [{self.at_least:g}, {self.at_most:g}]"
-        parts = [
-            f"{word} {bound:g}"
-            for word, bound in (("above", self.above), ("at least", self.at_least), ("at most", self.at_most))
-            if bound is not None
-        ]
-        return f"must be {' and '.join(parts)}"
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read with `read`; written back as it is."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Describe what a user may write: a number within the bounds, or text with a unit, or a word."""
-        number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
-        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
-        number.update({key: bound for key, bound in bounds.items() if bound is not None})
-        choices: list[dict[str, Any]] = [number]
-        units = dimension_of(self.dimension).units
-        if not self.whole:
-            unit = "|".join(re.escape(name) for name in units) if units else ".*"
-            choices.append({"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"})
-        if self.words:
-            choices.append({"enum": list(self.words)})
-        return {"anyOf": choices} if len(choices) > 1 else number
 
 
 def _three(value: Any) -> Any:

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem, parse
+from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem
 from granflow.scene.schema import Scene
 from granflow.scene.suggest import known_or_meant
 from granflow.scene.words import dotted, model_at
+from granflow.scene.yaml12 import parse
 
 
 class _Refused(Exception):

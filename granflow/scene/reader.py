@@ -10,12 +10,13 @@ from pydantic import ValidationError
 from granflow.errors import SceneError
 from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
-from granflow.scene.document import Document, DocumentError, Problem, parse
+from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.draft import Draft, draft_of
 from granflow.scene.matter import RestitutionFit, ZhouNormal
 from granflow.scene.schema import Scene
 from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
+from granflow.scene.yaml12 import parse
 
 _LARGEST_FILE = 64 * 2**20  # bytes
 

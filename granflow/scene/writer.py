@@ -4,7 +4,7 @@ import json
 import re
 from typing import Any
 
-from granflow.scene.document import resolve
+from granflow.scene.yaml12 import resolve
 
 _WIDTH = 110  # of a line that holds a whole mapping or list
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from granflow.scene.document import DocumentError, parse
+from granflow.scene.document import DocumentError
+from granflow.scene.yaml12 import parse
 
 FACTS = [
     ("012", 12),

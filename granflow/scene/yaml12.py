@@ -1,0 +1,213 @@
+"""Reads YAML 1.2 text into a `Document`.
+
+Only the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no tags, no merge
+keys. A duplicate key is a problem; so is an alias that contains itself, or aliases that multiply beyond reason.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+
+from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem
+
+DEEPEST = 40  # a scene is at most 9 deep
+_MOST_ALIASED = 100_000  # nodes that aliases may add
+_LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
+_YAML_TAGS = "tag:yaml.org,2002:"
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NULL = re.compile(r"|~|null|Null|NULL")
+_TRUE = re.compile(r"true|True|TRUE")
+_FALSE = re.compile(r"false|False|FALSE")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_NAN = re.compile(r"\.(nan|NaN|NAN)")
+
+
+def parse(text: str, source: str, *, placed: bool = True) -> Document:
+    """Read YAML 1.2 text. Without `placed`, every place is the source alone (for overrides).
+
+    Raises `DocumentError` for what cannot be read on: wrong syntax, tags, aliases of themselves, several documents.
+    """
+    return _Composer(source, placed).compose(text)
+
+
+class _Composer:
+    """Builds the tree from the parser's events."""
+
+    def __init__(self, source: str, placed: bool) -> None:
+        self.source = source
+        self.placed = placed
+        self.anchors: dict[str, Node | None] = {}
+        self.aliased = 0
+        self.problems: list[Problem] = []
+
+    def compose(self, text: str) -> Document:
+        root: Node | None = None
+        self._printable(text)
+        try:
+            events = iter(YAML(typ="safe", pure=True).parse(text))
+            for event in events:
+                if isinstance(event, DocumentStartEvent):
+                    if root is not None:
+                        raise self._error(event, "a second document begins here, but a scene is one document")
+                    root = self._node(next(events), events, depth=0)
+        except MarkedYAMLError as error:
+            raise DocumentError(self._syntax(error, text)) from None
+        except (YAMLError, ValueError, RecursionError) as error:
+            first = str(error).partition("\n")[0]
+            raise DocumentError(Problem(Place(self.source), f"this is not YAML text: {first}.")) from None
+        return Document(self.source, root or Node(self._place(1, 1)), self.problems)
+
+    def _printable(self, text: str) -> None:
+        """Refuse characters that YAML has no room for."""
+        if found := _FORBIDDEN.search(text):
+            lines = text[: found.start()].splitlines() or [""]
+            place = self._place(len(lines), len(lines[-1]) + 1)
+            code = f"U+{ord(found.group()):04X}"
+            raise DocumentError(Problem(place, f"the control character {code} stands here; delete it."))
+
+    def _place(self, line: int, column: int) -> Place:
+        return Place(self.source, line, column) if self.placed else Place(self.source)
+
+    def _at(self, event: Event) -> Place:
+        return self._place(event.start_mark.line + 1, event.start_mark.column + 1)
+
+    def _error(self, event: Event, sentence: str) -> DocumentError:
+        return DocumentError(Problem(self._at(event), sentence + "."))
+
+    def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
+        mark = error.problem_mark or error.context_mark
+        if error.context_mark and _begun(error):
+            mark = error.context_mark
+        place = self._place(mark.line + 1, mark.column + 1) if mark else Place(self.source)
+        line = text.splitlines()[mark.line : mark.line + 1] if mark else []
+        return Problem(place, _syntax_sentence(error, "".join(line).strip()))
+
+    def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        if isinstance(event, AliasEvent):
+            return self._alias(event)
+        if depth > DEEPEST:
+            raise self._error(event, f"this is nested more than {DEEPEST} deep, far more than any scene needs")
+        if getattr(event, "tag", None):
+            tag = event.tag.replace(_YAML_TAGS, "!!")
+            raise self._error(event, f"the tag {tag} is not used in scenes; leave it out")
+        if event.anchor:
+            self.anchors[event.anchor] = None
+        node = self._untagged(event, events, depth)
+        if event.anchor:
+            self.anchors[event.anchor] = node
+        return node
+
+    def _untagged(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        if isinstance(event, ScalarEvent):
+            value = resolve(event.value) if event.style is None else self._quoted(event)
+            return Node(self._at(event), scalar=value, text=event.value)
+        if isinstance(event, SequenceStartEvent):
+            return self._list(event, events, depth)
+        return self._mapping(event, events, depth)
+
+    def _quoted(self, event: ScalarEvent) -> str:
+        """Quoted text, with escaped halves of a character (as JSON writes them) put together."""
+        try:
+            return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
+        except UnicodeDecodeError:
+            raise self._error(event, "half a character is escaped here; write the character itself") from None
+
+    def _alias(self, event: AliasEvent) -> Node:
+        if event.anchor not in self.anchors:
+            raise self._error(event, f"the alias *{event.anchor} has no anchor &{event.anchor} above it")
+        node = self.anchors[event.anchor]
+        if node is None:
+            raise self._error(event, f"the alias *{event.anchor} contains itself")
+        self.aliased += node.size
+        if self.aliased > _MOST_ALIASED:
+            raise self._error(event, f"aliases add more than {_MOST_ALIASED} values by here; write fewer")
+        return node
+
+    def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
+        items: list[Node] = []
+        while not isinstance(event := next(events), SequenceEndEvent):
+            items.append(self._node(event, events, depth + 1))
+        return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
+
+    def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
+        entries: dict[str, Entry] = {}
+        while not isinstance(event := next(events), MappingEndEvent):
+            key = self._key(event)
+            entry = Entry(self._at(event), self._node(next(events), events, depth + 1))
+            if entry.node.empty:
+                entry.node.place = entry.key_place  # the parser puts it at whatever comes next
+            if key in entries:
+                first = entries[key].key_place
+                self.problems.append(
+                    Problem(entry.key_place, f"{key} is given twice here, first at line {first.line}. Keep one.")
+                )
+            else:
+                entries[key] = entry
+        size = 1 + sum(entry.node.size for entry in entries.values())
+        return Node(self._at(start), entries=entries, size=size)
+
+    def _key(self, event: Any) -> str:
+        if not isinstance(event, ScalarEvent) or event.tag:
+            raise self._error(event, "a key is plain text, such as radius")
+        if event.value == "<<" and event.style is None:
+            raise self._error(event, "the merge key << is not part of YAML 1.2; write the keys out")
+        return event.value
+
+
+def resolve(text: str) -> Any:
+    """Turn plain text into the value YAML 1.2 gives it: `012` is 12, `1e-5` is 0.00001, `yes` is text."""
+    if _NULL.fullmatch(text):
+        return None
+    if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
+        return text.lower() == "true"
+    if _INTEGER.fullmatch(text):
+        return int(text) if len(text) <= _LONGEST_INTEGER else math.inf
+    if _BASED.fullmatch(text):
+        return int(text, 0) if len(text) <= _LONGEST_INTEGER else math.inf
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _INFINITY.fullmatch(text):
+        return -math.inf if text.startswith("-") else math.inf
+    return math.nan if _NAN.fullmatch(text) else text
+
+
+def _begun(error: MarkedYAMLError) -> bool:
+    """Whether the place where something begins helps more than the place where the parser gave up."""
+    context = str(error.context)
+    return "simple key" in context or "flow" in context or "quoted" in context
+
+
+def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
+    problem, context = str(error.problem or error.context), str(error.context)
+    if r"\t" in problem or "'\t'" in problem:
+        return "a tab stands here, but YAML is indented with spaces. Replace the tab by spaces."
+    if "mapping values are not allowed" in problem:
+        return (
+            "a second key begins here, or this line is indented unlike the one above. "
+            "Give each key a line of its own, and put text with a colon in quotes."
+        )
+    if "simple key" in context:
+        return f'"{line}" has no colon. Write key: value, with a space after the colon.'
+    if "quoted" in context:
+        return "the quote that opens here is not closed."
+    for kind, opening, closing in (("sequence", "[", "]"), ("mapping", "{", "}"), ("node", "bracket", "its partner")):
+        if "flow " + kind in context:
+            return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
+    return f"this is not YAML: {problem}."
