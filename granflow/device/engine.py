@@ -99,7 +99,7 @@ class Engine:
 
     def mean_kinetic_energy(self) -> float:
         """Mean kinetic energy per particle, of centres and spins [J]."""
-        arrays = self._synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))
+        arrays = self.synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
         return (kinetic + rotational) / max(self.state.count, 1)
 
@@ -109,7 +109,7 @@ class Engine:
             upload_poses(self.state, self.time - self.plan.time_step, self.plan.time_step)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
-        arrays = self._synchronized(names)
+        arrays = self.synchronized(names)
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
         totals = self._totals(arrays, measured)
@@ -143,7 +143,7 @@ class Engine:
         self.books.removed_energy += kinetic + rotational + potential
         self.books.removed_kinetic_energy += kinetic + rotational
 
-    def _synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host, velocities and spins brought forward to the time of the positions."""
         arrays = self.transfer.taken(names)
         half = 0.5 * self.plan.time_step

@@ -1,0 +1,234 @@
+"""One head-on collision with the many-particle kernels, beside its closed forms."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import start
+from granflow.device.engine import Engine
+from granflow.errors import GranflowError
+from granflow.laws import theory
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import PairMaterial
+from granflow.plan import Plan, plan_for
+from granflow.plan.plan import build_law, pair_material
+from granflow.scene import Scene
+from granflow.scene.generate import initial_grains
+
+WALL = "wall"
+LONGEST = 20.0
+"""A collision not over after this many durations is given up."""
+
+
+@dataclass(frozen=True)
+class Impact:
+    """What collides: the pair, effective radius [m] and mass [kg], approach velocity [m/s]."""
+
+    pair: PairMaterial
+    radius_eff: float
+    mass_eff: float
+    velocity: float
+
+
+def collide(
+    law: str,
+    material: str,
+    diameter: float,
+    velocity: float,
+    diameter2: float | None = None,
+    material2: str | None = None,
+    wall: bool = False,
+    restitution: float | None = None,
+    steps_per_contact: float | None = None,
+    precision: str | None = None,
+    arch: str = "cpu",
+) -> dict[str, float]:
+    """Collide two spheres, or a sphere and a wall, head on; all in SI.
+
+    Returns `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N] as reached, the
+    same with `_asked` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError where the
+    restitution is not given and not known, or the step is not stable.
+    """
+    backend = start(arch, precision or "f64")  # type: ignore[arg-type]
+    sizes = (diameter, diameter2 or diameter)
+    materials = (material, material2 or material)
+    described = _scene_of(law, materials, sizes, velocity, wall, restitution)
+    scene = Scene.model_validate(described)
+    impact = _impact(scene, sizes, velocity, wall)
+    expected = _expected(build_law(scene, velocity), law, impact)
+    if steps_per_contact is not None:
+        described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
+    plan = plan_for(Scene.model_validate(described), on_gpu=not backend.on_cpu)
+    return expected | _watch(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
+
+
+def _scene_of(
+    law: str,
+    materials: tuple[str, str],
+    sizes: tuple[float, float],
+    velocity: float,
+    wall: bool,
+    restitution: float | None,
+) -> dict[str, Any]:
+    """The scene of the collision, as a file would say it."""
+    first, second = ("first", "second")
+    pair = {"restitution": _asked(materials, restitution), "friction": 0}
+    share = 1.0 if wall else 0.5
+    ball = {
+        "material": first,
+        "diameter": sizes[0],
+        "velocity": [share * velocity, 0, 0],
+        "place": {"kind": "list", "positions": [[-0.5 * sizes[0], 0, 0]]},
+    }
+    reach = 10.0 * max(sizes)
+    scene: dict[str, Any] = {
+        "title": "Head-on collision",
+        "gravity": [0, 0, 0],
+        "materials": {first: {"preset": materials[0]}, second: {"preset": materials[1]}},
+        "pairs": {"first-first": pair, "first-second": pair, "second-second": pair},
+        "contact": {"normal": _normal(law), "tangential": "none", "rolling": "none"},
+        "particles": {"ball": ball},
+        "domain": {"min": [-reach] * 3, "max": [reach] * 3, "leaving": "error"},
+        "run": {"duration": 1.0, "velocity_max": velocity},
+        "numerics": {"overlap_limit": 1.0},
+        "output": {"interval": 1.0},
+    }
+    if wall:
+        scene["walls"] = {WALL: {"shape": "plane", "point": [0, 0, 0], "normal": [-1, 0, 0], "material": second}}
+    else:
+        other = {"kind": "list", "positions": [[0.5 * sizes[1], 0, 0]]}
+        velocity_back = [-0.5 * velocity, 0, 0]
+        scene["particles"]["other"] = {
+            "material": second, "diameter": sizes[1], "velocity": velocity_back, "place": other
+        }  # fmt: skip
+    return scene
+
+
+def _normal(law: str) -> Any:
+    return {"law": "linear", "stiffness": "onset"} if law == "linear" else law
+
+
+def _asked(materials: tuple[str, str], restitution: float | None) -> Any:
+    if restitution is not None:
+        return restitution
+    if materials[0] == materials[1]:
+        return {"preset": materials[0]}
+    raise GranflowError(
+        f"The restitution of {materials[0]} on {materials[1]} is not known. Give it with --restitution."
+    )
+
+
+def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: bool) -> Impact:
+    pair = pair_material(scene, "first", "second")
+    radii = 0.5 * np.array(sizes)
+    densities = np.array([scene.materials[name].density for name in ("first", "second")])
+    masses = 4.0 / 3.0 * np.pi * radii**3 * densities
+    if wall:
+        return Impact(pair, float(radii[0]), float(masses[0]), velocity)
+    return Impact(pair, float(radii.prod() / radii.sum()), float(masses.prod() / masses.sum()), velocity)
+
+
+def _expected(law: NormalLaw, name: str, impact: Impact) -> dict[str, float]:
+    """Closed forms: the Zhou law's own; Hertz's and the linear law's by integrating one equation finely."""
+    k = float(theory.hertz_stiffness(impact.pair.modulus_eff, impact.radius_eff))
+    mass, velocity = impact.mass_eff, impact.velocity
+    asked = impact.pair.restitution_at(velocity)
+    spring = float(theory.equivalent_spring(k, mass, velocity))
+    shared = {"velocity": velocity, "restitution_asked": asked, "spring_equation19": spring}
+    if name == "zhou":
+        largest = float(theory.overlap_max(k, mass, velocity))
+        return shared | {
+            "duration_theory": float(theory.duration(asked, k, mass, velocity)),
+            "overlap_max_theory": largest,
+            "overlap_residual_theory": largest * (1.0 - float(theory.recovery(asked))),
+            "force_max_theory": k * largest**1.5,
+        }
+    return shared | _integrated(law, impact)
+
+
+def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, float]:
+    """Duration, largest overlap and force of M d'' = -F(d, d') by the classical Runge-Kutta method on the twin."""
+    constants = np.array(law.pair_constants(impact.pair))
+    step = sum(law.phase_durations(impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / steps
+    memory = np.zeros(max(law.history_count, 1))
+    _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, 0.0, impact.velocity, memory)
+
+    def force(overlap: float, rate: float) -> float:
+        if overlap <= 0.0:
+            return 0.0
+        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, overlap, rate, memory)[0]
+
+    def slope(state: np.ndarray) -> np.ndarray:
+        return np.array([state[1], -force(*state) / impact.mass_eff])
+
+    state, time, largest, strongest = np.array([0.0, impact.velocity]), 0.0, 0.0, 0.0
+    while time == 0.0 or force(*state) > 0.0:
+        k1 = slope(state)
+        k2 = slope(state + 0.5 * step * k1)
+        k3 = slope(state + 0.5 * step * k2)
+        state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(state + step * k3))
+        time += step
+        largest, strongest = max(largest, state[0]), max(strongest, force(*state))
+    return {"duration_theory": time, "overlap_max_theory": largest, "force_max_theory": strongest}
+
+
+def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
+    """Step through the collision and note what it reaches."""
+    engine.insert(initial_grains(plan.scene))
+    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
+    engine.begin()
+    limit = int(LONGEST * sum(plan.law.phase_durations(
+        impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / plan.time_step) + 10  # fmt: skip
+    last = _look(engine, plan)
+    largest, strongest, duration, residual = 0.0, 0.0, 0.0, 0.0
+    for _ in range(limit):
+        engine.advance(1)
+        now = _look(engine, plan)
+        largest, strongest = max(largest, now.overlap), max(strongest, now.force)
+        if now.force == 0.0 and last.force > 0.0:
+            # from the last force on the surfaces part at a constant rate
+            residual = max(last.residual(plan), 0.0)
+            duration = engine.time - plan.time_step + (last.overlap - residual) / -last.rate
+            break
+        last = now
+    engine.free()
+    if duration == 0.0:
+        raise GranflowError("The collision did not end: give more --steps-per-contact.")
+    return {
+        "restitution": float(-now.rate / impact.velocity),
+        "duration": duration,
+        "overlap_max": largest,
+        "overlap_residual": residual,
+        "force_max": strongest,
+    }
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Overlap [m], rate of overlap [m/s], force [N] and history of the contact at one step."""
+
+    overlap: float
+    rate: float
+    force: float
+    memory: np.ndarray
+
+    def residual(self, plan: Plan) -> float:
+        """Residual overlap of the unloading branch [m]; 0 for laws without one."""
+        names = plan.law.history_names
+        if "recovery" not in names:
+            return 0.0
+        return float(self.memory[names.index("overlap_max")] * (1.0 - self.memory[names.index("recovery")]))
+
+
+def _look(engine: Engine, plan: Plan) -> _Look:
+    arrays = engine.synchronized(("position", "velocity", "force", "mass", "radius"))
+    history = engine.state.contacts.history.get("normal")
+    memory = np.zeros(3) if history is None else history.to_numpy()[0]
+    position, velocity, force = (arrays[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
+    reach = float(arrays["radius"].sum(dtype=float))
+    if len(position) == 1:
+        return _Look(reach + position[0], float(velocity[0]), float(abs(force[0])), memory)
+    left, right = np.argsort(position)
+    overlap = float(reach - (position[right] - position[left]))
+    return _Look(overlap, float(velocity[left] - velocity[right]), float(abs(force[0])), memory)
