@@ -11,8 +11,8 @@ import numpy as np
 
 from granflow.device.backend import Arch, Precision, start
 from granflow.device.engine import Engine
-from granflow.errors import RunError
 from granflow.device.guards import guard_message
+from granflow.errors import RunError
 from granflow.observe import (
     Observer,
     Result,

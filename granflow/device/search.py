@@ -40,7 +40,7 @@ class Grid:
         while True:
             blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1).astype(np.int64)
             if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1):
-                return cls(low, side, tuple(int(count) for count in blocks))
+                return cls(low, side, (int(blocks[0]), int(blocks[1]), int(blocks[2])))
             side *= 1.25
 
 

@@ -64,10 +64,10 @@ class Particles(Block):
         self.radius = self.scalar(real, count)
         self.mass = self.scalar(real, count)
         self.id = self.scalar(ti.i32, count)
-        self.material = None if features.one_material else self.scalar(ti.i32, count)
-        self.spin = self.vector(real, count) if features.rotation else None
-        self.torque = self.vector(real, count) if features.rotation else None
-        self.velocity_now = self.vector(real, count) if features.rate_dependent else None
+        self.material: Any = None if features.one_material else self.scalar(ti.i32, count)
+        self.spin: Any = self.vector(real, count) if features.rotation else None
+        self.torque: Any = self.vector(real, count) if features.rotation else None
+        self.velocity_now: Any = self.vector(real, count) if features.rate_dependent else None
         self.coordination = self.scalar(ti.i32, count)
         self.finish()
 

@@ -26,7 +26,6 @@ from granflow.device.search import (
 from granflow.device.state import WALL_BATCH, State
 from granflow.device.walls import upload_poses
 
-
 BATCH = 16
 """Steps launched between two looks at the flags where every step is a launch of its own."""
 

@@ -38,7 +38,7 @@ class Survey:
 
 
 def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
-    plan, particles, contacts, control = state.plan, state.particles, state.contacts, state.control
+    particles, contacts, control = state.particles, state.contacts, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     encounter, weight, pair_number = build_encounter(state), build_weight(state), build_pair_number(state)
     energies = build_energies(state)

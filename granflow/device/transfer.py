@@ -1,6 +1,7 @@
 """Particles in and out of the device: grains that arrive, ranges that leave, everything for a snapshot."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import taichi as ti
@@ -52,7 +53,7 @@ class Transfer:
 
 def _build_append(state: State) -> Callable[..., None]:
     particles, features = state.particles, state.plan.features
-    external = ti.types.ndarray()
+    external: Any = ti.types.ndarray()
 
     @ti.kernel
     def append(

@@ -44,7 +44,7 @@ class NormalLaw:
     stored_energy: Any
     lost_energy: Any
     lateral_stiffness: Any
-    reference_force: Callable[..., tuple[np.ndarray, np.ndarray]]
+    reference_force: Callable[..., tuple[float, np.ndarray]]
     """Numpy twin of `force`, same arguments, written from the source and not from the kernel."""
     phase_durations: PhaseDurations
     unloading_stiffness: Callable[[PairMaterial, float, float, float], float]

@@ -77,8 +77,8 @@ def limit_velocity(a: Solid, b: Solid) -> float:
 
     Raises ValueError if neither has a yield strength. One without yields never.
     """
-    known = [solid for solid in (a, b) if solid.yield_strength is not None]
+    known = [(solid.yield_strength, -solid.density) for solid in (a, b) if solid.yield_strength is not None]
     if not known:
         raise ValueError("Eq. 11 needs a yield strength of at least one of the two materials")
-    weaker = min(known, key=lambda solid: (solid.yield_strength, -solid.density))
-    return float(np.sqrt(3.0 * weaker.yield_strength / weaker.density))
+    strength, minus_density = min(known)
+    return float(np.sqrt(3.0 * strength / -minus_density))

@@ -190,10 +190,12 @@ def solid(scene: Scene, material: str) -> Solid:
 def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     """Mixed constants of two materials. Raises KeyError where the scene has no such pair."""
     pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
-    restitution = pair.restitution
-    if isinstance(restitution, RestitutionFit):
-        limit = restitution.limit_velocity or limit_velocity(a, b)
-        restitution = VelocityRestitution(restitution.sigma, restitution.psi, limit)
+    given = pair.restitution
+    restitution: float | VelocityRestitution
+    if isinstance(given, RestitutionFit):
+        restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
+    else:
+        restitution = given
     rolling = pair.rolling_friction or 0.0
     return PairMaterial(modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling)
 

@@ -62,11 +62,14 @@ def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
     if isinstance(given, scene_schema.Translation):
         return motion.Translation(given.velocity, start, end)
     if isinstance(given, scene_schema.Rotation):
-        axis = tuple(float(value) for value in unit(given.axis))
-        return motion.Rotation(given.point, axis, given.angular_velocity, start, end)
+        return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
     amplitude, omega = given.amplitude_and_angular_frequency(scene.gravity)
-    direction = tuple(float(value) for value in unit(given.direction))
-    return motion.Vibration(direction, amplitude, omega, given.phase, start, end)
+    return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
+
+
+def _unit_vector(given: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in unit(given))
+    return x, y, z
 
 
 def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
