@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from granflow.scene.document import KeyPath
-from granflow.scene.numbers import Number, but, whole
+from granflow.scene.numbers import Number, but
 
 _NAME = r"[a-z][a-z0-9_]*"
 
@@ -68,13 +68,13 @@ def _flag(value: Any) -> Any:
 
 def _name(value: Any) -> Any:
     if not re.fullmatch(_NAME, str(value)):
-        raise whole("is not a name: begin with a small letter and go on with small letters, digits and _")
+        raise but("a name begins with a small letter and goes on with small letters, digits and _")
     return value
 
 
 def _pair_name(value: Any) -> Any:
     if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
-        raise whole("is not a pair: write two names of materials with a dash between, such as glass-steel")
+        raise but("a pair is two names of materials with a dash between, such as glass-steel")
     return value
 
 

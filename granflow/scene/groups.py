@@ -23,8 +23,8 @@ from granflow.scene.fields import (
     chosen,
     listing,
     not_required,
-    whole,
 )
+from granflow.scene.numbers import whole
 
 _ROUNDING = 1e-12  # of the sum of shares
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]

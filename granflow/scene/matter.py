@@ -50,7 +50,7 @@ class Material(Model):
 
     preset: Text | None = Field(None, description="name of a known material that fills in what is not given")
     young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
-    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.23")
+    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
     density: Density = Field(description="density of the solid [kg/m3], such as 2500")
     yield_strength: YieldStrength | None = Field(
         None, description="yield strength [Pa]; only needed for the limit velocity of Eq. 11"

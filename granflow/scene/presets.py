@@ -7,10 +7,7 @@ from types import MappingProxyType
 _ZHOU = (
     "Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011), Figs. 3-4, after Stevens & Hrenya, Powder Technol. 154, 99 (2005)"
 )
-_GLASS = (
-    "soda-lime glass: density, Young's modulus and Poisson ratio as commonly tabulated for float glass "
-    "(EN 572-1: 2500 kg/m3, 70 GPa; Poisson ratio 0.23, the older of the two usual values 0.20 and 0.23)"
-)
+_GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ratio 0.2, density 2500 kg/m3"
 
 
 @dataclass(frozen=True)
@@ -29,6 +26,6 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "stainless_316": Preset(193e9, 0.35, 8030.0, 0.310e9, (3.0432, 0.540), _ZHOU),
         "chrome_52100": Preset(203e9, 0.28, 7830.0, 2.03e9, (0.1418, 0.3114), _ZHOU),
-        "glass": Preset(70e9, 0.23, 2500.0, None, None, _GLASS),
+        "glass": Preset(70e9, 0.20, 2500.0, None, None, _GLASS),
     }
 )

@@ -194,7 +194,7 @@ class Output(Model):
 
     interval: PositiveTime = Field(description="time between VTU frames [s]")
     timeseries_interval: PositiveTime = Field(
-        default_factory=lambda given: given["interval"],
+        default_factory=lambda given: given.get("interval"),  # none where the interval itself is wrong
         description="time between rows of timeseries.csv [s]; left out: interval",
     )
     particles: Flag = Field(True, description="write particles_*.vtu")
@@ -240,7 +240,7 @@ class Scene(Model):
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, Pair] = Field(description="pairs of materials, each key two names with a dash between")
-    contact: Contact = Field(description="the laws of contact")
+    contact: Contact = Field(description="the laws of contact, {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     domain: Domain = Field(description="the box that is simulated")

@@ -32,7 +32,7 @@ def _unit_table(text: str) -> dict[str, Fraction]:
 
 
 DIMENSIONS: dict[str, Dimension] = {
-    "number": Dimension("a plain number", "0.5", _unit_table("% 1/100")),
+    "number": Dimension("a number", "0.5", _unit_table("% 1/100")),
     "length": Dimension("a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")),
     "time": Dimension("a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")),
     "velocity": Dimension(

@@ -95,7 +95,9 @@ class _Complaint:
         if self.type in ("model_type", "model_attributes_type"):
             keys = ", ".join(_keys(model_at(Scene, self.loc)))
             return self._but(self.path, f"a mapping is asked here, with some of the keys {keys}")
-        if self.type == "whole" or self.of_key:
+        if self.of_key:
+            return self._whole(f"cannot stand here: {self.message}")
+        if self.type == "whole":
             return self._whole(self.message)
         return self._but(self.path, _SHAPES_OF_TYPES.get(self.type, self.message))
 
