@@ -171,7 +171,7 @@ class Run(Model):
 class Numerics(Model):
     """What the computation rests on; every value has a default."""
 
-    time_step_safety: Fraction = Field(0.02, description="time step over the shortest phase of a contact")
+    time_step_safety: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: AutoLength = Field("auto", description="how much further than contact neighbours are listed [m], or auto")
     chunk_size: Count = Field(512, description="particles per chunk of the contact list")
@@ -281,6 +281,10 @@ class Scene(Model):
     def text(self) -> str:
         """The scene as it is run, as YAML with every default filled in; it loads again to an equal scene."""
         return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
+
+    def gives(self, *key_path: str | int) -> bool:
+        """Whether the file, or an override, says this key itself; False for what a default or a preset filled in."""
+        return self._document is not None and self._document.find(key_path) is not None
 
     def where(self, *key_path: str | int) -> str:
         """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""
