@@ -3,6 +3,7 @@
 Names are loaded when they are first used: reading a scene does not start Taichi.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,10 @@ if TYPE_CHECKING:
     from granflow.errors import GranflowError, RunError, SceneError
     from granflow.scene import load as load_scene
     from granflow.simulation import Simulation
+
+# Taichi would print a banner into our output and send its version to its makers once a day.
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 __all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
 

@@ -6,7 +6,6 @@ Only what a verb needs is imported, inside it: `--help` starts at once and `sche
 import argparse
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -43,9 +42,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
     by a guard; 130 interrupted.
     """
-    # Taichi would print a banner into our output and send its version to its makers once a day.
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     options = build_parser().parse_args(arguments)
     try:
         return options.verb(options)
@@ -105,9 +101,10 @@ def check(options: argparse.Namespace) -> int:
 def explain(options: argparse.Namespace) -> int:
     """`granflow explain`: what will be run and why: features, defaults, time step, memory, run time."""
     scene = load(options)
+    from granflow.plan import explain as explained
     from granflow.plan import plan_for
 
-    print(plan_for(scene, arch=options.arch, precision=options.precision).explain())
+    print(explained(plan_for(scene, on_gpu=options.arch != "cpu"), options.precision))
     return 0
 
 

@@ -148,6 +148,8 @@ def test_package_inits_only_re_export(name):
             return node.name == "__getattr__"
         if isinstance(node, ast.If):
             return ast.unparse(node.test) == "TYPE_CHECKING"
+        if ast.unparse(node).startswith("os.environ.setdefault("):
+            return name == "granflow"
         is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))
 

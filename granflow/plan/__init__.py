@@ -1,5 +1,6 @@
 """What is decided about a scene before anything is allocated."""
 
+from granflow.plan.explain import explain
 from granflow.plan.plan import Plan, plan_for
 
-__all__ = ["Plan", "plan_for"]
+__all__ = ["Plan", "explain", "plan_for"]

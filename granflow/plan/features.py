@@ -100,4 +100,4 @@ def _moving_reason(scene: Scene, features: Features) -> str:
 
 def _material_reason(scene: Scene) -> str:
     materials = sorted({group.material for group in scene.particles.values()})
-    return f"particles are of {', '.join(materials)}"
+    return f"all particles are of {materials[0]}" if len(materials) == 1 else f"particles are of {', '.join(materials)}"

@@ -17,10 +17,11 @@ from granflow.laws.material import (
     modulus_eff,
     shear_modulus_eff,
 )
+from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step
-from granflow.plan.walls import PlannedWall, planned_walls, surface_speed, wall_speed
+from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
 from granflow.scene.schema import GivenStiffness, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
 
@@ -140,7 +141,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     materials = tuple(dict.fromkeys(_used_materials(scene)))
     numbers = {name: number for number, name in enumerate(materials)}
     walls = planned_walls(scene, numbers)
-    velocity = scene.run.velocity_max or fastest_approach(scene)
+    velocity = fastest_approach(scene).value
     law = build_law(scene, velocity)
     features = features_of(scene, law.rate_dependent)
     step = _time_step(scene, law, velocity)
@@ -198,19 +199,6 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
         restitution = given
     rolling = pair.rolling_friction or 0.0
     return PairMaterial(modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling)
-
-
-def fastest_approach(scene: Scene) -> float:
-    """Estimate of the fastest approach [m/s]: free fall through the domain, initial speeds, moving walls."""
-    gravity = np.array(scene.gravity)
-    size = np.subtract(scene.domain.max, scene.domain.min)
-    fall = float(np.sqrt(2.0 * np.abs(gravity) @ size))
-    initial = max(
-        float(np.linalg.norm(np.atleast_2d(np.array(group.velocity)), axis=1).max())
-        for group in scene.particles.values()
-    )
-    estimate = max(fall, initial) + max(surface_speed(scene), initial if initial > fall else 0.0)
-    return estimate or 1.0
 
 
 def _used_materials(scene: Scene) -> Iterator[str]:

@@ -13,7 +13,7 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
     ones do not make every cell large.
     """
     classes = list(size_classes(radius))
-    found = [np.empty((2, 0), dtype=np.int64)]
+    found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
     for place, larger in enumerate(classes):
         for smaller in classes[place:]:
             first, second = cross_pairs(position[smaller], radius[smaller], position[larger], radius[larger], reach)

@@ -1,0 +1,48 @@
+"""The fastest approach that a plan reckons with: as the scene says, or estimated from what can move and fall."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.plan.walls import surface_speed
+from granflow.scene import Scene
+
+WITHOUT_MOTION = 1.0
+"""Fastest approach [m/s] where nothing moves or falls: contacts still need a time step."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Fastest approach expected [m/s], and where it comes from."""
+
+    value: float
+    source: str
+
+
+def fastest_approach(scene: Scene) -> Approach:
+    """Take it from the scene, or estimate it: free fall through the domain or initial speeds, and moving walls."""
+    if scene.run.velocity_max is not None:
+        return Approach(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
+    fall, initial, surface = free_fall(scene), initial_speed(scene), surface_speed(scene)
+    if not max(fall, initial, surface) > 0.0:
+        return Approach(WITHOUT_MOTION, "assumed: nothing moves or falls at first")
+    fast, why = fall, f"free fall through the domain ({fall:.3g} m/s)"
+    meeting, against = surface, f"the fastest wall ({surface:.3g} m/s)"
+    if initial > fall:
+        fast, why = initial, f"the fastest particle at the start ({initial:.3g} m/s)"
+        if initial > surface:
+            meeting, against = initial, "another as fast"
+    parts = ([why] if fast > 0.0 else []) + ([against] if meeting > 0.0 else [])
+    return Approach(fast + meeting, f"estimated from {' meeting '.join(parts)}")
+
+
+def free_fall(scene: Scene) -> float:
+    """Speed [m/s] after a fall from one corner of the domain to the opposite one."""
+    size = np.subtract(scene.domain.max, scene.domain.min)
+    return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
+
+
+def initial_speed(scene: Scene) -> float:
+    """Largest speed [m/s] at which any particle starts."""
+    velocities = [np.atleast_2d(np.array(group.velocity)) for group in scene.particles.values()]
+    return max(float(np.linalg.norm(each, axis=1).max()) for each in velocities)

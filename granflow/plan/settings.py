@@ -1,0 +1,94 @@
+"""Every value of a scene that may be left out: what it is, and whether the file gave it or a default did."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from granflow.scene import Scene
+from granflow.scene.schema import ZhouNormal
+
+KeyPath = tuple[str | int, ...]
+_UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One value that the scene may leave out."""
+
+    key: str
+    value: str
+    origin: str
+    is_default: bool
+
+
+def settings_of(scene: Scene) -> tuple[Setting, ...]:
+    """All of them in the order of the schema, and what presets filled in.
+
+    What is simply absent when left out (a motion, the radius of a meter) is not listed.
+    """
+    return tuple(_in_model(scene, scene, ()))
+
+
+def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Setting]:
+    for name, field in type(model).model_fields.items():
+        key, value = (*path, field.alias or name), getattr(model, name)
+        if not _is_leaf(value):
+            yield from _within(scene, value, key)
+        elif value is not None and (_has_default(field) or _is_preset(scene, model, key)):
+            unit = _UNIT.search(field.description or "")
+            text = as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
+            given = scene.gives(*key)
+            origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
+            yield Setting(".".join(map(str, key)), text, origin, not given)
+
+
+def _within(scene: Scene, value: Any, path: KeyPath) -> Iterator[Setting]:
+    if isinstance(value, BaseModel):
+        yield from _in_model(scene, value, path)
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            yield from _within(scene, each, (*path, key))
+    elif isinstance(value, tuple):
+        for index, each in enumerate(value):
+            yield from _within(scene, each, (*path, index))
+
+
+def _is_leaf(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return bool(value) and all(_is_leaf(each) for each in value)
+    return not isinstance(value, BaseModel | dict)
+
+
+def _has_default(field: FieldInfo) -> bool:
+    return field.default_factory is not None or (not field.is_required() and field.default is not None)
+
+
+def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
+    return getattr(model, "preset", None) is not None and not scene.gives(*path)
+
+
+def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
+    if _is_preset(scene, model, path):
+        return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
+    if isinstance(model, ZhouNormal) and path[-1] == "restitution" and model.restitution == "constant":
+        return "every pair gives a number"
+    return _REASONS.get(path[-1], "default")
+
+
+_REASONS: dict[str | int, str] = {"timeseries_interval": "default: output.interval"}
+_MANY_ROWS = 3
+
+
+def as_written(value: Any) -> str:
+    """A value as a scene would say it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple) and len(value) > _MANY_ROWS:
+        return f"{len(value)} rows"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(as_written, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
