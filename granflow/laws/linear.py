@@ -33,12 +33,14 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
     no spring at all to a contact that forms at rest.
     """
 
+    given, fixed = stiffness is not None, reference_velocity is not None
+
     @ti.func
     def spring_at(constants, radius_eff, mass_eff, velocity):
         value = 0.0 * radius_eff
-        if ti.static(stiffness is not None):
+        if ti.static(given):
             value += stiffness
-        elif ti.static(reference_velocity is not None):
+        elif ti.static(fixed):
             value += equivalent_spring(constants, radius_eff, mass_eff, reference_velocity)
         else:
             value += equivalent_spring(constants, radius_eff, mass_eff, ti.max(velocity, velocity_floor))
