@@ -1,0 +1,193 @@
+"""The laws of the catalogue with their settings, and walks of many contacts along given overlaps."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import PairMaterial, VelocityRestitution
+
+
+@dataclass(frozen=True)
+class Units:
+    """How many of the units in use a metre, a kilogram and a second are."""
+
+    metre: float = 1.0
+    kilogram: float = 1.0
+    second: float = 1.0
+
+    @property
+    def pascal(self) -> float:
+        return self.kilogram / (self.metre * self.second**2)
+
+    @property
+    def newton(self) -> float:
+        return self.kilogram * self.metre / self.second**2
+
+    @property
+    def velocity(self) -> float:
+        return self.metre / self.second
+
+
+SI = Units()
+MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
+RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
+"""A soft centimetre sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
+ANGLE = 0.5
+
+
+def fit(units):
+    return VelocityRestitution(1.2, 0.54, 2.0 * units.velocity)
+
+
+def number(e):
+    return lambda units: e
+
+
+@dataclass(frozen=True)
+class Case:
+    """One law with its settings, in any units."""
+
+    name: str
+    build: Callable[[Units], NormalLaw]
+    restitution: Callable[[Units], float | VelocityRestitution]
+    plastic: bool = False
+    """Whether unloading differs from loading."""
+
+    def __str__(self) -> str:
+        return self.name
+
+    def pair(self, units=SI):
+        return PairMaterial(MODULUS * units.pascal, SHEAR_MODULUS * units.pascal, self.restitution(units), 0.0)
+
+    def law(self, units=SI):
+        return law_of(self, units)
+
+
+@cache
+def law_of(case, units):
+    return case.build(units)
+
+
+def linear(stiffness, reference_velocity):
+    def build(units):
+        value = None if stiffness is None else stiffness * units.newton / units.metre
+        velocity = None if reference_velocity is None else reference_velocity * units.velocity
+        return NORMAL_LAWS["linear"](value, velocity, 0.01 * units.velocity)
+
+    return build
+
+
+def zhou(source, damping_ratio=0.0):
+    return lambda units: NORMAL_LAWS["zhou"](source, ANGLE, damping_ratio)
+
+
+CASES = (
+    Case("zhou_onset", zhou("onset"), fit, plastic=True),
+    Case("zhou_peak", zhou("peak"), fit, plastic=True),
+    Case("zhou_constant", zhou("constant"), number(0.6), plastic=True),
+    Case("zhou_without_rebound", zhou("constant"), number(0.0), plastic=True),
+    Case("zhou_elastic", zhou("constant"), number(1.0)),
+    Case("zhou_damped", zhou("onset", 0.2), fit, plastic=True),
+    Case("hertz_elastic", lambda units: NORMAL_LAWS["hertz"](False), number(1.0)),
+    Case("hertz_damped", lambda units: NORMAL_LAWS["hertz"](True), number(0.6)),
+    Case("linear_onset", linear(None, None), number(0.6)),
+    Case("linear_reference", linear(None, 0.7), number(0.6)),
+    Case("linear_number", linear(2e4, None), number(0.6)),
+    Case("linear_elastic", linear(2e4, None), number(1.0)),
+)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What contacts gave along their overlaps: arrays (contacts, steps), history (contacts, steps, numbers)."""
+
+    force: np.ndarray
+    viscous: np.ndarray
+    stored: np.ndarray
+    lost: np.ndarray
+    history: np.ndarray
+
+    @property
+    def elastic(self) -> np.ndarray:
+        return self.force - self.viscous
+
+
+def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS):
+    """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets."""
+    law = case.law(units)
+    shape = overlap.shape
+    found = [np.zeros(shape) for _ in range(4)]
+    history = np.zeros((*shape, max(law.history_count, 1)))
+    constants = np.array(law.pair_constants(case.pair(units)))
+    bodies = (radius * units.metre, mass * units.kilogram, TIME_STEP * units.second)
+    given = (overlap * units.metre, rate * units.velocity)
+    kernel_for(law, len(constants))(constants, *bodies, *(np.ascontiguousarray(g) for g in given), *found, history)
+    return Walk(*found, history)
+
+
+@cache
+def kernel_for(law, constant_count):
+    """A kernel that leads contacts along their overlaps."""
+    memory_size = max(law.history_count, 1)
+    table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
+
+    @ti.kernel
+    def lead(
+        numbers: ti.types.ndarray(ti.f64, 1), radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
+        force: table, viscous: table, stored: table, lost: table, history: cube
+    ):  # fmt: skip
+        for i in range(overlap.shape[0]):
+            constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
+            memory = ti.Vector.zero(ti.f64, memory_size)
+            for s in range(overlap.shape[1]):
+                d = overlap[i, s]
+                if d > 0.0:
+                    f, v, memory = law.force(constants, radius, mass, dt, d, rate[i, s], memory)
+                    force[i, s], viscous[i, s] = f, v
+                    stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, memory)
+                    lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, memory)
+                else:
+                    memory = 0.0 * memory
+                for k in ti.static(range(memory_size)):
+                    history[i, s, k] = memory[k]
+
+    return lead
+
+
+def twin_walk(case, overlap, rate):
+    """The same walk by the numpy twin: force, history, and the force at an overlap larger by a relative NUDGE."""
+    law = case.law()
+    constants = np.array(law.pair_constants(case.pair()))
+    size = max(law.history_count, 1)
+    force, nudged, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
+    for i in range(len(overlap)):
+        memory = np.zeros(size)
+        for s, (d, v) in enumerate(zip(overlap[i], rate[i], strict=True)):
+            if d > 0.0:
+                bodies = (constants, RADIUS, MASS, TIME_STEP)
+                force[i, s], memory = law.reference_force(*bodies, d, v, memory)
+                nudged[i, s], _ = law.reference_force(*bodies, d * (1.0 + NUDGE), v, memory)
+            else:
+                memory = np.zeros(size)
+            history[i, s] = memory
+    return force, nudged, history
+
+
+NUDGE = 1e-7
+
+
+def random_walks(contacts, steps, seed=1):
+    """Overlaps [m] that rise, fall and rise again by random amounts, now and then apart; rates [m/s] with their sign."""
+    rng = np.random.default_rng(seed)
+    turns = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
+    place = np.arange(steps) / 4.0
+    overlap = np.array([np.interp(place, np.arange(turns.shape[1]), row) for row in turns])
+    direction = np.sign(np.diff(overlap, axis=1, prepend=-1.0))
+    rate = direction * rng.uniform(0.01, 1.9, overlap.shape)
+    rate[::7] *= -1.0
+    return overlap, rate
