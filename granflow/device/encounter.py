@@ -62,15 +62,19 @@ def build_encounter(state: State) -> Any:
             if square < reach * reach:
                 distance = ti.sqrt(square)
                 overlap = reach - distance
-                normal = apart / distance
+                normal = (1.0 / distance) * apart
                 late, now = velocities(i, j)
                 radius_eff = radius * particles.radius[j] / reach
                 mass_eff = mass * particles.mass[j] / (mass + particles.mass[j])
-                arm = radius - overlap * (particles.radius[j] / reach)
-                arm_partner = particles.radius[j] - overlap * (radius / reach)
-        approach = late.dot(normal)
-        middle = normal - (0.5 * time_step / ti.max(distance, 0.5 * radius)) * (late - approach * normal)
-        return overlap, normal, middle, late, -now.dot(normal), arm, arm_partner, radius_eff, mass_eff
+                share = overlap / reach
+                arm = radius - share * particles.radius[j]
+                arm_partner = particles.radius[j] - share * radius
+        middle, rate = normal, 0.0 * radius
+        if overlap > 0.0:
+            across = late - late.dot(normal) * normal
+            middle -= (0.5 * time_step / ti.max(distance, 0.5 * radius)) * across
+            rate = -now.dot(normal)
+        return overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff
 
     return encounter
 
