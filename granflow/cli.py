@@ -6,14 +6,17 @@ Only what a verb needs is imported, inside it: `--help` starts at once and `sche
 import argparse
 import json
 import math
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.errors import GranflowError, SceneError
 
 if TYPE_CHECKING:
+    from granflow.observe import Result
     from granflow.scene import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
@@ -34,13 +37,18 @@ COLLIDE_UNITS = {
 }
 EXIT_UNMET = 1
 EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: ends a run in the same orderly way as Ctrl-C."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
-    by a guard; 130 interrupted.
+    by a guard; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
     """
     options = build_parser().parse_args(arguments)
     try:
@@ -51,9 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.filename is None:
             raise
         return complain(f"{error.filename}: {error.strerror}.")
-    except KeyboardInterrupt:
-        print("granflow: interrupted.", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as stop:
+        return complain("interrupted.", exit_code_of(stop))
 
 
 def refuse(error: GranflowError) -> int:
@@ -73,6 +80,31 @@ def complain(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
     return exit_code
 
 
+def warn(sentences: Iterable[str]) -> None:
+    """Say on stderr what does not keep a scene from running but should be known."""
+    for sentence in sentences:
+        print(f"granflow: warning: {sentence}", file=sys.stderr)
+
+
+@contextmanager
+def sigterm_as_exception() -> Iterator[None]:
+    """Let SIGTERM end what runs inside as Ctrl-C does, so that files are closed."""
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def exit_code_of(stop: KeyboardInterrupt) -> int:
+    """The exit code that shells give to a process ended by that signal."""
+    return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
+
+
 # ---------------------------------------------------------------- verbs
 
 
@@ -83,17 +115,30 @@ def run(options: argparse.Namespace) -> int:
     make_room(out, options.force)
     from granflow.simulation import Simulation
 
-    simulation = Simulation(scene, arch=options.arch, precision=options.precision, threads=options.threads, out=out)
-    result = simulation.run(until=options.until)
-    show_numbers(f"{scene.title}: done, see {out}", result.numbers)
-    for sentence, met in result.expectations:
-        print(f"{'as expected' if met else 'NOT AS EXPECTED'}: {sentence}")
+    with sigterm_as_exception():
+        simulation = Simulation(
+            scene, arch=options.arch, precision=options.precision, threads=options.threads, out=out, progress=True
+        )
+        warn(simulation.plan.step.warnings)
+        try:
+            result = simulation.run(until=options.until)
+        except KeyboardInterrupt as stop:
+            return complain(f"stopped at {simulation.time:.6g} s, {out} holds the run up to there.", exit_code_of(stop))
+    show_result(scene.title, result, out)
+    if scene.expect and not result.expectations:
+        print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
 
 
 def check(options: argparse.Namespace) -> int:
-    """`granflow check`: find every problem of a scene without running it."""
-    load(options)
+    """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
+    scene = load(options)
+    from granflow.plan import plan_for
+    from granflow.scene.generate import initial_grains, rains
+
+    warn(plan_for(scene).step.warnings)
+    initial_grains(scene)
+    rains(scene)
     print(f"{options.scene}: no problems found.")
     return 0
 
@@ -149,9 +194,19 @@ def make_room(out: Path, force: bool) -> None:
 # ---------------------------------------------------------------- tables
 
 
-def show_numbers(title: str, numbers: Mapping[str, Any]) -> None:
-    """Print the numbers of a run, one per row."""
-    show_table(title, ("", ""), [(name.replace("_", " "), as_text(value)) for name, value in numbers.items()])
+def show_result(title: str, result: "Result", out: Path) -> None:
+    """Print the closing table, the expectations, and what to open."""
+    from rich.console import Console
+
+    from granflow.observe import closing_table
+
+    Console().print(closing_table(result, title))
+    for sentence, met in result.expectations:
+        print(sentence if met else f"NOT AS EXPECTED: {sentence}")
+    series = sorted(str(path) for path in out.glob("*.pvd"))
+    if series:
+        print(f"For ParaView: {', '.join(series)}")
+    print(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
 
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:

@@ -20,10 +20,11 @@ from granflow.observe import (
     observers_for,
     progress_for,
     run_log,
+    versions,
     write_result,
     write_scene_as_run,
 )
-from granflow.plan import Plan, plan_for
+from granflow.plan import Plan, explain, plan_for
 from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wall_presence
 from granflow.scene import Scene
 from granflow.scene.generate import Rain, initial_grains, rains
@@ -35,6 +36,7 @@ REST_LOOKS = 200
 """How often a stage that waits for rest looks at the kinetic energy, over its longest duration."""
 
 EVERYTHING = frozenset({"particles", "walls", "totals"})
+TOTALS = frozenset({"totals"})
 
 
 class Simulation:
@@ -90,17 +92,30 @@ class Simulation:
                 stack.enter_context(run_log(self.out))
                 write_scene_as_run(self.out, self.scene)
             stack.callback(self._finish_observers)
-            for warning in self.plan.step.warnings:
-                logging.getLogger("granflow").warning(warning)
+            self._log_plan()
             began = clock.perf_counter()
             for stage in self.scene.schedule:
                 if self.time < end:
                     self._run_stage(stage, end)
-            last = self._show_to(self._observers)
+            last = self._show_to(self._observers, TOTALS)
             result = self._result(last, clock.perf_counter() - began, judged=self.time < end or until is None)
+            logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
             if self.out is not None:
                 write_result(self.out, result)
         return result
+
+    def _log_plan(self) -> None:
+        """What is run and why, for the log of the run."""
+        if self.out is None:
+            return
+        log = logging.getLogger("granflow")
+        backend = self.engine.state.backend
+        log.info("%s", versions())
+        log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, self.engine.timing.compile)
+        for line in explain(self.plan, backend.precision).splitlines():
+            log.info("%s", line)
+        for warning in self.plan.step.warnings:
+            log.warning("%s", warning)
 
     def _own_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
@@ -117,6 +132,7 @@ class Simulation:
         """From the start of a stage to its end, or to `end` [s]."""
         began = self.time
         self._enter(stage, began)
+        logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, began)
         longest = stage.duration if stage.duration is not None else stage.at_most
         assert longest is not None
         stop = min(began + longest, end)
@@ -186,9 +202,9 @@ class Simulation:
                 came = came or len(grains) > 0
         return came
 
-    def _show_to(self, observers: Sequence[Observer]) -> Snapshot:
+    def _show_to(self, observers: Sequence[Observer], wants: frozenset[str] = frozenset()) -> Snapshot:
         began = clock.perf_counter()
-        wants = frozenset({"totals"}).union(*(observer.wants for observer in observers))
+        wants = wants.union(*(observer.wants for observer in observers))
         snapshot = self.engine.snapshot(self.stage, wants)
         for observer in observers:
             observer.observe(snapshot)

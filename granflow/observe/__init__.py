@@ -4,7 +4,7 @@ from granflow.observe.build import observers_for, progress_for, time_series_for
 from granflow.observe.every import Every, every
 from granflow.observe.expect import Judgement, judge
 from granflow.observe.files import replacing, write_text
-from granflow.observe.log import run_log, write_scene_as_run
+from granflow.observe.log import run_log, versions, write_scene_as_run
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
@@ -33,6 +33,7 @@ __all__ = [
     "replacing",
     "run_log",
     "time_series_for",
+    "versions",
     "write_result",
     "write_scene_as_run",
     "write_text",

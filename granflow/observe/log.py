@@ -1,8 +1,10 @@
 """The record of a run beside its output: `run.log` and `scene_as_run.yaml`."""
 
 import logging
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
@@ -36,6 +38,19 @@ def run_log(directory: Path) -> Iterator[logging.Logger]:
         logger.removeHandler(handler)
         logger.setLevel(level_before)
         handler.close()
+
+
+def versions() -> str:
+    """What computes here: granflow, Taichi, numpy, Python, and the system."""
+    packages = ", ".join(f"{name} {_version(name)}" for name in ("granflow", "taichi", "numpy"))
+    return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def write_scene_as_run(directory: Path, scene: HasText) -> Path:

@@ -1,5 +1,6 @@
 """How far a run is: a live bar on a terminal, now and then a line elsewhere."""
 
+import math
 import time as clock
 from collections import deque
 from collections.abc import Sequence
@@ -7,7 +8,6 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from granflow.observe.observer import TOTALS
 from granflow.observe.schedule import Schedule
 from granflow.snapshot import Snapshot
 
@@ -25,7 +25,7 @@ class ProgressDisplay:
     terminal it prints a line at the start of each stage, every ten seconds of wall clock, and at the end.
     """
 
-    wants = frozenset({TOTALS})
+    wants: frozenset[str] = frozenset()
 
     def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)
@@ -97,7 +97,7 @@ class _Bar:
         columns = (
             TextColumn("{task.fields[stage]}"),
             BarColumn(),
-            TextColumn("{task.completed:.4g} of {task.total:.4g} s"),
+            TextColumn("{task.fields[reached]}"),
             TextColumn("{task.fields[rates]}"),
             TimeRemainingColumn(),
         )
@@ -107,9 +107,14 @@ class _Bar:
     def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
         if self._task is None:
             self._progress.start()
-            self._task = self._progress.add_task("run", total=end, stage=snapshot.stage, rates="")
+            self._task = self._progress.add_task("run", total=end, stage=snapshot.stage, rates="", reached="")
         self._progress.update(
-            self._task, completed=snapshot.time, total=end, stage=snapshot.stage, rates=_rates_text(rates)
+            self._task,
+            completed=snapshot.time,
+            total=end,
+            stage=snapshot.stage,
+            reached=_time_text(snapshot.time, end),
+            rates=_rates_text(rates),
         )
 
     def close(self) -> None:
@@ -126,9 +131,8 @@ class _Lines:
         self._pending: str | None = None
 
     def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
-        self._pending = (
-            f"{snapshot.stage}: {snapshot.time:.4g} of {end:.4g} s, step {snapshot.step}, {_rates_text(rates)}"
-        )
+        reached = _time_text(snapshot.time, end)
+        self._pending = f"{snapshot.stage}: {reached}, step {snapshot.step}, {_rates_text(rates)}"
         now = clock.monotonic()
         if snapshot.stage != self._stage or now - self._printed_at >= SECONDS_BETWEEN_LINES:
             self._stage, self._printed_at = snapshot.stage, now
@@ -141,6 +145,12 @@ class _Lines:
         if self._pending is not None:
             self._console.print(self._pending, highlight=False, markup=False, soft_wrap=True)
             self._pending = None
+
+
+def _time_text(time: float, end: float) -> str:
+    """The time with as many decimals as tell thousandths of the whole apart, so that the text does not jump about."""
+    decimals = max(0, 3 - math.floor(math.log10(end)))
+    return f"{time:.{decimals}f} of {end:.4g} s"
 
 
 def _rates_text(rates: Rates) -> str:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.table import Table
+from rich.text import Text
 
 from granflow.observe.expect import Expectation, Judgement, judge
 from granflow.observe.files import write_text
 from granflow.quantities import unit_of
 
 _COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
+_WHOLE = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
 
 
@@ -64,9 +66,9 @@ def write_result(directory: Path, result: Result) -> Path:
     return path
 
 
-def closing_table(result: Result) -> Table:
+def closing_table(result: Result, title: str = "Result") -> Table:
     """Make the table that closes a run: where the time went, counts, energy, mass flow per meter."""
-    table = Table(title="Result", show_header=False, title_justify="left")
+    table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
     table.add_column(justify="left")
@@ -81,20 +83,25 @@ def readable(number: float) -> str:
     """A number as people read it: counts in groups of three digits, others to four digits."""
     if float(number).is_integer() and abs(number) < 1e15:
         return f"{int(number):,}".replace(",", " ")
+    if 1e4 <= abs(number) < 1e12:
+        return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
     return f"{number:.4g}"
 
 
 def _run_rows(result: Result) -> list[tuple[str, str, str]]:
-    return [(_words(name), readable(number), unit_of(name)) for name, number in result.run.items()]
+    rows = {name: number for name, number in result.run.items() if name != _WHOLE}
+    return [(_words(name), readable(number), unit_of(name)) for name, number in rows.items()]
 
 
 def _time_rows(result: Result) -> list[tuple[str, str, str]]:
-    total = sum(result.seconds.values())
+    named = sum(result.seconds.values())
+    total = max(result.run.get(_WHOLE, named), named)
+    parts = dict(result.seconds) | ({"other": total - named} if total > named else {})
     rows = [
         (_words(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
-        for part, seconds in result.seconds.items()
+        for part, seconds in parts.items()
     ]
-    return [*rows, ("wall clock", f"{total:.2f} s", "")]
+    return [*rows, (_words(_WHOLE), f"{total:.2f} s", "")]
 
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:

@@ -55,7 +55,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "rolling": _rolling_reason(scene, features),
         "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
         "rate_dependent": _rate_reason(scene, features),
-        "walls": f"{len(scene.walls)} walls ({scene.where('walls')})" if features.walls else "the scene has no walls",
+        "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output')})",
@@ -89,6 +89,12 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     if isinstance(normal, ZhouNormal):
         return f"contact.normal.damping_ratio is {normal.damping_ratio:g} ({scene.where('contact', 'normal')})"
     return f"the {normal.law} law reaches a restitution below 1 by damping ({scene.where('contact', 'normal')})"
+
+
+def _walls_reason(scene: Scene) -> str:
+    if not scene.walls:
+        return "the scene has no walls"
+    return f"{', '.join(scene.walls)} ({scene.where('walls')})"
 
 
 def _moving_reason(scene: Scene, features: Features) -> str:
