@@ -182,7 +182,7 @@ NUDGE = 1e-7
 
 
 def random_walks(contacts, steps, seed=1):
-    """Overlaps [m] that rise, fall and rise again by random amounts, now and then apart; rates [m/s] with their sign."""
+    """Overlaps [m] that rise, fall and rise again by random amounts, now and then apart, and rates [m/s]."""
     rng = np.random.default_rng(seed)
     turns = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
     place = np.arange(steps) / 4.0

@@ -1,0 +1,148 @@
+"""The tangential and rolling slots by themselves: device against twin, the cap, and that no spring makes energy."""
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from granflow.laws import mindlin
+from granflow.laws.rolling import directional_torque
+
+VECTORS = ti.types.ndarray(ti.f64, 2)
+NUMBERS = ti.types.ndarray(ti.f64, 1)
+
+
+@ti.kernel
+def stretch(
+    stiffness: NUMBERS, share: NUMBERS, cap: NUMBERS, carried: VECTORS, step: VECTORS,
+    force: VECTORS, kept: VECTORS, lost: NUMBERS
+):  # fmt: skip
+    for i in range(cap.shape[0]):
+        before = ti.Vector([carried[i, 0], carried[i, 1], carried[i, 2]])
+        slide = ti.Vector([step[i, 0], step[i, 1], step[i, 2]])
+        pull, after = mindlin.elastic_plastic_spring(stiffness[i], share[i], cap[i], before, slide)
+        lost[i] = mindlin.spring_loss(stiffness[i], share[i], before, slide, pull, after)
+        for k in ti.static(range(3)):
+            force[i, k], kept[i, k] = pull[k], after[k]
+
+
+@ti.kernel
+def turn(displacement: VECTORS, normal: VECTORS, twist: NUMBERS, turned: VECTORS):
+    for i in range(twist.shape[0]):
+        s = ti.Vector([displacement[i, 0], displacement[i, 1], displacement[i, 2]])
+        n = ti.Vector([normal[i, 0], normal[i, 1], normal[i, 2]])
+        result = mindlin.carried_displacement(s, n, twist[i])
+        for k in ti.static(range(3)):
+            turned[i, k] = result[k]
+
+
+@ti.kernel
+def brake(
+    radius: ti.f64, friction: ti.f64, normal_force: NUMBERS, rate: VECTORS, inertia: ti.f64, dt: ti.f64, torque: VECTORS
+):
+    for i in range(normal_force.shape[0]):
+        omega = ti.Vector([rate[i, 0], rate[i, 1], rate[i, 2]])
+        result = directional_torque(radius, friction, normal_force[i], omega, inertia, dt)
+        for k in ti.static(range(3)):
+            torque[i, k] = result[k]
+
+
+def random_springs(count=4000, seed=1):
+    rng = np.random.default_rng(seed)
+    stiffness, share = rng.uniform(1e3, 1e5, count), rng.uniform(0.2, 1.8, count)
+    cap = rng.uniform(0.0, 2.0, count)
+    carried, step = rng.normal(0.0, 2e-5, (count, 3)), rng.normal(0.0, 1e-5, (count, 3))
+    # no spring starts above the cap of the step before, which the contact force of that step set
+    carried *= np.minimum(1.0, cap / (share * stiffness) / np.linalg.norm(carried, axis=1))[:, None]
+    return stiffness, share, cap, carried, step
+
+
+def stretched(stiffness, share, cap, carried, step):
+    force, kept, lost = np.zeros_like(carried), np.zeros_like(carried), np.zeros_like(cap)
+    stretch(stiffness, share, cap, carried, step, force, kept, lost)
+    return force, kept, lost
+
+
+def test_spring_on_the_device_equals_its_twin_within_4_ulps(taichi_f64):
+    springs = random_springs()
+    force, kept, _ = stretched(*springs)
+    for i, numbers in enumerate(zip(*springs, strict=True)):
+        expected = mindlin.reference_spring(*numbers)
+        for found, given in zip((force[i], kept[i]), expected, strict=True):
+            assert np.abs(found - given).max() <= 4.0 * np.finfo(float).eps * np.linalg.norm(given)
+
+
+def test_spring_holds_at_the_cap_and_never_above(taichi_f64):
+    stiffness, share, cap, carried, step = random_springs(seed=2)
+    force, kept, _ = stretched(stiffness, share, cap, carried, step)
+    size = np.linalg.norm(force, axis=1)
+    assert np.all(size <= cap * (1.0 + 1e-15 * 4))
+    sliding = stiffness * np.linalg.norm(np.minimum(share, 1.0)[:, None] * carried + step, axis=1) > cap
+    assert 100 < sliding.sum() < len(cap) - 100
+    np.testing.assert_allclose(size[sliding], cap[sliding], rtol=1e-14)
+    np.testing.assert_allclose(-stiffness[:, None] * kept, force, rtol=1e-13, atol=1e-16)
+
+
+def test_spring_never_makes_energy(taichi_f64):
+    """Also where the contact grows or shrinks under it: the loss of a step is never below 0, beyond rounding.
+
+    For steps shorter than the displacement: one that reverses it within a step is beyond the trapezoid rule.
+    """
+    stiffness, share, cap, carried, step = random_springs(seed=3)
+    step *= (0.5 * np.linalg.norm(carried, axis=1) / np.linalg.norm(step, axis=1))[:, None]
+    _, _, lost = stretched(stiffness, share, cap, carried, step)
+    scale = stiffness * (np.linalg.norm(carried, axis=1) + np.linalg.norm(step, axis=1)) ** 2
+    assert np.all(lost >= -1e-14 * scale)
+    assert np.count_nonzero(lost > 1e-3 * scale) > 1000
+
+
+def test_spring_of_a_steady_contact_that_sticks_loses_nothing(taichi_f64):
+    stiffness, _, cap, carried, step = random_springs(seed=4)
+    _, _, lost = stretched(stiffness, np.ones_like(cap), cap + 100.0, carried, step)
+    scale = stiffness * (np.linalg.norm(carried, axis=1) + np.linalg.norm(step, axis=1)) ** 2
+    assert np.all(np.abs(lost) <= 1e-14 * scale)
+
+
+def test_displacement_follows_the_contact_plane(taichi_f64):
+    """Each projection takes the cosine of the angle between two planes: half its square, first order over a turn."""
+    steps, turn_angle = 200, 0.5 * np.pi
+    angle = turn_angle / steps
+    slide = np.array([[1.0, 0.5, 0.0]])
+    for number in range(steps):
+        middle = np.array([[np.sin((number + 0.5) * angle), 0.0, np.cos((number + 0.5) * angle)]])
+        turned = np.zeros((1, 3))
+        turn(slide, middle, np.zeros(1), turned)
+        slide = turned
+    left = np.cos(0.5 * angle) * np.cos(angle) ** (steps - 1)
+    last = turn_angle - 0.5 * angle
+    np.testing.assert_allclose(slide[0], [left * np.cos(last), 0.5, -left * np.sin(last)], rtol=1e-12)
+    assert 1.0 - left == pytest.approx(0.5 * turn_angle * angle, rel=0.01)
+
+
+def test_displacement_turns_with_the_spin_about_the_normal(taichi_f64):
+    steps, angle = 1000, 0.5 * np.pi
+    slide, normal = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    for _ in range(steps):
+        turned = np.zeros((1, 3))
+        turn(slide, normal, np.array([angle / steps]), turned)
+        slide = turned
+    # each step stretches by sqrt(1 + a^2): exp(angle^2 / (2 steps)) after all of them
+    stretch_to_come = np.exp(angle**2 / (2.0 * steps))
+    np.testing.assert_allclose(slide[0], [0.0, stretch_to_come, 0.0], atol=2e-6)
+
+
+def test_directional_torque_opposes_rolling_and_never_reverses_it(taichi_f64):
+    rng = np.random.default_rng(6)
+    radius, friction, inertia, dt = 0.01, 0.1, 4e-7, 3e-4
+    normal_force, rate = rng.uniform(0.0, 1.0, 500), rng.normal(0.0, 1.0, (500, 3))
+    rate[0] = 0.0
+    torque = np.zeros((500, 3))
+    brake(radius, friction, normal_force, rate, inertia, dt, torque)
+    assert not torque[0].any()
+    after = rate + dt / inertia * torque
+    size = np.linalg.norm(torque, axis=1)
+    np.testing.assert_allclose(np.cross(torque, rate), 0.0, atol=1e-18)
+    assert np.all(np.sum(after * rate, axis=1)[1:] > 0.0)
+    full = friction * radius * normal_force
+    half_stop = 0.5 * inertia * np.linalg.norm(rate, axis=1) / dt
+    np.testing.assert_allclose(size, np.minimum(full, half_stop), rtol=1e-13)
+    assert 50 < np.count_nonzero(full < half_stop) < 450
