@@ -22,7 +22,7 @@ def carried_displacement(displacement, normal_middle, twist_step):
 
         s' = s - (s . n) n + (twist of the pair about n) n x s        n in the middle of the step
 
-    The middle of the old and the new normal keeps the length of s to fourth order in the angle turned.
+    A projection: over one step it shortens s by half the square of the angle that the normal turns in it.
     """
     turned = displacement - displacement.dot(normal_middle) * normal_middle
     return turned + twist_step * normal_middle.cross(turned)
