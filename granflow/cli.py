@@ -216,7 +216,14 @@ def show_comparison(numbers: Mapping[str, Any]) -> None:
     for name in (name for name in numbers if not name.endswith(promises)):
         promised = [as_text(numbers[name + end]) for end in promises if name + end in numbers]
         unit = COLLIDE_UNITS.get(name, "")
-        rows.append((name.replace("_", " "), as_text(numbers[name]), *(promised or [""]), unit))
+        rows.append(
+            (
+                name.replace("_", " ").replace("equation19", "of Eq. 19"),
+                as_text(numbers[name]),
+                *(promised or [""]),
+                unit,
+            )
+        )
     show_table("head-on collision", ("", "reached", "asked or closed form", "unit"), rows)
 
 

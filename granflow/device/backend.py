@@ -43,6 +43,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         _refuse_change(_started, arch, precision, threads)
         return _started
     wanted = getattr(ti, arch)
+    ti.set_logging_level(ti.ERROR)  # looking for a device that is not there is no matter for warnings
     if not _available(arch):
         raise GranflowError(
             f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."

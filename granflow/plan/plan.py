@@ -252,7 +252,7 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float) -> TimeStep:
             numerics.time_step_safety, numerics.rayleigh_fraction, numerics.unloading_angle,
         )  # fmt: skip
     except ValueError as error:
-        raise SceneError(f"{scene.where('run', 'time_step')}: run.time_step {error}") from None
+        raise SceneError(f"{scene.place('run', 'time_step')}: run.time_step {error}") from None
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:

@@ -96,6 +96,11 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
     return float(np.pi * radius * np.sqrt(solid.density / solid.shear_modulus) / (0.1631 * nu + 0.8766))
 
 
+def _remedy(step: float) -> str:
+    """At restitution 0 no step is short enough."""
+    return f" A run.time_step of {step:.2g} s can." if step > 0.0 else ""
+
+
 def _restitution_reached(
     step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float, angle: float
 ) -> tuple[float, tuple[str, ...]]:
@@ -112,6 +117,6 @@ def _restitution_reached(
         if asked < bound:
             warnings.append(
                 f"{meeting.name}: restitution {asked:.3g} is asked for at {velocity:.3g} m/s, "
-                f"but a step of {step:.3g} s can reach no less than {bound:.3g}."
+                f"but a step of {step:.3g} s can reach no less than {bound:.3g}.{_remedy(step * asked / bound)}"
             )
     return least, tuple(warnings)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement
 
+from granflow.quantities import METER_QUANTITIES
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
@@ -16,7 +17,6 @@ from granflow.scene.words import problem_of
 
 Finding = tuple[KeyPath, Fault]
 Check = Callable[[Draft], Iterator[Finding]]
-_METER_QUANTITIES = ("mass_flow", "mass_passed")
 _AXES = "xyz"
 
 
@@ -224,7 +224,7 @@ def _meters(draft: Draft) -> Iterator[Finding]:
     meters = draft.scene.output.meters
     for index, expectation in enumerate(draft.scene.expect):
         quantity, dot, meter = expectation.quantity.partition(".")
-        if dot and quantity in _METER_QUANTITIES and meter not in meters:
+        if dot and quantity in METER_QUANTITIES and meter not in meters:
             yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
 
 

@@ -64,5 +64,5 @@ def random_for(scene: Scene, group_name: str) -> np.random.Generator:
 def shortfall(scene: Scene, group_name: str, error: NoRoomError) -> str:
     """The sentence for a group that does not fit, with the place of its count in the file."""
     asked = scene.particles[group_name].count
-    where = scene.where("particles", group_name, "count")
-    return f"{where}: particles.{group_name}.count is {asked}, but {error.finding} in its region. {error.remedy}"
+    place = scene.place("particles", group_name, "count")
+    return f"{place}: particles.{group_name}.count is {asked}, but {error.finding} in its region. {error.remedy}"

@@ -286,8 +286,14 @@ class Scene(Model):
         """Whether the file, or an override, says this key itself; False for what a default or a preset filled in."""
         return self._document is not None and self._document.find(key_path) is not None
 
+    def place(self, *key_path: str | int) -> str:
+        """Where the value of that key stood, as `file:line:column`, for the head of a problem."""
+        if self._document is None:
+            return self.path.name or "scene"
+        return str(self._document.value_place(key_path))
+
     def where(self, *key_path: str | int) -> str:
         """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""
         if self._document is None:
-            return str(self.path)
+            return self.path.name or "scene"
         return self._document.where(key_path)

@@ -7,14 +7,17 @@ import numpy as np
 
 from granflow.device.backend import start
 from granflow.device.engine import Engine
-from granflow.errors import GranflowError
+from granflow.errors import GranflowError, SceneError
 from granflow.laws import theory
+from granflow.laws.catalogue import NORMAL_LAWS
 from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial
 from granflow.plan import Plan, plan_for
 from granflow.plan.plan import build_law, pair_material
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
+from granflow.scene.presets import PRESETS
+from granflow.scene.suggest import known_or_meant
 
 WALL = "wall"
 LONGEST = 20.0
@@ -50,17 +53,42 @@ def collide(
     same with `_asked` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError where the
     restitution is not given and not known, or the step is not stable.
     """
-    backend = start(arch, precision or "f64")  # type: ignore[arg-type]
     sizes = (diameter, diameter2 or diameter)
     materials = (material, material2 or material)
+    _refuse_unknown(law, materials)
+    _refuse_unphysical(law, sizes, velocity, restitution, steps_per_contact)
+    backend = start(arch, precision or "f64")  # type: ignore[arg-type]
     described = _scene_of(law, materials, sizes, velocity, wall, restitution)
     scene = Scene.model_validate(described)
     impact = _impact(scene, sizes, velocity, wall)
     expected = _expected(build_law(scene, velocity), law, impact)
     if steps_per_contact is not None:
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
-    plan = plan_for(Scene.model_validate(described), on_gpu=not backend.on_cpu)
+    try:
+        plan = plan_for(Scene.model_validate(described), on_gpu=not backend.on_cpu)
+    except SceneError:
+        raise GranflowError(f"A contact of {steps_per_contact:g} steps is not stable: give it more steps.") from None
     return expected | _watch(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
+
+
+def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
+    if law not in NORMAL_LAWS:
+        raise GranflowError(f"There is no law {law}. {known_or_meant(law, NORMAL_LAWS, 'laws')}")
+    for name in materials:
+        if name not in PRESETS:
+            raise GranflowError(f"There is no preset {name}. {known_or_meant(name, PRESETS, 'presets')}")
+
+
+def _refuse_unphysical(
+    law: str, sizes: tuple[float, float], velocity: float, restitution: float | None, steps_per_contact: float | None
+) -> None:
+    for name, value in (("diameter", min(sizes)), ("velocity", velocity), ("steps_per_contact", steps_per_contact)):
+        if value is not None and not value > 0.0:
+            raise GranflowError(f"{name} is {value:g}, but must be above 0.")
+    if restitution is not None and not 0.0 <= restitution <= 1.0:
+        raise GranflowError(f"restitution is {restitution:g}, but lies in [0, 1].")
+    if restitution == 0.0 and law != "zhou":
+        raise GranflowError(f"The {law} law reaches any restitution above 0, but not 0 itself.")
 
 
 def _scene_of(
@@ -112,7 +140,7 @@ def _normal(law: str) -> Any:
 def _asked(materials: tuple[str, str], restitution: float | None) -> Any:
     if restitution is not None:
         return restitution
-    if materials[0] == materials[1]:
+    if materials[0] == materials[1] and PRESETS[materials[0]].restitution_fit is not None:
         return {"preset": materials[0]}
     raise GranflowError(
         f"The restitution of {materials[0]} on {materials[1]} is not known. Give it with --restitution."
