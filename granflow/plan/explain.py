@@ -127,10 +127,12 @@ def _aligned(rows: Iterable[Row]) -> Iterator[str]:
     """Lines of a table of three columns; the last one is wrapped."""
     found = list(rows)
     names, values = (max(len(row[column]) for row in found) for column in (0, 1))
+    wrapper = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
     for row in found:
         lead = f"  {row.name:<{names}}  {row.value:<{values}}  "
-        wrapped = textwrap.fill(row.remark, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
-        yield wrapped.replace("\N{NO-BREAK SPACE}", " ").rstrip() or lead.rstrip()
+        wrapper.initial_indent, wrapper.subsequent_indent = lead, " " * len(lead)
+        wrapped = wrapper.fill(row.remark) if row.remark else lead
+        yield wrapped.replace("\N{NO-BREAK SPACE}", " ").rstrip()
 
 
 def count(number: float) -> str:

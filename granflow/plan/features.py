@@ -58,7 +58,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
-        "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output')})",
+        "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -78,7 +78,7 @@ def _first_pair(scene: Scene, key: str, on: bool) -> str:
 
 def _rolling_reason(scene: Scene, features: Features) -> str:
     if scene.contact.rolling == "none":
-        return f"contact.rolling is none ({scene.where('contact')})"
+        return f"contact.rolling is none ({scene.where('contact', 'rolling')})"
     return _first_pair(scene, "rolling_friction", features.rolling != "none")
 
 

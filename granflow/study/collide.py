@@ -73,10 +73,14 @@ def collide(
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     if law not in NORMAL_LAWS:
-        raise GranflowError(f"There is no law {law}. {known_or_meant(law, NORMAL_LAWS, 'laws')}")
+        raise GranflowError(f"There is no law {law}. {_sentence(known_or_meant(law, NORMAL_LAWS, 'laws'))}")
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"There is no preset {name}. {known_or_meant(name, PRESETS, 'presets')}")
+            raise GranflowError(f"There is no preset {name}. {_sentence(known_or_meant(name, PRESETS, 'presets'))}")
+
+
+def _sentence(remedy: str) -> str:
+    return remedy if remedy.endswith("?") else f"{remedy}."
 
 
 def _refuse_unphysical(

@@ -1,0 +1,117 @@
+"""`granflow explain`: everything that is decided is in the text, with where it comes from."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from child import in_child
+from plan.scenes import TEXT, scene_of
+
+from granflow.plan import explain, plan_for
+from granflow.plan.explain import WIDTH, duration, size
+from granflow.plan.features import Features
+from granflow.plan.memory import memory_of
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    return plan_for(scene_of(tmp_path_factory.mktemp("explain"), "numerics.skin=0.5 mm", "run.time_step=5e-5"))
+
+
+@pytest.fixture(scope="module")
+def rows(plan):
+    """First words of every line -> the rest of it."""
+    lines = explain(plan).splitlines()
+    return {line.strip().split("  ")[0]: line for line in lines}
+
+
+def test_lines_fit_a_terminal(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = explain(plan_for(scene_of(Path(), "run.time_step=5e-5", "pairs.glass-glass.friction=0.5")))
+    assert max(map(len, text.splitlines())) <= WIDTH
+
+
+@pytest.mark.parametrize("feature", [item.name.replace("_", " ") for item in fields(Features)])
+def test_every_feature_is_there(rows, feature):
+    assert rows[feature].split()[len(feature.split())] in ("on", "off")
+
+
+def test_every_derived_number_is_there(plan, rows):
+    step = plan.step
+    assert f"{step.value:.4g} s" in rows["time step"] and "given in the scene" in rows["time step"]
+    assert f"{step.stable_below:.4g} s" in rows["stable below"] and "beads-beads" in rows["stable below"]
+    assert "0.0001705 s" in rows["Rayleigh time"]
+    assert "1 m/s" in rows["velocity max"] and "run.velocity_max" in rows["velocity max"]
+    assert f"{step.least_restitution:.3g}" in rows["restitution"]
+    assert "0.0005 m" in rows["skin"]
+    assert "0.002 m" in rows["radius"]
+    assert "glass; not used: steel" in rows["materials"]
+    assert "1 000" in rows["steps"]
+    assert "0.05 s" in rows["simulated time"]
+    assert "estimate" in rows["run time"]
+    memory = memory_of(plan, "f64")
+    assert size(memory.per_slot) in rows["one contact"] and "overlap_max, restitution, recovery" in rows["one contact"]
+    assert size(memory.total) in rows["total"]
+
+
+def test_a_restitution_out_of_reach_is_said_beside_the_step(plan, rows):
+    assert "restitution 0.7 is asked for" in rows["WARNING"]
+
+
+def test_settings_say_what_was_filled_in_and_what_was_given(rows):
+    assert rows["numerics.chunk_size"].split()[1:] == ["512", "default"]
+    assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
+    assert "every pair gives a number" in rows["contact.normal.restitution"]
+    assert "default: output.interval" in rows["output.timeseries_interval"]
+    assert "given (--set numerics.skin" in rows["numerics.skin"]
+    assert "materials.glass.density" not in rows, "what must be given is not listed"
+
+
+def test_a_given_setting_has_its_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = TEXT.replace("title: Ten beads fall", "title: Ten beads fall\nseed: 7")
+    (line,) = (each for each in explain(plan_for(scene_of(Path(), text=text))).splitlines() if "  seed  " in each)
+    assert line.split() == ["seed", "7", "given", "(beads.yaml:2)"]
+
+
+def test_stages_are_an_upper_bound(tmp_path):
+    stages = "[{name: fill, duration: 1 s}, {name: rest, kinetic_energy_below: 1 nJ, at_most: 2 s}]"
+    text = explain(plan_for(scene_of(tmp_path, f"stages={stages}", "run.duration=null")))
+    assert "at most 3 s" in text and "fill 1 s, rest at most 2 s" in text
+
+
+def allocated(directory, overrides, precision):
+    """Bytes of all fields of a State that grow with the scene, and what the plan said."""
+    import numpy as np
+
+    from granflow.device import backend
+    from granflow.device.state import State
+
+    plan = plan_for(scene_of(Path(directory), *overrides))
+    state = State(plan, backend.start("cpu", precision, 1))
+    found = 0
+    for block in (state.particles, state.contacts, state.sorting):
+        values = [*vars(block).values()]
+        values += [each for value in values if isinstance(value, dict) for each in value.values()]
+        values += [each for value in values if isinstance(value, list) for each in value]
+        found += sum(np.asarray(each.to_numpy()).nbytes for each in values if hasattr(each, "to_numpy"))
+    return found, memory_of(plan, precision).total
+
+
+MANY = ("particles.beads.count=3000", "particles.beads.diameter=0.5 mm")
+FRICTION = ("pairs.glass-glass.friction=0.4",)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "precision"), [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")]
+)
+def test_memory_is_what_is_allocated(tmp_path, overrides, precision):
+    found, said = in_child(allocated, str(tmp_path), overrides, precision)
+    assert said == pytest.approx(found, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (600, "10 minutes"), (7.3e3, "2 hours"), (1e6, "12 days")]
+)
+def test_duration(seconds, text):
+    assert duration(seconds) == text

@@ -1,0 +1,78 @@
+"""Features follow from the scene alone, and their reasons name what decided."""
+
+from dataclasses import fields
+
+import pytest
+from plan.scenes import TEXT, line_of, scene_of
+
+from granflow.plan import plan_for
+from granflow.plan.features import Features
+
+FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}\n"
+SHAKEN = FLOOR.replace("}\n", ", motion: {kind: translation, velocity: [0, 0, 1 mm/s]}}\n")
+
+
+def reasons(scene):
+    return {reason.feature: (reason.setting, reason.why) for reason in plan_for(scene).reasons}
+
+
+def test_nothing_is_on_that_the_scene_does_not_need(tmp_path):
+    text = TEXT.replace("walls:\n" + FLOOR, "")
+    features = plan_for(scene_of(tmp_path, text=text)).features
+    assert [item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none")] == [
+        "one_material"
+    ]
+
+
+def test_every_feature_has_its_reason(tmp_path):
+    assert list(reasons(scene_of(tmp_path))) == [item.name for item in fields(Features)]
+
+
+@pytest.mark.parametrize(
+    ("change", "feature", "setting", "why", "line"),
+    [
+        ((), "friction", "off", "every pair has friction 0", None),
+        ((), "rolling", "off", "contact.rolling is none", "rolling: none"),
+        ((), "rotation", "off", "nothing turns the particles", None),
+        ((), "walls", "on", "floor", "walls:"),
+        ((), "moving_walls", "off", "no wall has a motion", None),
+        ((), "ledger", "off", "output.energy is off", "output:"),
+        ((), "one_material", "on", "all particles are of glass", None),
+        ((), "rate_dependent", "off", "the zhou law as set here has no viscous term", None),
+        (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
+        (("friction: 0,", "friction: 0.4,"), "rotation", "on", "friction or rolling turns the particles", None),
+        (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),
+        (("interval: 10 ms", "interval: 10 ms\n  energy: true"), "ledger", "on", "output.energy is on", "energy"),
+        ((FLOOR, SHAKEN), "moving_walls", "on", "walls.floor moves", "floor"),
+        (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz law reaches", "normal"),
+        (
+            ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),
+            *("rate_dependent", "on", "contact.normal.damping_ratio is 0.1", "normal"),
+        ),
+    ],
+)
+def test_reason(tmp_path, change, feature, setting, why, line):
+    text = TEXT.replace(*change, 1) if change else TEXT
+    found, said = reasons(scene_of(tmp_path, text=text))[feature]
+    assert found == setting
+    assert said.startswith(why)
+    if line:
+        number = next(n for n, each in enumerate(text.splitlines(), 1) if line in each)
+        assert said.endswith(f"beads.yaml:{number})")
+
+
+def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
+    text = TEXT.replace("rolling: none", "rolling: cdt").replace("rolling_friction: 0}", "rolling_friction: 0.01}", 1)
+    found = reasons(scene_of(tmp_path, text=text))
+    assert found["rolling"][0] == "cdt"
+    assert found["rolling"][1].endswith(f"beads.yaml:{line_of('glass-glass')})")
+    assert found["rotation"][0] == "on"
+
+
+def test_materials_that_nothing_is_made_of_are_left_out(tmp_path):
+    plan = plan_for(scene_of(tmp_path))
+    assert plan.materials == ("glass",)
+    assert plan.pair_constants.shape[0] == 1
+    both = plan_for(scene_of(tmp_path, "walls.floor.material=steel"))
+    assert both.materials == ("glass", "steel")
+    assert both.features.one_material, "particles are of glass alone"

@@ -1,0 +1,118 @@
+"""The time step against theory worked out here by hand, and what is refused or warned about."""
+
+import math
+
+import pytest
+from plan.scenes import TEXT, line_of, scene_of
+
+from granflow.errors import SceneError
+from granflow.plan import plan_for
+from granflow.plan.approach import fastest_approach
+
+RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0
+MASS = 4 / 3 * math.pi * RADIUS**3 * DENSITY
+MODULUS = YOUNG / (2 * (1 - POISSON**2))
+LOADING, UNLOADING = 1.471637592, 0.8906
+"""eta1, and eta2 at e = 0.7, from the table of the model (Zhou 2011, Eqs. 14 and 15)."""
+
+
+def hertz(radius_eff):
+    return 4 / 3 * MODULUS * math.sqrt(radius_eff)
+
+
+def largest_overlap(radius_eff, mass_eff):
+    return (5 * mass_eff * VELOCITY**2 / (4 * hertz(radius_eff))) ** 0.4
+
+
+BODIES = {"beads-beads": (RADIUS / 2, MASS / 2), "beads-glass wall": (RADIUS, MASS)}
+"""Effective radius and mass of the two ways to meet."""
+
+
+@pytest.fixture
+def step(tmp_path):
+    return plan_for(scene_of(tmp_path, "numerics.time_step_safety=0.02")).step
+
+
+def test_step_is_a_fraction_of_the_shortest_phase(step):
+    shortest = min(UNLOADING * largest_overlap(*body) / VELOCITY for body in BODIES.values())
+    assert step.value == pytest.approx(0.02 * shortest, rel=1e-4)
+    assert step.limited_by == "0.02 of the shortest contact phase, beads-beads at 1 m/s"
+
+
+def test_stable_bound_is_half_that_of_the_loading_tangent(step):
+    def bound(radius_eff, mass_eff):
+        tangent = 1.5 * hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff))
+        return math.sqrt(mass_eff / tangent)
+
+    assert step.stable_below == pytest.approx(min(bound(*body) for body in BODIES.values()))
+    assert step.stable_limit == "beads-beads"
+
+
+def test_rayleigh_time_limits_what_is_slow(tmp_path):
+    step = plan_for(scene_of(tmp_path, "numerics.rayleigh_fraction=0.001")).step
+    shear = YOUNG / (2 * (1 + POISSON))
+    rayleigh = math.pi * RADIUS * math.sqrt(DENSITY / shear) / (0.1631 * POISSON + 0.8766)
+    assert step.value == pytest.approx(0.001 * rayleigh)
+    assert step.limited_by.startswith("0.001 of the Rayleigh time, beads-")
+
+
+def test_least_restitution_is_where_the_unloading_tangent_meets_its_bound(step):
+    def least(radius_eff, mass_eff):
+        tangent = hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff)) / 0.8
+        return math.sqrt(tangent * step.value**2 / (0.5**2 * mass_eff))
+
+    assert step.least_restitution == pytest.approx(max(least(*body) for body in BODIES.values()))
+    assert step.warnings == ()
+
+
+def test_given_step_above_the_bound_is_refused_with_its_place_and_the_right_number(tmp_path):
+    right = plan_for(scene_of(tmp_path)).step
+    text = TEXT.replace("duration: 50 ms", "duration: 50 ms\n  time_step: 1e-3")
+    with pytest.raises(SceneError) as refusal:
+        plan_for(scene_of(tmp_path, text=text))
+    (problem,) = refusal.value.problems
+    place, sentence = problem.split(": ", 1)
+    assert place.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
+    assert sentence == (
+        f"run.time_step is 0.001 s, above the stable {right.stable_below:.3g} s (beads-beads at 1 m/s). "
+        f"Lower it to {right.value:.2g} s or leave it out."
+    )
+
+
+def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
+    step = plan_for(scene_of(tmp_path, "run.time_step=5e-5")).step
+    assert (step.value, step.limited_by) == (5e-5, "given in the scene")
+    warning = step.warnings[0]
+    assert warning.startswith("beads-beads: restitution 0.7 is asked for at 1 m/s, but a step of 5e-05 s can reach no")
+    remedy = float(warning.split("A run.time_step of ")[1].split()[0])
+    assert not plan_for(scene_of(tmp_path, f"run.time_step={0.98 * remedy}")).step.warnings
+
+
+@pytest.mark.parametrize(
+    ("overrides", "value", "source"),
+    [
+        ((), 1.0, "run.velocity_max ("),
+        (("run.velocity_max=null",), math.sqrt(2 * 9.81 * 0.04), "estimated from free fall through the domain"),
+        (("run.velocity_max=null", "particles.beads.velocity=[3, 4, 0]"), 10.0, "estimated from the fastest particle"),
+        (("run.velocity_max=null", "gravity=[0, 0, 0]"), 1.0, "assumed"),
+        (
+            ("run.velocity_max=null", "gravity=[0, 0, 0]")
+            + ("walls.floor.motion={kind: translation, velocity: [0, 0, 2]}",),
+            2.0,
+            "estimated from the fastest wall (2 m/s)",
+        ),
+    ],
+)
+def test_fastest_approach(tmp_path, overrides, value, source):
+    approach = fastest_approach(scene_of(tmp_path, *overrides))
+    assert approach.value == pytest.approx(value)
+    assert approach.source.startswith(source)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "share"),
+    [((), (0.05, 0.3)), (("numerics.skin=0.5 mm",), (0.25, 0.25)), (("run.velocity_max=0.01",), (0.05, 0.05))],
+)
+def test_skin(tmp_path, overrides, share):
+    plan = plan_for(scene_of(tmp_path, *overrides))
+    assert share[0] * (1 - 1e-9) <= plan.skin / plan.radius_min <= share[1] * (1 + 1e-9)
