@@ -19,8 +19,8 @@ def build_lateral(state: State) -> Any:
     plan, history = state.plan, state.contacts.history.get("lateral")
 
     @ti.func
-    def lateral(slot, constants, stiffness, share, normal_force, middle, slide, twist):
-        carried = carried_displacement(history[slot], middle, twist)
+    def lateral(slot, constants, stiffness, share, normal_force, normal, middle, slide):
+        carried = carried_displacement(history[slot], normal, middle)
         cap = constants[plan.friction_index] * normal_force
         force, kept = elastic_plastic_spring(stiffness, share, cap, carried, slide)
         history[slot] = kept
@@ -38,13 +38,13 @@ def build_rolling(state: State) -> Any:
     epsd = plan.features.rolling == "epsd"
 
     @ti.func
-    def rolling(slot, constants, stiffness, share, normal_force, radius_eff, inertia_eff, middle, rate, twist, dt):
-        across = rate - rate.dot(middle) * middle
+    def rolling(slot, constants, stiffness, share, normal_force, radius_eff, inertia_eff, normal, middle, rate, dt):
+        across = rate - rate.dot(normal) * normal
         arm = constants[plan.rolling_index] * radius_eff
         torque = 0.0 * across
         lost = 0.0 * dt
         if ti.static(epsd):
-            carried = carried_displacement(history[slot], middle, twist)
+            carried = carried_displacement(history[slot], normal, middle)
             spring = stiffness * radius_eff * radius_eff
             torque, kept = elastic_plastic_spring(spring, share, arm * normal_force, carried, dt * across)
             history[slot] = kept
@@ -59,7 +59,7 @@ def build_rolling(state: State) -> Any:
     return rolling
 
 
-def build_surface(state: State) -> Any:
+def build_surface(state: State, with_wall: bool) -> Any:
     """Device function: tangential force, rolling torque and their losses of one contact.
 
     Returns (tangential force on i, rolling torque on i, loss by friction, loss by rolling).
@@ -71,7 +71,7 @@ def build_surface(state: State) -> Any:
     @ti.func
     def partner_spin(i, j):
         spin = 0.0 * particles.spin[i]
-        if j >= 0:
+        if ti.static(not with_wall):
             spin = particles.spin[j]
         return spin
 
@@ -79,29 +79,30 @@ def build_surface(state: State) -> Any:
     def inertia_eff(i, j):
         own = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
         result = own
-        if j >= 0:
+        if ti.static(not with_wall):
             other = 0.4 * particles.mass[j] * particles.radius[j] * particles.radius[j]
             result = own * other / (own + other)
         return result
 
     @ti.func
-    def surface(i, j, slot, dt, constants, memory, overlap, middle, late, arm, arm_partner, radius_eff, normal_force):
+    def surface(
+        i, j, slot, dt, constants, memory, overlap, normal, middle, late, arm, arm_partner, radius_eff, normal_force
+    ):  # fmt: skip
         spin, other = particles.spin[i], partner_spin(i, j)
-        rate = -late.dot(middle)
+        rate = -late.dot(normal)
         stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
         share = 0.0 * stiffness + 1.0
         if ti.static(law.lateral_grows):
             share = ti.sqrt(ti.max(overlap - dt * rate, 0.0) / overlap)
-        slip = late + rate * middle - (arm * spin + arm_partner * other).cross(middle)
-        twist = 0.5 * dt * (spin + other).dot(middle)
+        slip = late + rate * normal - (arm * spin + arm_partner * other).cross(normal)
         force, torque = 0.0 * late, 0.0 * late
         friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
         if ti.static(features.friction):
-            force, friction_loss = lateral(slot, constants, stiffness, share, normal_force, middle, dt * slip, twist)
+            force, friction_loss = lateral(slot, constants, stiffness, share, normal_force, normal, middle, dt * slip)
         if ti.static(features.rolling != "none"):
             torque, rolling_loss = rolling(
-                slot, constants, stiffness, share, normal_force, radius_eff, inertia_eff(i, j), middle,
-                spin - other, twist, dt
+                slot, constants, stiffness, share, normal_force, radius_eff, inertia_eff(i, j), normal,
+                middle, spin - other, dt
             )  # fmt: skip
         return force, torque, friction_loss, rolling_loss
 
@@ -138,28 +139,16 @@ def build_forget(state: State) -> Any:
     return forget
 
 
-def build_forces(state: State) -> Any:
-    """Device function (chunk, count, pose, time_step): force and torque on the particles of one chunk.
-
-    Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
-    Writes:  force, torque, history, losses, guard
-    """
+def build_contact(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, slot, j, pose, time_step) -> (force on i, torque on i, torque on j) of one slot."""
     plan, law, particles, contacts, control = (
         state.plan, state.plan.law, state.particles, state.contacts, state.control
     )  # fmt: skip
-    features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
-    gravity = [float(g) for g in plan.gravity]
+    features, real = plan.features, state.backend.real
     memory_size = max(law.history_count, 1)
-    encounter, surface, forget = build_encounter(state), build_surface(state), build_forget(state)
+    encounter, surface, forget = build_encounter(state, with_wall), build_surface(state, with_wall), build_forget(state)
     pair_number, weight = build_pair_number(state), build_weight(state)
-    geometry, shared_chunks, loss_count = build_wall_geometry(state), plan.chunk_size > 1, len(LOSSES)
-
-    @ti.func
-    def start_chunk(first, last):
-        for i in range(first, last):
-            particles.force[i] = particles.mass[i] * ti.Vector(gravity, dt=real)
-            if ti.static(features.rotation):
-                particles.torque[i] *= 0.0
+    geometry = build_wall_geometry(state)
 
     @ti.func
     def normal_memory(slot):
@@ -177,11 +166,70 @@ def build_forces(state: State) -> Any:
     @ti.func
     def wall_work(i, j, pose, force, dt):
         work = 0.0 * dt
-        if ti.static(features.moving_walls):
-            if j < 0:
-                velocity = geometry.surface_velocity(-1 - j, pose, particles.position[i])
-                work = dt * force.dot(ti.cast(velocity, real))
+        if ti.static(with_wall and features.moving_walls):
+            velocity = geometry.surface_velocity(-1 - j, pose, particles.position[i])
+            work = dt * force.dot(ti.cast(velocity, real))
         return work
+
+    @ti.func
+    def contact(chunk, i, slot, j, pose, dt):
+        force, torque, torque_partner = (
+            0.0 * particles.velocity[i],
+            0.0 * particles.velocity[i],
+            0.0 * particles.velocity[i],
+        )
+        overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff = encounter(i, j, pose, dt)
+        constants = control.pair_constants[pair_number(i, j)]
+        if overlap > 0.0:
+            check_overlap(i, overlap, radius_eff)
+            normal_force, viscous, memory = law.force(
+                constants, radius_eff, mass_eff, dt, overlap, rate, normal_memory(slot)
+            )
+            if ti.static("normal" in contacts.history):
+                contacts.history["normal"][slot] = memory
+            force = normal_force * normal
+            friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
+            if ti.static(features.rotation):
+                tangential, rolling, friction_loss, rolling_loss = surface(
+                    i, j, slot, dt, constants, memory, overlap, normal, middle, late, arm, arm_partner, radius_eff,
+                    normal_force
+                )  # fmt: skip
+                force += tangential
+                moment = normal.cross(tangential)
+                torque, torque_partner = rolling - arm * moment, -rolling - arm_partner * moment
+            if ti.static(features.ledger):
+                share = weight(i, j)
+                control.losses[chunk][FRICTION] += share * friction_loss
+                control.losses[chunk][ROLLING] += share * rolling_loss
+                control.losses[chunk][DAMPING] += share * viscous * rate * dt
+                control.losses[chunk][WALL_WORK] += wall_work(i, j, pose, force, dt)
+        else:
+            lost = forget(slot, i, j, constants, dt)
+            if ti.static(features.ledger):
+                control.losses[chunk][PLASTIC] += weight(i, j) * lost
+        return force, torque, torque_partner
+
+    return contact
+
+
+def build_forces(state: State) -> Any:
+    """Device function (chunk, count, pose, time_step): force and torque on the particles of one chunk.
+
+    Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
+    Writes:  force, torque, history, losses, guard
+    """
+    plan, particles, contacts = state.plan, state.particles, state.contacts
+    features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
+    gravity, shared_chunks = [float(g) for g in plan.gravity], plan.chunk_size > 1
+    grain_contact = build_contact(state, False)
+    wall_contact = build_contact(state, True) if plan.has_walls else None
+
+    @ti.func
+    def start_chunk(first, last):
+        for i in range(first, last):
+            particles.force[i] = particles.mass[i] * ti.Vector(gravity, dt=real)
+            if ti.static(features.rotation):
+                particles.torque[i] *= 0.0
 
     @ti.func
     def react(j, first, last, force, torque):
@@ -195,47 +243,19 @@ def build_forces(state: State) -> Any:
     def forces(chunk, count, pose, dt):
         first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)
         start_chunk(first, last)
-        losses = ti.Vector.zero(ti.f64, loss_count)
         for i in range(first, last):
             total, total_torque = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
-            for slot in range(contacts.row_begin[i], contacts.row_end[i]):
+            if ti.static(plan.has_walls):
+                for slot in range(contacts.row_begin[i], contacts.row_middle[i]):
+                    force, torque, _other = wall_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
+                    total, total_torque = total + force, total_torque + torque
+            for slot in range(contacts.row_middle[i], contacts.row_end[i]):
                 j = contacts.partner[slot]
-                overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff = encounter(i, j, pose, dt)
-                constants = control.pair_constants[pair_number(i, j)]
-                if overlap > 0.0:
-                    check_overlap(i, overlap, radius_eff)
-                    normal_force, viscous, memory = law.force(
-                        constants, radius_eff, mass_eff, dt, overlap, rate, normal_memory(slot)
-                    )
-                    if ti.static("normal" in contacts.history):
-                        contacts.history["normal"][slot] = memory
-                    force, spin_torque, other_torque = normal_force * normal, 0.0 * normal, 0.0 * normal
-                    friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
-                    if ti.static(features.rotation):
-                        tangential, torque, friction_loss, rolling_loss = surface(
-                            i, j, slot, dt, constants, memory, overlap, middle, late, arm, arm_partner,
-                            radius_eff, normal_force
-                        )  # fmt: skip
-                        force += tangential
-                        moment = normal.cross(tangential)
-                        spin_torque, other_torque = torque - arm * moment, -torque - arm_partner * moment
-                    total += force
-                    total_torque += spin_torque
-                    react(j, first, last, force, other_torque)
-                    if ti.static(features.ledger):
-                        share = weight(i, j)
-                        losses[FRICTION] += share * friction_loss
-                        losses[ROLLING] += share * rolling_loss
-                        losses[DAMPING] += share * viscous * rate * dt
-                        losses[WALL_WORK] += wall_work(i, j, pose, force, dt)
-                else:
-                    lost = forget(slot, i, j, constants, dt)
-                    if ti.static(features.ledger):
-                        losses[PLASTIC] += weight(i, j) * lost
+                force, torque, other = grain_contact(chunk, i, slot, j, pose, dt)
+                total, total_torque = total + force, total_torque + torque
+                react(j, first, last, force, other)
             particles.force[i] += total
             if ti.static(features.rotation):
                 particles.torque[i] += total_torque
-        if ti.static(features.ledger):
-            control.losses[chunk] += losses
 
     return forces

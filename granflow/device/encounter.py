@@ -8,75 +8,110 @@ from granflow.device.state import State
 from granflow.device.walls import build_wall_geometry
 
 
-def build_encounter(state: State) -> Any:
-    """Device function (i, j, pose, time_step) -> what there is to know of the near pair; j < 0 is wall -1 - j.
+def build_encounter(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, pose, time_step) -> what there is to know of a near pair; a wall's j is -1 - its index.
 
-    Returns overlap [m] (0 or less: apart), normal from j to i, the normal half a step earlier, relative velocity
-    of the surfaces at the contact half a step earlier without spin, rate of overlap [m/s] (> 0 approaching),
-    lever arms of both [m], effective radius [m] and mass [kg].
+    Returns overlap [m] (0 or less: apart), normal from j to i, mean of this normal and that of a step earlier,
+    velocity of i relative to j half a step earlier, rate of overlap [m/s] (> 0 approaching), lever arms of both
+    [m], effective radius [m] and mass [kg]. Grains and walls have functions of their own: one
+    function with a branch for walls ran at half the speed.
 
     Every operation gives exactly the opposite or the same number when i and j change places.
     """
-    plan, particles = state.plan, state.particles
-    features, real = plan.features, state.backend.real
-    geometry = build_wall_geometry(state)
+    return _build_wall_encounter(state) if with_wall else _build_grain_encounter(state)
+
+
+def _build_grain_encounter(state: State) -> Any:
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    middle_normal = _build_middle_normal()
 
     @ti.func
-    def velocities(i, j):
-        """Relative velocity half a step back, and as of the positions where a law needs that."""
-        late = particles.velocity[i] - particles.velocity[j]
-        now = late
-        if ti.static(features.rate_dependent):
-            now = particles.velocity_now[i] - particles.velocity_now[j]
-        return late, now
-
-    @ti.func
-    def wall_velocities(i, w, pose, foot):
-        surface = ti.cast(geometry.surface_velocity(w, pose, foot), real)
-        late = particles.velocity[i] - surface
-        now = late
-        if ti.static(features.rate_dependent):
-            now = particles.velocity_now[i] - surface
-        return late, now
-
-    @ti.func
-    def encounter(i, j, pose, time_step):
-        radius, mass = particles.radius[i], particles.mass[i]
-        overlap, distance = -radius, radius
-        normal, late, now = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
-        arm, arm_partner = 0.0 * radius, 0.0 * radius
-        radius_eff, mass_eff = radius, mass
-        if ti.static(plan.has_walls):
-            if j < 0:
-                gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
-                overlap = ti.cast(particles.radius[i] - gap, real)
-                if overlap > 0.0:
-                    normal, distance = ti.cast(direction, real), ti.cast(gap, real)
-                    foot = particles.position[i] - gap * direction
-                    late, now = wall_velocities(i, -1 - j, pose, foot)
-                    arm = radius - overlap
-        if j >= 0:
-            apart = ti.cast(particles.position[i] - particles.position[j], real)
-            reach = radius + particles.radius[j]
-            square = apart.dot(apart)
-            if square < reach * reach:
-                distance = ti.sqrt(square)
-                overlap = reach - distance
-                normal = (1.0 / distance) * apart
-                late, now = velocities(i, j)
-                radius_eff = radius * particles.radius[j] / reach
-                mass_eff = mass * particles.mass[j] / (mass + particles.mass[j])
-                share = overlap / reach
-                arm = radius - share * particles.radius[j]
-                arm_partner = particles.radius[j] - share * radius
-        middle, rate = normal, 0.0 * radius
-        if overlap > 0.0:
-            across = late - late.dot(normal) * normal
-            middle -= (0.5 * time_step / ti.max(distance, 0.5 * radius)) * across
+    def grain_encounter(i, j, pose, time_step):
+        radius, radius_partner = particles.radius[i], particles.radius[j]
+        zero = 0.0 * particles.velocity[i]
+        overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
+        normal, middle, late, radius_eff, mass_eff = zero, zero, zero, radius, radius
+        apart = ti.cast(particles.position[i] - particles.position[j], real)
+        reach = radius + radius_partner
+        square = apart.dot(apart)
+        if square < reach * reach:
+            distance = ti.sqrt(square)
+            inverse = 1.0 / distance
+            overlap = reach - distance
+            normal = inverse * apart
+            late = particles.velocity[i] - particles.velocity[j]
+            now = late
+            if ti.static(features.rate_dependent):
+                now = particles.velocity_now[i] - particles.velocity_now[j]
             rate = -now.dot(normal)
+            middle = middle_normal(normal, late, inverse, time_step)
+            share = 1.0 / reach
+            radius_eff = radius * radius_partner * share
+            mass, mass_partner = particles.mass[i], particles.mass[j]
+            mass_eff = mass * mass_partner / (mass + mass_partner)
+            arm = radius - overlap * (share * radius_partner)
+            arm_partner = radius_partner - overlap * (share * radius)
         return overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff
 
-    return encounter
+    return grain_encounter
+
+
+def _build_wall_encounter(state: State) -> Any:
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    geometry, middle_normal = build_wall_geometry(state), _build_middle_normal()
+
+    @ti.func
+    def wall_encounter(i, j, pose, time_step):
+        radius = particles.radius[i]
+        zero = 0.0 * particles.velocity[i]
+        normal, middle, late, rate = zero, zero, zero, 0.0 * radius
+        gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
+        overlap = ti.cast(radius - gap, real)
+        if overlap > 0.0:
+            normal = ti.cast(direction, real)
+            foot = particles.position[i] - gap * direction
+            surface = ti.cast(geometry.surface_velocity(-1 - j, pose, foot), real)
+            late = particles.velocity[i] - surface
+            now = late
+            if ti.static(features.rate_dependent):
+                now = particles.velocity_now[i] - surface
+            rate = -now.dot(normal)
+            middle = middle_normal(normal, late, 1.0 / ti.max(ti.cast(gap, real), 0.5 * radius), time_step)
+        return overlap, normal, middle, late, rate, radius - overlap, 0.0 * radius, radius, particles.mass[i]
+
+    return wall_encounter
+
+
+def _build_middle_normal() -> Any:
+    @ti.func
+    def middle_normal(normal, late, inverse_distance, time_step):
+        """The normal half a step earlier, to second order."""
+        across = late - late.dot(normal) * normal
+        return normal - (0.5 * time_step * inverse_distance) * across
+
+    return middle_normal
+
+
+def build_either_encounter(state: State) -> Any:
+    """Device function as those of `build_encounter`, for grains and walls alike: for surveys, where speed is no matter.
+
+    Returns (overlap, rate, effective radius, effective mass).
+    """
+    grain = build_encounter(state, False)
+    wall = build_encounter(state, True) if state.plan.has_walls else grain
+
+    @ti.func
+    def either(i, j, pose, time_step):
+        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        radius_eff, mass_eff = overlap, overlap
+        if j < 0:
+            overlap, _n, _m, _l, rate, _a, _p, radius_eff, mass_eff = wall(i, j, pose, time_step)
+        else:
+            overlap, _n2, _m2, _l2, rate, _a2, _p2, radius_eff, mass_eff = grain(i, j, pose, time_step)
+        return overlap, rate, radius_eff, mass_eff
+
+    particles = state.particles
+    return either
 
 
 def build_weight(state: State) -> Any:

@@ -7,7 +7,7 @@ import numpy as np
 
 from granflow.device.backend import Backend
 from granflow.device.books import Books, ledger_totals, mechanical_energy
-from granflow.device.guards import GUARDS, NO_PARTICLE, Trip
+from granflow.device.guards import GUARDS, Trip
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -27,13 +27,36 @@ class Engine:
         self.plan = plan
         self.state = State(plan, backend)
         self.stepper = Stepper(self.state, self._on_gone)
-        self.transfer = Transfer(self.state)
-        self.survey = Survey(self.state)
+        self._build_looks()
         self.books = Books()
         self.step_count = 0
-        self._records: ContactRecords | None = None
         self._gravity = np.array(plan.gravity)
-        self.state.control.guard_particle[0] = NO_PARTICLE
+
+    def _build_looks(self) -> None:
+        """Kernels that move data in and out; they know the fields, which growing replaces."""
+        self._looks_growth = self.timing.growth_count
+        self._transfer = Transfer(self.state)
+        self._survey = Survey(self.state)
+        self._records: ContactRecords | None = None
+
+    def _follow_growth(self) -> None:
+        if self._looks_growth != self.timing.growth_count:
+            self._survey.block.free()
+            if self._records is not None:
+                self._records.block.free()
+            self._build_looks()
+
+    @property
+    def transfer(self) -> Transfer:
+        """Copies between host arrays and particles."""
+        self._follow_growth()
+        return self._transfer
+
+    @property
+    def survey(self) -> Survey:
+        """Contact statistics."""
+        self._follow_growth()
+        return self._survey
 
     @property
     def time(self) -> float:
@@ -169,7 +192,8 @@ class Engine:
         return found
 
     def _contact_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        if self._records is None or self._records.capacity != self.state.contacts.capacity:
+        self._follow_growth()
+        if self._records is None:
             self._records = ContactRecords(self.state)
         return self._records.take(arrays)
 

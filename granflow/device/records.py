@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import taichi as ti
 
-from granflow.device.encounter import build_encounter, build_pair_number
+from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
 from granflow.device.walls import build_wall_geometry
 
@@ -75,7 +75,11 @@ RECORDED = ("overlap", "normal_force", "tangential_force", "friction_limit")
 def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
     plan, law, particles, contacts = state.plan, state.plan.law, state.particles, state.contacts
     real, memory_size = state.backend.real, max(law.history_count, 1)
-    encounter, pair_number, geometry = build_encounter(state), build_pair_number(state), build_wall_geometry(state)
+    encounter, pair_number, geometry = (
+        build_either_encounter(state),
+        build_pair_number(state),
+        build_wall_geometry(state),
+    )
     overlap_out, normal_out, tangential_out, limit_out = (records.numbers[name] for name in RECORDED)
 
     @ti.func
@@ -92,7 +96,7 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
         for i in range(count):
             for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                 j = contacts.partner[slot]
-                overlap, _n, _m, _v, rate, _a, _b, radius_eff, mass_eff = encounter(i, j, 0, dt)
+                overlap, rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
                 overlap_out[slot] = overlap
                 if overlap > 0.0:
                     constants = state.control.pair_constants[pair_number(i, j)]

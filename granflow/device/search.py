@@ -269,6 +269,7 @@ def build_rows(state: State) -> Callable[..., None]:
         filled = slot
         if ti.static(wall_count > 0):
             filled = near_walls(chunk, filled, i, skin, pose)
+        contacts.row_middle[i] = filled
         p = (particles.position[i] - low) / side
         x, y, z = ti.cast(p[0], ti.i32), ti.cast(p[1], ti.i32), ti.cast(p[2], ti.i32)
         for dz in range(ti.max(z - 1, 0), ti.min(z + 2, bz * BLOCK_SIDE)):

@@ -6,6 +6,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.backend import Backend
+from granflow.device.guards import NO_PARTICLE
 from granflow.plan import Plan
 from granflow.walls.catalogue import kind_code
 from granflow.walls.motion import Motion
@@ -16,11 +17,12 @@ WALL_BATCH = 64
 
 
 class Block:
-    """A group of fields that are allocated and freed together."""
+    """Fields that are allocated and freed together: all of the state in one, since each costs a look-up in kernels."""
 
     def __init__(self) -> None:
         self._builder = ti.FieldsBuilder()
         self._tree: Any = None
+        self.fields: list[Any] = []
 
     def scalar(self, dtype: Any, *shape: int) -> Any:
         """A field of numbers."""
@@ -47,29 +49,28 @@ class Block:
     def _placed(self, field: Any, shape: tuple[int, ...]) -> Any:
         axes = ti.i if len(shape) == 1 else ti.ij
         self._builder.dense(axes, shape).place(field)
+        self.fields.append(field)
         return field
 
 
-class Particles(Block):
+class Particles:
     """One entry a sphere, in cell order; velocities are half a step behind the positions (leapfrog)."""
 
-    def __init__(self, plan: Plan, backend: Backend) -> None:
-        super().__init__()
+    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
         count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
         self.capacity = count
-        self.position = self.vector(backend.position_real, count)
-        self.position_at_search = self.vector(backend.position_real, count)
-        self.velocity = self.vector(real, count)
-        self.force = self.vector(real, count)
-        self.radius = self.scalar(real, count)
-        self.mass = self.scalar(real, count)
-        self.id = self.scalar(ti.i32, count)
-        self.material: Any = None if features.one_material else self.scalar(ti.i32, count)
-        self.spin: Any = self.vector(real, count) if features.rotation else None
-        self.torque: Any = self.vector(real, count) if features.rotation else None
-        self.velocity_now: Any = self.vector(real, count) if features.rate_dependent else None
-        self.coordination = self.scalar(ti.i32, count)
-        self.finish()
+        self.position = block.vector(backend.position_real, count)
+        self.position_at_search = block.vector(backend.position_real, count)
+        self.velocity = block.vector(real, count)
+        self.force = block.vector(real, count)
+        self.radius = block.scalar(real, count)
+        self.mass = block.scalar(real, count)
+        self.id = block.scalar(ti.i32, count)
+        self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
+        self.spin: Any = block.vector(real, count) if features.rotation else None
+        self.torque: Any = block.vector(real, count) if features.rotation else None
+        self.velocity_now: Any = block.vector(real, count) if features.rate_dependent else None
+        self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that travel with a particle when it gets another place."""
@@ -78,109 +79,98 @@ class Particles(Block):
         return fields + [field for field in optional if field is not None]
 
 
-class Sorting(Block):
+class Sorting:
     """Scratch for the neighbour search: cells, the new order, and one copy of what travels."""
 
-    def __init__(self, plan: Plan, particles: Particles, cell_capacity: int) -> None:
-        super().__init__()
-        count = particles.capacity
+    def __init__(self, block: Block, plan: Plan, particles: Particles) -> None:
+        count, cell_capacity = particles.capacity, plan.cell_capacity
         self.cell_capacity = cell_capacity
-        self.cell = self.scalar(ti.i32, count)
-        self.order = self.scalar(ti.i32, count)
-        self.rank = self.scalar(ti.i32, count)
-        self.cell_start = self.scalar(ti.i32, cell_capacity + 2)
-        self.cell_fill = self.scalar(ti.i32, cell_capacity + 2)
-        self.block_sum = self.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
-        self.low = self.vector(particles.position.dtype, 1)
-        self.high = self.vector(particles.position.dtype, 1)
-        self.copies = [self._like(field, count) for field in particles.sorted_fields()]
-        self.finish()
+        self.cell = block.scalar(ti.i32, count)
+        self.order = block.scalar(ti.i32, count)
+        self.rank = block.scalar(ti.i32, count)
+        self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
+        self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
+        self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
+        self.low = block.vector(particles.position.dtype, 1)
+        self.high = block.vector(particles.position.dtype, 1)
+        self.copies = [_like(block, field, count) for field in particles.sorted_fields()]
 
-    def _like(self, field: Any, count: int) -> Any:
-        if isinstance(field, ti.MatrixField):
-            return self.vector(field.dtype, count)
-        return self.scalar(field.dtype, count)
+
+def _like(block: Block, field: Any, count: int) -> Any:
+    if isinstance(field, ti.MatrixField):
+        return block.vector(field.dtype, count)
+    return block.scalar(field.dtype, count)
 
 
 SCAN_BLOCK = 1024
 """Cells summed by one task of the prefix sum."""
 
 
-class Contacts(Block):
+class Contacts:
     """Rows of near partners, one row a particle, each chunk of particles in its own segment.
 
-    `partner` holds the index of a particle, or -1 - wall. A pair within one chunk stands in one row, a pair
-    across two chunks in both. `before` is a copy of rows and history taken when the particles are sorted anew.
+    `partner` holds the index of a particle, or -1 - wall; walls stand from row_begin to row_middle, before the
+    others. A pair within one chunk stands in one row, a pair across two chunks in both. `before` is a copy of rows and history taken when the particles are sorted anew.
     """
 
-    def __init__(self, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
-        super().__init__()
+    def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
         count = max(plan.particle_capacity, 1)
         self.slots_per_chunk = slots_per_chunk
         self.capacity = plan.chunk_capacity * slots_per_chunk
-        self.row_begin, self.row_end = self.scalar(ti.i32, count), self.scalar(ti.i32, count)
-        self.partner = self.scalar(ti.i32, self.capacity)
-        self.chunk_need = self.scalar(ti.i32, plan.chunk_capacity)
+        self.row_begin, self.row_middle, self.row_end = (block.scalar(ti.i32, count) for _ in range(3))
+        self.partner = block.scalar(ti.i32, self.capacity)
+        self.chunk_need = block.scalar(ti.i32, plan.chunk_capacity)
         self.history: dict[str, Any] = {}
         self.before: dict[str, Any] = {}
         for name, size in plan.history.items():
-            self.history[name] = self._history_field(backend, size)
-            self.before[name] = self._history_field(backend, size)
+            self.history[name] = block.vector(backend.real, self.capacity, count=size)
+            self.before[name] = block.vector(backend.real, self.capacity, count=size)
         if self.history:
-            self.row_begin_before, self.row_end_before = self.scalar(ti.i32, count), self.scalar(ti.i32, count)
-            self.partner_before = self.scalar(ti.i32, self.capacity)
-        self.finish()
-
-    def fields_before(self) -> dict[str, Any]:
-        """What the last sort set aside, by name."""
-        if not self.history:
-            return {}
-        rows = {"begin": self.row_begin_before, "end": self.row_end_before, "partner": self.partner_before}
-        return rows | {f"history.{name}": field for name, field in self.before.items()}
-
-    def _history_field(self, backend: Backend, size: int) -> Any:
-        return self.vector(backend.real, self.capacity, count=size)
+            self.row_begin_before, self.row_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
+            self.partner_before = block.scalar(ti.i32, self.capacity)
 
 
-class Walls(Block):
+class Walls:
     """Shapes at rest, what they are made of, and where they stand in the next WALL_BATCH steps."""
 
-    def __init__(self, plan: Plan, backend: Backend) -> None:
-        super().__init__()
+    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
         count = max(len(plan.walls), 1)
-        self.kind = self.scalar(ti.i32, count)
-        self.parameters = self.vector(backend.position_real, count, count=PARAMETER_COUNT)
-        self.material = self.scalar(ti.i32, count)
-        self.present = self.scalar(ti.i32, count)
-        self.pivot = self.vector(backend.position_real, count)
+        self.kind = block.scalar(ti.i32, count)
+        self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
+        self.material = block.scalar(ti.i32, count)
+        self.present = block.scalar(ti.i32, count)
+        self.pivot = block.vector(backend.position_real, count)
         moving = plan.features.moving_walls
-        self.center = self.vector(backend.position_real, WALL_BATCH, count) if moving else None
-        self.rotation = self.matrix(backend.position_real, WALL_BATCH, count) if moving else None
-        self.velocity = self.vector(backend.real, WALL_BATCH, count) if moving else None
-        self.spin = self.vector(backend.real, WALL_BATCH, count) if moving else None
-        self.finish()
+        self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
+        self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
+        self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.spin = block.vector(backend.real, WALL_BATCH, count) if moving else None
+
+    def fill(self, plan: Plan) -> None:
+        """Write what never changes."""
         for index, wall in enumerate(plan.walls):
             self.kind[index] = kind_code(wall.shape.kind)
             self.parameters[index] = wall.shape.parameters.tolist()
             self.material[index] = wall.material
 
 
-class Control(Block):
+class Control:
     """Small things that kernels and host tell each other."""
 
-    def __init__(self, plan: Plan, backend: Backend) -> None:
-        super().__init__()
-        self.search_due = self.scalar(ti.i32, 1)
-        self.search_wanted = self.scalar(ti.i32, 1)
-        self.steps_done = self.scalar(ti.i32, 1)
-        self.steps_left = self.scalar(ti.i32, 1)
-        self.guard = self.scalar(ti.i32, 1)
-        self.guard_particle = self.scalar(ti.i32, 1)
-        self.pair_constants = self.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
+    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
+        self.search_due = block.scalar(ti.i32, 1)
+        self.search_wanted = block.scalar(ti.i32, 1)
+        self.steps_done = block.scalar(ti.i32, 1)
+        self.guard = block.scalar(ti.i32, 1)
+        self.guard_particle = block.scalar(ti.i32, 1)
+        self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
-        self.losses = self.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
-        self.finish()
-        self.pair_constants.from_numpy(plan.pair_constants.astype(np.float64))
+        self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
+
+    def fill(self, plan: Plan) -> None:
+        """Write what never changes."""
+        self.pair_constants.from_numpy(plan.pair_constants)
+        self.guard_particle[0] = NO_PARTICLE
 
 
 LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
@@ -193,12 +183,20 @@ class State:
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
         self.count = 0
-        self.particles = Particles(plan, backend)
-        self.contacts = Contacts(plan, backend, plan.slots_per_chunk)
-        self.sorting = Sorting(plan, self.particles, plan.cell_capacity)
-        self.walls = Walls(plan, backend)
-        self.control = Control(plan, backend)
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
+        self._allocate(plan.slots_per_chunk)
+        self.walls.fill(plan)
+        self.control.fill(plan)
+
+    def _allocate(self, slots_per_chunk: int) -> None:
+        plan, backend, block = self.plan, self.backend, Block()
+        self._block = block
+        self.particles = Particles(block, plan, backend)
+        self.contacts = Contacts(block, plan, backend, slots_per_chunk)
+        self.sorting = Sorting(block, plan, self.particles)
+        self.walls = Walls(block, plan, backend)
+        self.control = Control(block, plan, backend)
+        block.finish()
 
     @property
     def chunk_count(self) -> int:
@@ -206,17 +204,15 @@ class State:
         return -(-self.count // self.plan.chunk_size)
 
     def grow_contacts(self, slots_per_chunk: int) -> None:
-        """Replace the contact rows by longer ones, keeping what stands in `before`; kernels must be built anew."""
-        old = self.contacts
-        kept = {name: field.to_numpy() for name, field in old.fields_before().items()}
-        old.free()
-        self.contacts = Contacts(self.plan, self.backend, slots_per_chunk)
-        for name, field in self.contacts.fields_before().items():
-            values = np.zeros(field.to_numpy().shape, kept[name].dtype)
-            values[: len(kept[name])] = kept[name]
-            field.from_numpy(values)
+        """Allocate anew with longer contact rows and copy everything over; all kernels must be built anew."""
+        kept = [field.to_numpy() for field in self._block.fields]
+        self._block.free()
+        self._allocate(slots_per_chunk)
+        for field, values in zip(self._block.fields, kept, strict=True):
+            room = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
+            room[: len(values)] = values
+            field.from_numpy(room)
 
     def free(self) -> None:
         """Give all memory back."""
-        for block in (self.particles, self.contacts, self.sorting, self.walls, self.control):
-            block.free()
+        self._block.free()

@@ -71,17 +71,12 @@ class Stepper:
         self._on_gone = on_gone
         self._steps_since_search = 0
         self._since_sample = 0
-        began = clock.perf_counter()
-        self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
-        self._bounds(0)
-        self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
-        self._gather(0)
-        self.timing.compile = clock.perf_counter() - began
-        self._build_phases()
+        self._build()
 
-    def _build_phases(self) -> None:
-        """Compile what knows the contact rows, by launching it over nothing."""
+    def _build(self) -> None:
+        """Compile all phases, by launching them over nothing."""
         began, state = clock.perf_counter(), self.state
+        self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._set_aside = build_set_aside(state) if state.contacts.history else None
         self._rows = build_rows(state)
         move, forces = build_move(state), build_forces(state)
@@ -89,12 +84,15 @@ class Stepper:
         self._one_chunk = state.plan.chunk_capacity == 1
         build = _build_one_chunk if self._one_chunk else _build_chunks
         self._advance = build(state, move, forces)
-        self._move_only(0, 0, 0.0)
-        self._forces_only(0, 0, 0, 0.0)
-        self._advance(0, 0, 0.0)
+        self._bounds(0)
+        self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
+        self._gather(0)
         self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
         if self._set_aside is not None:
             self._set_aside(0)
+        self._move_only(0, 0, 0.0)
+        self._forces_only(0, 0, 0, 0.0)
+        self._advance(0, 0, 0.0)
         self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
@@ -138,7 +136,7 @@ class Stepper:
                 return
             state.grow_contacts(int(1.3 * need) + 8)
             self.timing.growth_count += 1
-            self._build_phases()
+            self._build()
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.encounter import build_encounter, build_pair_number, build_weight
+from granflow.device.encounter import build_either_encounter, build_pair_number, build_weight
 from granflow.device.search import STRIDE
 from granflow.device.state import Block, State
 
@@ -40,7 +40,7 @@ class Survey:
 def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     particles, contacts, control = state.particles, state.contacts, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
-    encounter, weight, pair_number = build_encounter(state), build_weight(state), build_pair_number(state)
+    encounter, weight, pair_number = build_either_encounter(state), build_weight(state), build_pair_number(state)
     energies = build_energies(state)
 
     @ti.kernel
@@ -54,7 +54,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                         j = contacts.partner[slot]
-                        overlap, _n, _m, _v, _r, _a, _b, radius_eff, mass_eff = encounter(i, j, 0, dt)
+                        overlap, _rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
                         if overlap > 0.0:
                             share = weight(i, j)
                             relative = overlap / ti.min(2.0 * radius_eff, particles.radius[i])

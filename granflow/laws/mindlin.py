@@ -17,15 +17,14 @@ def mindlin_stiffness(constants, radius_eff, overlap, history):
 
 
 @ti.func
-def carried_displacement(displacement, normal_middle, twist_step):
+def carried_displacement(displacement, normal, normal_middle):
     """Displacement turned with the contact plane over one step.
 
-        s' = s - (s . n) n + (twist of the pair about n) n x s        n in the middle of the step
+        s' = s - (s . n) (n_before + n) / 2
 
-    A projection: over one step it shortens s by half the square of the angle that the normal turns in it.
+    The mean of the old and the new normal keeps the length of s to fourth order in the angle turned.
     """
-    turned = displacement - displacement.dot(normal_middle) * normal_middle
-    return turned + twist_step * normal_middle.cross(turned)
+    return displacement - displacement.dot(normal) * normal_middle
 
 
 @ti.func
