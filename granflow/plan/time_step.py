@@ -98,7 +98,7 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
 
 def _remedy(step: float) -> str:
     """At restitution 0 no step is short enough."""
-    return f" A run.time_step of {step:.2g} s can." if step > 0.0 else ""
+    return f" A run.time_step of {step:.3g} s can." if step > 0.0 else ""
 
 
 def _restitution_reached(
@@ -117,6 +117,6 @@ def _restitution_reached(
         if asked < bound:
             warnings.append(
                 f"{meeting.name}: restitution {asked:.3g} is asked for at {velocity:.3g} m/s, "
-                f"but a step of {step:.3g} s can reach no less than {bound:.3g}.{_remedy(step * asked / bound)}"
+                f"but a step of {step:.3g} s can reach no less than {bound:.3g}.{_remedy(0.99 * step * asked / bound)}"
             )
     return least, tuple(warnings)

@@ -9,30 +9,34 @@ from pathlib import Path
 import pytest
 
 import granflow.scene
-from granflow.cli import RESULT_FILES, build_parser, main, make_room, show_comparison
+from granflow.cli import RESULT_FILES, Terminated, build_parser, main, make_room, show_comparison
 from granflow.errors import GranflowError, RunError, SceneError
+from granflow.observe import Judgement, Result
 
 
 @pytest.fixture
 def stand_ins(monkeypatch, tmp_path):
     """A scene, a simulation and a collision that only note how they were called; in an empty directory."""
-    calls = types.SimpleNamespace(raises=None, expectations=[], numbers={"particle_count": 2, "time_step": 1.25e-6})
+    calls = types.SimpleNamespace(raises=None, judged=(), warnings=())
 
     class Simulation:
+        time = 0.25
+
         def __init__(self, scene, **options):
             calls.simulation = options
+            self.plan = types.SimpleNamespace(step=types.SimpleNamespace(warnings=calls.warnings))
 
         def run(self, until=None):
             calls.until = until
             if calls.raises:
                 raise calls.raises
-            return types.SimpleNamespace(numbers=calls.numbers, expectations=calls.expectations)
+            return Result({"time_step": 1.25e-6}, {"forces": 3.0}, {"particle_count": 2.0}, expectations=calls.judged)
 
     def load(path, overrides=()):
         calls.overrides = overrides
         if isinstance(calls.raises, SceneError):
             raise calls.raises
-        return types.SimpleNamespace(path=Path(path), title="Two [spheres]")
+        return types.SimpleNamespace(path=Path(path), title="Two [spheres]", expect=("one",))
 
     def collide(**options):
         calls.collide = options
@@ -96,7 +100,13 @@ def test_run_passes_on_what_is_asked(stand_ins, capsys):
     arguments = "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
     assert main(arguments.split()) == 0
     assert stand_ins.overrides == ["x.y=1", "z=2"]
-    assert stand_ins.simulation == {"arch": "cuda", "precision": "f32", "threads": 2, "out": Path("here")}
+    assert stand_ins.simulation == {
+        "arch": "cuda",
+        "precision": "f32",
+        "threads": 2,
+        "out": Path("here"),
+        "progress": True,
+    }
     assert stand_ins.until == 1.0
     shown = capsys.readouterr().out
     assert "Two [spheres]" in shown and "particle count" in shown and "1.25e-06" in shown
@@ -104,14 +114,30 @@ def test_run_passes_on_what_is_asked(stand_ins, capsys):
 
 def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
     main(["run", "scenes/hopper.yaml"])
-    assert stand_ins.simulation == {"arch": "cpu", "precision": None, "threads": None, "out": Path("out/hopper")}
+    assert stand_ins.simulation == {
+        **{"arch": "cpu", "precision": None, "threads": None},
+        **{"out": Path("out/hopper"), "progress": True},
+    }
 
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (False, 1)])
 def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
-    stand_ins.expectations = [("kinetic_energy is 1 J", True), ("mass_flow is 2 kg/s", met)]
+    stand_ins.judged = (Judgement("kinetic_energy is 1 J", True), Judgement("mass_flow is 2 kg/s", met))
     assert main(["run", "a.yaml"]) == code
-    assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in capsys.readouterr().out) is not met
+    shown = capsys.readouterr().out
+    assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in shown) is not met
+    assert "left out" not in shown
+
+
+def test_expectations_left_out_are_mentioned(stand_ins, capsys):
+    assert main(["run", "a.yaml", "--until", "0.25"]) == 0
+    assert "Expectations are left out: --until ended the run at 0.25 s." in capsys.readouterr().out
+
+
+def test_warnings_of_the_plan_are_said_once(stand_ins, capsys):
+    stand_ins.warnings = ("a-b: too little.", "b-b: too much.")
+    assert main(["run", "a.yaml"]) == 0
+    assert capsys.readouterr().err == "granflow: warning: a-b: too little.\ngranflow: warning: b-b: too much.\n"
 
 
 @pytest.mark.parametrize(
@@ -119,7 +145,8 @@ def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
     [
         (GranflowError("There is no CUDA here."), 2, "granflow: There is no CUDA here.\n"),
         (RunError("Grain 7 left at 0.1 s."), 3, "granflow: Grain 7 left at 0.1 s.\n"),
-        (KeyboardInterrupt(), 130, "granflow: interrupted.\n"),
+        (KeyboardInterrupt(), 130, f"granflow: stopped at 0.25 s, {Path('out', 'a')} holds the run up to there.\n"),
+        (Terminated(), 143, f"granflow: stopped at 0.25 s, {Path('out', 'a')} holds the run up to there.\n"),
         (PermissionError(13, "Permission denied", "out"), 2, "granflow: out: Permission denied.\n"),
         (SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]), 2, "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n"),
         (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),

@@ -61,7 +61,16 @@ def test_schema_is_json_that_names_the_parts_of_a_scene(capsys):
     assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)["properties"].keys()
 
 
-def test_checking_does_not_start_taichi(scene_file):
-    program = "import sys, granflow.cli; print(granflow.cli.main(['check', 'two.yaml']), 'taichi' in sys.modules)"
+def test_taichi_is_loaded_only_once_the_scene_is_sound(scene_file):
+    arguments = ["check", "two.yaml", "--set", "run.duration=-1 s"]
+    program = f"import sys, granflow.cli; print(granflow.cli.main({arguments}), 'taichi' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "0 False", done.stderr
+    assert done.stdout.splitlines()[-1] == "2 False", done.stderr
+
+
+def test_explain_prints_the_plan(scene_file, capsys):
+    assert main(["explain", "two.yaml", "--precision", "f32"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("Two steel spheres (two.yaml)\n")
+    for words in ("friction        off", "stable below", "least it can reach", "precision       f32"):
+        assert words in shown
