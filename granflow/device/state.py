@@ -110,7 +110,8 @@ class Contacts:
     """Rows of near partners, one row a particle, each chunk of particles in its own segment.
 
     `partner` holds the index of a particle, or -1 - wall; walls stand from row_begin to row_middle, before the
-    others. A pair within one chunk stands in one row, a pair across two chunks in both. `before` is a copy of rows and history taken when the particles are sorted anew.
+    others. A pair within one chunk stands in one row, a pair across two chunks in both. `before` is a copy of rows
+    and history taken when the particles are sorted anew.
     """
 
     def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:

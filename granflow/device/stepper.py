@@ -79,20 +79,16 @@ class Stepper:
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._set_aside = build_set_aside(state) if state.contacts.history else None
         self._rows = build_rows(state)
-        move, forces = build_move(state), build_forces(state)
-        self._move_only, self._forces_only = _build_single_phases(state, move, forces)
         self._one_chunk = state.plan.chunk_capacity == 1
         build = _build_one_chunk if self._one_chunk else _build_chunks
-        self._advance = build(state, move, forces)
+        self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
         self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
         self._gather(0)
         self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
         if self._set_aside is not None:
             self._set_aside(0)
-        self._move_only(0, 0, 0.0)
-        self._forces_only(0, 0, 0, 0.0)
-        self._advance(0, 0, 0.0)
+        self._step(0, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
@@ -141,7 +137,8 @@ class Stepper:
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
         step = self.state.plan.time_step if history_step is None else history_step
-        self._forces_only(self.state.chunk_count, self.state.count, pose, step)
+        self.state.control.steps_done[0] = 0
+        self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, time: float) -> None:
         """Search and forces anew at `time` [s] without a step: after grains or walls came or went."""
@@ -185,27 +182,32 @@ class Stepper:
 
     def _launch(self, steps: int) -> int:
         """Start up to `steps` steps; returns those completed."""
-        state, step = self.state, self.state.plan.time_step
+        step = self.state.plan.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         if self._one_chunk:
-            self._advance(min(steps, ONE_CHUNK_BATCH), state.count, step)
+            self._launch_step(min(steps, ONE_CHUNK_BATCH), 0, step)
         else:
             for _ in range(min(steps, BATCH)):
-                self._advance(state.chunk_count, state.count, step)
-        return int(state.control.steps_done[0])
+                self._launch_step(1, 0, step)
+        return int(self.state.control.steps_done[0])
+
+    def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
+        """One launch: `steps` steps of one chunk, or one step of many; either phase alone where the other is 0."""
+        state = self.state
+        self._step(steps, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """One step phase by phase, timed."""
-        state, began = self.state, clock.perf_counter()
+        state, step, began = self.state, self.state.plan.time_step, clock.perf_counter()
         self._since_sample = 0
-        self._move_only(state.chunk_count, state.count, state.plan.time_step)
+        self._launch_step(1, 0, step, forcing=0)
         ti.sync()
         moved = clock.perf_counter()
         if state.control.search_due[0]:
             return 0
         looked = clock.perf_counter()
-        self.forces()
+        self._launch_step(1, 0, step, moving=0)
         ti.sync()
         self.timing.sampled_motion += moved - began
         self.timing.sampled_forces += clock.perf_counter() - looked
@@ -219,62 +221,50 @@ class Stepper:
         return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self._steps_since_search
 
 
-def _build_single_phases(state: State, move: Any, forces: Any) -> tuple[Callable[..., None], Callable[..., None]]:
-    control, real = state.control, state.backend.real
-
-    @ti.kernel
-    def move_only(chunks: ti.i32, count: ti.i32, dt: real):
-        for task in range(chunks * STRIDE):
-            if task % STRIDE == 0:
-                move(task // STRIDE, count, dt)
-        for _ in range(1):
-            control.search_due[0] = control.search_wanted[0]
-
-    @ti.kernel
-    def forces_only(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
-        for task in range(chunks * STRIDE):
-            if task % STRIDE == 0:
-                forces(task // STRIDE, count, pose, dt)
-
-    return move_only, forces_only
-
-
 def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    """One step of many chunks, each a task of its own."""
     control, real = state.control, state.backend.real
 
     @ti.kernel
-    def advance_chunks(chunks: ti.i32, count: ti.i32, dt: real):
-        for task in range(chunks * STRIDE):
+    def step_chunks(
+        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
+    ):  # fmt: skip
+        for task in range(moving * chunks * STRIDE):
             if task % STRIDE == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
                     move(task // STRIDE, count, dt)
-        for _ in range(1):
+        for _ in range(moving):
             control.search_due[0] = control.search_wanted[0]
-        for task in range(chunks * STRIDE):
+        for task in range(forcing * chunks * STRIDE):
             if task % STRIDE == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
-                    forces(task // STRIDE, count, control.steps_done[0], dt)
-        for _ in range(1):
+                    forces(task // STRIDE, count, pose + control.steps_done[0], dt)
+        for _ in range(forcing):
             if control.search_due[0] == 0 and control.guard[0] == 0:
                 control.steps_done[0] += 1
 
-    return advance_chunks
+    return step_chunks
 
 
 def _build_one_chunk(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    """Many steps of one chunk in one task."""
     control, real = state.control, state.backend.real
 
     @ti.kernel
-    def advance_one_chunk(steps: ti.i32, count: ti.i32, dt: real):
+    def step_one_chunk(
+        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
+    ):  # fmt: skip
         for _ in range(1):
             done = 0
             while done < steps and control.search_due[0] == 0 and control.guard[0] == 0:
-                move(0, count, dt)
-                if control.search_wanted[0] == 1:
-                    control.search_due[0] = 1
-                else:
-                    forces(0, count, done, dt)
-                    done += 1
-            control.steps_done[0] = done
+                if moving == 1:
+                    move(0, count, dt)
+                    control.search_due[0] = control.search_wanted[0]
+                if forcing == 1 and control.search_due[0] == 0:
+                    forces(0, count, pose + done, dt)
+                done += 1
+            if control.search_due[0] == 1:
+                done -= 1
+            control.steps_done[0] = ti.max(done, 0)
 
-    return advance_one_chunk
+    return step_one_chunk
