@@ -116,9 +116,7 @@ def run(options: argparse.Namespace) -> int:
     from granflow.simulation import Simulation
 
     with sigterm_as_exception():
-        simulation = Simulation(
-            scene, arch=options.arch, precision=options.precision, threads=options.threads, out=out, progress=True
-        )
+        simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
         warn(simulation.plan.step.warnings)
         try:
             result = simulation.run(until=options.until)
@@ -149,7 +147,7 @@ def explain(options: argparse.Namespace) -> int:
     from granflow.plan import explain as explained
     from granflow.plan import plan_for
 
-    print(explained(plan_for(scene, on_gpu=options.arch != "cpu"), options.precision))
+    print(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
     return 0
 
 
@@ -176,10 +174,11 @@ def collide(options: argparse.Namespace) -> int:
 
 
 def load(options: argparse.Namespace) -> "Scene":
-    """Read the scene with the overrides of the command line."""
+    """Read the scene with the overrides of the command line; --precision is one of them."""
     from granflow.scene import load as load_scene
 
-    return load_scene(options.scene, options.overrides)
+    precision = getattr(options, "precision", None)
+    return load_scene(options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])])
 
 
 def make_room(out: Path, force: bool) -> None:

@@ -58,10 +58,12 @@ class Simulation:
         observers: Sequence[Observer] = (),
         progress: bool = False,
     ) -> None:
+        if precision is not None:
+            scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
         self.scene = scene
         self.out = None if out is None else Path(out)
         began = clock.perf_counter()
-        backend = start(arch, precision or scene.run.precision, threads)
+        backend = start(arch, scene.run.precision, threads)
         self.plan: Plan = plan_for(scene, on_gpu=not backend.on_cpu)
         grains = initial_grains(scene)
         self._rains: tuple[Rain, ...] = rains(scene)
@@ -112,7 +114,7 @@ class Simulation:
         backend = self.engine.state.backend
         log.info("%s", versions())
         log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, self.engine.timing.compile)
-        for line in explain(self.plan, backend.precision).splitlines():
+        for line in explain(self.plan).splitlines():
             log.info("%s", line)
         for warning in self.plan.step.warnings:
             log.warning("%s", warning)

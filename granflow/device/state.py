@@ -170,7 +170,8 @@ class Control:
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
-        self.pair_constants.from_numpy(plan.pair_constants)
+        dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
+        self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
         self.guard_particle[0] = NO_PARTICLE
 
 

@@ -32,12 +32,9 @@ class Row(NamedTuple):
     remark: str = ""
 
 
-def explain(plan: Plan, precision: Precision | None = None) -> str:
-    """Say what a plan computes and why: features, settings, time step, sizes, memory, run time.
-
-    `precision`: in place of the scene's.
-    """
-    width = precision or plan.scene.run.precision
+def explain(plan: Plan) -> str:
+    """Say what a plan computes and why: features, settings, time step, sizes, memory, run time."""
+    width = plan.scene.run.precision
     memory = memory_of(plan, width)
     sections = {
         "Features: what is computed, and why": [_feature_row(reason) for reason in plan.reasons],

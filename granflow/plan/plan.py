@@ -1,7 +1,7 @@
 """Scene -> Plan: everything that is decided before anything is allocated."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from granflow.laws.material import (
 from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
-from granflow.plan.time_step import Meeting, TimeStep, choose_time_step
+from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
 from granflow.scene.schema import GivenStiffness, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
@@ -144,9 +144,9 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     velocity = fastest_approach(scene).value
     law = build_law(scene, velocity)
     features = features_of(scene, law.rate_dependent)
-    step = _time_step(scene, law, velocity)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
+    step = _time_step(scene, law, velocity, 2.0 * radius_max)
     return Plan(
         scene=scene,
         features=features,
@@ -243,16 +243,21 @@ def _sphere_mass(radius: float, density: float) -> float:
     return 4.0 / 3.0 * np.pi * radius**3 * density
 
 
-def _time_step(scene: Scene, law: NormalLaw, velocity: float) -> TimeStep:
+def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -> TimeStep:
     given = None if scene.run.time_step == "auto" else float(scene.run.time_step)
     numerics = scene.numerics
+    meetings = meetings_of(scene)
     try:
-        return choose_time_step(
-            given, meetings_of(scene), law, velocity,
+        step = choose_time_step(
+            given, meetings, law, velocity,
             numerics.time_step_safety, numerics.rayleigh_fraction, numerics.unloading_angle,
         )  # fmt: skip
     except ValueError as error:
         raise SceneError(f"{scene.place('run', 'time_step')}: run.time_step {error}") from None
+    precision = scene.run.precision
+    farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
+    reach = farthest if precision == "f32" else diameter
+    return replace(step, warnings=step.warnings + resolution_warning(meetings, velocity, precision, reach))
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:

@@ -12,6 +12,9 @@ from granflow.laws.material import PairMaterial, Solid
 LEAST_RESOLVED_RESTITUTION = 0.1
 """Unloading faster than at this restitution is left to the bound on the unloading tangent."""
 
+STEPS_OF_RESOLUTION = 1000
+"""An overlap should be this many times what the precision resolves, so that its force is good to 0.15 %."""
+
 
 @dataclass(frozen=True)
 class Meeting:
@@ -67,6 +70,28 @@ def choose_time_step(
         )
     least, warnings = _restitution_reached(value, meetings, law, velocity, angle)
     return TimeStep(value, limited, stable, stable_name, least, warnings)
+
+
+def resolution_warning(meetings: Sequence[Meeting], velocity: float, precision: str, reach: float) -> tuple[str, ...]:
+    """A sentence if the overlaps of a collision at `velocity` [m/s] fall under what the precision resolves.
+
+    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed.
+    """
+    if precision == "f64":
+        return ()
+    resolved = float(np.finfo(np.float32).eps) * reach
+    overlaps = []
+    for meeting in meetings:
+        k = theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff)
+        overlaps.append((float(theory.overlap_max(k, meeting.mass_eff, velocity)), meeting.name))
+    smallest, name = min(overlaps)
+    if smallest > STEPS_OF_RESOLUTION * resolved:
+        return ()
+    better = "mixed or f64" if precision == "f32" else "f64"
+    return (
+        f"{precision} resolves lengths to {resolved:.2g} m here, but {name} overlap by only {smallest:.2g} m at "
+        f"{velocity:.3g} m/s: forces will be coarse. Use --precision {better}.",
+    )
 
 
 def shortest_phase(meeting: Meeting, law: NormalLaw, velocity: float) -> float:

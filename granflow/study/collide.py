@@ -1,5 +1,6 @@
 """One head-on collision with the many-particle kernels, beside its closed forms."""
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,10 +65,13 @@ def collide(
     expected = _expected(build_law(scene, velocity), law, impact)
     if steps_per_contact is not None:
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
+    described["run"]["precision"] = backend.precision
     try:
         plan = plan_for(Scene.model_validate(described), on_gpu=not backend.on_cpu)
     except SceneError:
         raise GranflowError(f"A contact of {steps_per_contact:g} steps is not stable: give it more steps.") from None
+    for warning in plan.step.warnings:
+        logging.getLogger("granflow").warning("warning: %s", warning)
     return expected | _watch(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
 
 
@@ -212,18 +216,17 @@ def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
     engine.begin()
     limit = int(LONGEST * sum(plan.law.phase_durations(
         impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / plan.time_step) + 10  # fmt: skip
-    last = _look(engine, plan)
+    before = last = _look(engine, plan)
     largest, strongest, duration, residual = 0.0, 0.0, 0.0, 0.0
     for _ in range(limit):
         engine.advance(1)
         now = _look(engine, plan)
         largest, strongest = max(largest, now.overlap), max(strongest, now.force)
         if now.force == 0.0 and last.force > 0.0:
-            # from the last force on the surfaces part at a constant rate
             residual = max(last.residual(plan), 0.0)
-            duration = engine.time - plan.time_step + (last.overlap - residual) / -last.rate
+            duration = engine.time - plan.time_step + _remaining(before, last, residual, plan)
             break
-        last = now
+        before, last = last, now
     engine.free()
     if duration == 0.0:
         raise GranflowError("The collision did not end: give more --steps-per-contact.")
@@ -234,6 +237,17 @@ def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
         "overlap_residual": residual,
         "force_max": strongest,
     }
+
+
+def _remaining(before: "_Look", last: "_Look", residual: float, plan: Plan) -> float:
+    """Time [s] from the last step with a force to the moment it vanishes.
+
+    A viscous force vanishes while the spheres still overlap: on the line through the last two forces. Otherwise the
+    surfaces part at a constant rate from then on.
+    """
+    if plan.features.rate_dependent and before.force > last.force:
+        return min(plan.time_step * last.force / (before.force - last.force), plan.time_step)
+    return (last.overlap - residual) / -last.rate
 
 
 @dataclass(frozen=True)
