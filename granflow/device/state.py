@@ -36,6 +36,12 @@ class Block:
         """A field of 3 x 3 matrices."""
         return self._placed(ti.Matrix.field(3, 3, dtype), shape)
 
+    def together(self, count: int, *fields: Any) -> None:
+        """Place fields side by side, entry by entry: whoever reads one of a particle reads the others."""
+        wanted = [field for field in fields if field is not None]
+        self._builder.dense(ti.i, count).place(*wanted)
+        self.fields += wanted
+
     def finish(self) -> None:
         """Allocate; no field can be added afterwards."""
         self._tree = self._builder.finalize()
@@ -59,17 +65,18 @@ class Particles:
     def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
         count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
         self.capacity = count
-        self.position = block.vector(backend.position_real, count)
+        self.position = ti.Vector.field(3, backend.position_real)
+        self.velocity = ti.Vector.field(3, real)
+        self.radius, self.mass = ti.field(real), ti.field(real)
+        self.spin: Any = ti.Vector.field(3, real) if features.rotation else None
+        self.velocity_now: Any = ti.Vector.field(3, real) if features.rate_dependent else None
+        block.together(count, self.position, self.radius, self.mass, self.velocity, self.spin, self.velocity_now)
+        self.force = ti.Vector.field(3, real)
+        self.torque: Any = ti.Vector.field(3, real) if features.rotation else None
+        block.together(count, self.force, self.torque)
         self.position_at_search = block.vector(backend.position_real, count)
-        self.velocity = block.vector(real, count)
-        self.force = block.vector(real, count)
-        self.radius = block.scalar(real, count)
-        self.mass = block.scalar(real, count)
         self.id = block.scalar(ti.i32, count)
         self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
-        self.spin: Any = block.vector(real, count) if features.rotation else None
-        self.torque: Any = block.vector(real, count) if features.rotation else None
-        self.velocity_now: Any = block.vector(real, count) if features.rate_dependent else None
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
