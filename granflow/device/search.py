@@ -17,9 +17,6 @@ from granflow.device.walls import build_wall_geometry
 BLOCK_SIDE = 8
 BLOCK_CELLS = BLOCK_SIDE**3
 
-STRIDE = 512
-"""Taichi gives every CPU thread at least this many iterations of a loop: loops over chunks run chunk * STRIDE."""
-
 
 @dataclass(frozen=True)
 class Grid:
@@ -230,7 +227,7 @@ def build_rows(state: State) -> Callable[..., None]:
     """
     plan, particles, sorting, contacts = state.plan, state.particles, state.sorting, state.contacts
     real, chunk_size, slots = state.backend.position_real, plan.chunk_size, contacts.slots_per_chunk
-    wall_count, remembers = len(plan.walls), bool(contacts.history)
+    wall_count, remembers, stride = len(plan.walls), bool(contacts.history), state.stride
     number = build_cell_of(real)
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
@@ -285,9 +282,9 @@ def build_rows(state: State) -> Callable[..., None]:
     ):  # fmt: skip
         state.control.search_due[0] = 0
         state.control.search_wanted[0] = 0
-        for task in range((count + chunk_size - 1) // chunk_size * STRIDE):
-            if task % STRIDE == 0:
-                chunk = task // STRIDE
+        for task in range((count + chunk_size - 1) // chunk_size * stride):
+            if task % stride == 0:
+                chunk = task // stride
                 slot = chunk * slots
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     particles.position_at_search[i] = particles.position[i]

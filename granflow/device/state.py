@@ -1,5 +1,6 @@
 """The arrays on the device. Fields are allocated by quantity; what the plan does not need is None."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from granflow.plan import Plan
 from granflow.walls.catalogue import kind_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT
+
+CPU_STRIDE = 512
+"""Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
 
 WALL_BATCH = 64
 """Steps whose wall poses are uploaded at a time."""
@@ -208,15 +212,24 @@ class State:
         block.finish()
 
     @property
+    def stride(self) -> int:
+        """Loop iterations for each chunk, of which the first does the work; see CPU_STRIDE."""
+        return CPU_STRIDE if self.backend.on_cpu else 1
+
+    @property
     def chunk_count(self) -> int:
         """Chunks that hold particles now."""
         return -(-self.count // self.plan.chunk_size)
 
-    def grow_contacts(self, slots_per_chunk: int) -> None:
-        """Allocate anew with longer contact rows and copy everything over; all kernels must be built anew."""
+    def grow_contacts(self, slots_per_chunk: int, build: Callable[[], None]) -> None:
+        """Allocate anew with longer contact rows, build all kernels anew, and only then copy everything over.
+
+        `build` may launch kernels over nothing: what they write, such as empty cells, does not stay.
+        """
         kept = [field.to_numpy() for field in self._block.fields]
         self._block.free()
         self._allocate(slots_per_chunk)
+        build()
         for field, values in zip(self._block.fields, kept, strict=True):
             room = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
             room[: len(values)] = values

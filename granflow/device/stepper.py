@@ -15,7 +15,6 @@ import taichi as ti
 from granflow.device.contacts import build_forces
 from granflow.device.motion import build_move
 from granflow.device.search import (
-    STRIDE,
     Grid,
     build_bounds,
     build_gather,
@@ -130,9 +129,8 @@ class Stepper:
             need = int(state.contacts.chunk_need.to_numpy()[: state.chunk_count].max())
             if need <= state.contacts.slots_per_chunk:
                 return
-            state.grow_contacts(int(1.3 * need) + 8)
             self.timing.growth_count += 1
-            self._build()
+            state.grow_contacts(int(1.3 * need) + 8, self._build)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
@@ -223,22 +221,22 @@ class Stepper:
 
 def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
     """One step of many chunks, each a task of its own."""
-    control, real = state.control, state.backend.real
+    control, real, stride = state.control, state.backend.real, state.stride
 
     @ti.kernel
     def step_chunks(
         steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
     ):  # fmt: skip
-        for task in range(moving * chunks * STRIDE):
-            if task % STRIDE == 0:
+        for task in range(moving * chunks * stride):
+            if task % stride == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
-                    move(task // STRIDE, count, dt)
+                    move(task // stride, count, dt)
         for _ in range(moving):
             control.search_due[0] = control.search_wanted[0]
-        for task in range(forcing * chunks * STRIDE):
-            if task % STRIDE == 0:
+        for task in range(forcing * chunks * stride):
+            if task % stride == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
-                    forces(task // STRIDE, count, pose + control.steps_done[0], dt)
+                    forces(task // stride, count, pose + control.steps_done[0], dt)
         for _ in range(forcing):
             if control.search_due[0] == 0 and control.guard[0] == 0:
                 control.steps_done[0] += 1

@@ -6,7 +6,6 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.encounter import build_either_encounter, build_pair_number, build_weight
-from granflow.device.search import STRIDE
 from granflow.device.state import Block, State
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
@@ -41,15 +40,15 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     particles, contacts, control = state.particles, state.contacts, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     encounter, weight, pair_number = build_either_encounter(state), build_weight(state), build_pair_number(state)
-    energies = build_energies(state)
+    energies, stride = build_energies(state), state.stride
 
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
         for i in range(count):
             particles.coordination[i] = 0
-        for task in range(chunks * STRIDE):
-            if task % STRIDE == 0:
-                chunk = task // STRIDE
+        for task in range(chunks * stride):
+            if task % stride == 0:
+                chunk = task // stride
                 found = ti.Vector.zero(statistics.dtype, size)
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     for slot in range(contacts.row_begin[i], contacts.row_end[i]):
