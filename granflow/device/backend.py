@@ -52,7 +52,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     position_real = ti.f32 if precision == "f32" else ti.f64
     options = {"cpu_max_num_threads": threads} if threads else {}
     with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
-        ti.init(arch=wanted, default_fp=real, fast_math=False, log_level=ti.WARN, **options)
+        ti.init(arch=wanted, default_fp=real, fast_math=False, log_level=ti.ERROR, **options)
     name = _arch_name(arch)
     if position_real == ti.f64 and name in ("metal", "vulkan"):
         raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
