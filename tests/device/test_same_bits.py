@@ -1,0 +1,89 @@
+"""Same bits on any number of threads and in every run, whatever is left out; rounding only where the order changes."""
+
+import hashlib
+
+import numpy as np
+from child import in_child
+from trials import balls, box, finished, plane, trial
+
+ARRAYS = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
+
+
+def busy_scene():
+    """Rain into a shaken box over a lattice that falls: friction, a moving wall, many searches, several chunks."""
+    walls = box(0.06)
+    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    rng = np.random.default_rng(4)
+    places = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    lattice = balls(places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal(0.0, 0.3, places.shape))
+    room = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    rain = {
+        "material": "glass", "count": 60, "diameter": 0.005,
+        "place": {"kind": "rain", "region": room, "rate": 3000.0},
+    }  # fmt: skip
+    return trial(
+        {"lattice": lattice, "rain": rain}, walls=walls, rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
+        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 64},
+        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6},
+    )  # fmt: skip
+
+
+def fingerprint(threads):
+    """Digest of what a run leaves behind, how many particles and contacts there are, and how many searches it took."""
+    last, simulation = finished(busy_scene(), threads=threads)
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
+    counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.search_count)
+    return [digest.hexdigest(), *counts]
+
+
+def test_bits_do_not_depend_on_threads_nor_on_the_run():
+    one, two, again = (in_child(fingerprint, threads) for threads in (1, 2, 2))
+    _, particles, contacts, searches = one
+    assert particles == 316.0
+    assert contacts > 20
+    assert searches > 20
+    assert one == two == again
+
+
+def heap(**changes):
+    """A block of spheres pressed together at the start, which flies apart."""
+    rng = np.random.default_rng(6)
+    places = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.8)
+    group = balls(places, 0.01, velocity=rng.normal(0.0, 0.3, places.shape))
+    parts = {"pair": {"friction": 0.4}} | changes
+    return trial(
+        {"balls": group}, walls=box(0.05) | {"far": plane([0, 0, -0.5], [0, 0, 1], "steel")},
+        gravity=[0.0, 0.0, -9.81], run={"duration": 0.003, "velocity_max": 2.0}, **parts,
+    )  # fmt: skip
+
+
+def test_friction_with_no_coefficient_gives_the_bits_of_no_friction(taichi_f64):
+    """A rough wall out of reach switches friction on for everybody."""
+    smooth = {"friction": 0.0}
+    without, plain = finished(heap(pair=smooth))
+    idle, rough = finished(heap(pair=smooth, pairs={"glass-steel": {"restitution": 0.8, "friction": 0.5}}))
+    assert not plain.plan.features.friction
+    assert rough.plan.features.friction
+    assert np.all(np.abs(without.particles["velocity"]).max(axis=1) > 0.1), "everything was set in motion"
+    for name in ("position", "velocity", "force"):
+        np.testing.assert_array_equal(idle.particles[name], without.particles[name])
+    assert not idle.particles["spin"].any()
+
+
+def test_the_ledger_changes_nothing(taichi_f64):
+    plain, _ = finished(heap())
+    kept, _ = finished(heap(output={"interval": 1.0, "energy": True}))
+    assert "energy_error" in kept.totals
+    for name in ("position", "velocity", "spin"):
+        np.testing.assert_array_equal(kept.particles[name], plain.particles[name])
+
+
+def test_chunks_change_no_more_than_rounding(taichi_f64):
+    """Chunks change the order of sums only: over 3 ms each difference stays below 1e-10 of the quantity's size."""
+    whole, _ = finished(heap())
+    parts, _ = finished(heap(numerics={"chunk_size": 5}))
+    assert np.any(whole.particles["velocity"] != parts.particles["velocity"])
+    for name in ("position", "velocity", "spin"):
+        size = np.abs(whole.particles[name]).max()
+        np.testing.assert_allclose(parts.particles[name], whole.particles[name], rtol=0.0, atol=1e-10 * size)

@@ -1,0 +1,163 @@
+"""Neighbour search: the right pairs, rows that grow, history that travels with its pair, particles that leave."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from trials import balls, box, finished, plane, trial, watched
+
+from granflow.errors import RunError
+from granflow.observe import every
+from granflow.plan import plan as plan_module
+from granflow.simulation import Simulation
+
+
+def crowd(count, seed=1):
+    """Spheres of many sizes anywhere in a box of 12 cm, overlapping or not."""
+    rng = np.random.default_rng(seed)
+    return {"balls": balls(rng.uniform(0.0, 0.12, (count, 3)), rng.uniform(0.004, 0.016, count))}
+
+
+def rows_of(engine):
+    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
+    state = engine.state
+    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
+    partner, ids = state.contacts.partner.to_numpy(), state.particles.id.to_numpy()
+    found = []
+    for i in range(state.count):
+        for j in partner[begin[i] : end[i]]:
+            same = j >= 0 and i // state.plan.chunk_size == j // state.plan.chunk_size
+            found.append((ids[i], ids[j] if j >= 0 else j, same))
+    return found
+
+
+def begun(scene):
+    """A simulation whose first search is done."""
+    simulation = Simulation(scene)
+    simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
+    simulation.engine.begin()
+    return simulation
+
+
+@pytest.mark.parametrize("chunk_size", [1, 37, 512])
+def test_rows_hold_exactly_the_near_pairs(taichi_f64, chunk_size):
+    """Against a search over all pairs: once where both are in one chunk, from both sides where not."""
+    scene = trial(crowd(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002})
+    simulation = begun(scene)
+    there = simulation.engine.transfer.taken(("id", "position", "radius"))
+    order = np.argsort(there["id"])
+    position, radius = there["position"][order], there["radius"][order]
+    near = {
+        tuple(pair)
+        for pair in cKDTree(position).query_pairs(0.018, output_type="ndarray").tolist()
+        if np.linalg.norm(position[pair[0]] - position[pair[1]]) < radius[pair].sum() + 0.002
+    }
+    rows = rows_of(simulation.engine)
+    within = [tuple(sorted(row[:2])) for row in rows if row[1] >= 0 and row[2]]
+    across = [row[:2] for row in rows if row[1] >= 0 and not row[2]]
+    assert len(near) > 300
+    assert len(within) == len(set(within))
+    assert len(across) == len(set(across))
+    assert {(j, i) for i, j in across} == set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == near
+    assert not set(within) & set(across)
+
+    at_walls = {(i, -1 - j) for i, j, _ in rows if j < 0}
+    gaps = np.stack([g for axis in range(3) for g in (position[:, axis], 0.12 - position[:, axis])], axis=1)
+    assert at_walls == {(i, w) for i, w in np.argwhere(gaps < radius[:, None] + 0.002).tolist()}
+    simulation.free()
+
+
+def falling_heap(**numerics):
+    rng = np.random.default_rng(2)
+    places = 0.0103 * (np.argwhere(np.ones((5, 5, 5))) + 0.5)
+    group = balls(places, rng.uniform(0.0098, 0.0102, len(places)), velocity=rng.normal(0.0, 0.3, places.shape))
+    return trial(
+        {"balls": group}, walls=box(0.0515), pair={"friction": 0.4}, gravity=[0.0, 0.0, -9.81],
+        numerics=numerics, run={"duration": 0.005, "velocity_max": 3.0},
+    )  # fmt: skip
+
+
+def test_rows_that_start_too_small_grow_and_change_nothing(taichi_f64, monkeypatch):
+    plenty, roomy = finished(falling_heap())
+    monkeypatch.setattr(plan_module, "SLOTS_PER_PARTICLE", 0)
+    grown, cramped = finished(falling_heap())
+    assert roomy.engine.timing.growth_count == 0
+    assert cramped.engine.timing.growth_count > 0
+    for name in ("position", "velocity", "spin", "force", "torque"):
+        np.testing.assert_array_equal(grown.particles[name], plenty.particles[name])
+
+
+def travelling_pair(skin):
+    """Two spheres, the first in front, that rub on each other while they fly; a third one at rest pins the grid."""
+    flight = np.array([3.0, 0.0, 0.0])
+    pair = balls([[0.0098, 0.0, 0.0], [0.0, 0.0, 0.0]], velocity=[flight + [0, 0.5, 0], flight - [0, 0.5, 0]],
+                 spin=[[20.0, 0.0, 50.0], [-10.0, 30.0, 50.0]])  # fmt: skip
+    return trial(
+        {"pair": pair, "post": balls([[-0.1, -0.1, -0.1]])}, rolling="epsd",
+        pair={"friction": 0.5, "rolling_friction": 0.2, "restitution": 0.3}, numerics={"skin": skin},
+        run={"duration": 0.004, "velocity_max": 8.0, "time_step": 2e-6}, output={"interval": 1.0, "energy": True},
+    )  # fmt: skip
+
+
+def owners_during(scene):
+    """Which particle's row the pair stood in, seen every few steps, the last snapshot, and how many searches."""
+    owners = []
+
+    def look(snapshot):
+        owners.extend(int(owner) for owner, partner, _ in rows_of(simulation.engine) if {owner, partner} == {0, 1})
+
+    simulation = Simulation(scene, observers=[every(1e-4, look)])
+    simulation.run()
+    last, count = simulation.snapshot(), simulation.engine.timing.search_count
+    simulation.free()
+    return owners, last, count
+
+
+def test_history_goes_with_the_pair_whoever_owns_its_row(taichi_f64):
+    """Many searches on the way and a change of owner leave the same bits as a run with hardly any search."""
+    often, rarely = owners_during(travelling_pair(1e-4)), owners_during(travelling_pair(0.02))
+    assert set(often[0]) == {0, 1}, "the pair must have stood in both rows"
+    assert often[2] > 10 * rarely[2]
+    assert often[1].totals["friction_dissipation"] > 0.0
+    for name in ("position", "velocity", "spin", "force", "torque"):
+        np.testing.assert_array_equal(often[1].particles[name], rarely[1].particles[name])
+
+
+def leaving_scene(leaving):
+    ways = np.concatenate([np.eye(3), -np.eye(3)])
+    return trial(
+        {"leavers": balls(0.05 * ways, velocity=2.0 * ways), "stayer": balls([[0.0, 0.0, 0.0]], 0.02)},
+        domain={"min": [-0.1] * 3, "max": [0.1] * 3, "leaving": leaving}, run={"duration": 0.05, "velocity_max": 2.0},
+        output={"interval": 0.01},
+    )  # fmt: skip
+
+
+def test_particles_that_leave_the_domain_are_deleted_and_counted(taichi_f64):
+    first, *_, last = watched(leaving_scene("delete"), 0.01)
+    assert last.particles["id"].tolist() == [6]
+    assert last.totals["deleted_count"] == 6.0
+    assert last.totals["inserted_count"] == 7.0
+    assert last.totals["particle_count"] == 1.0
+    assert last.totals["deleted_mass"] == pytest.approx(first.particles["mass"][:6].sum(), rel=1e-14)
+
+
+def test_a_particle_that_leaves_stops_the_run_where_that_is_an_error(taichi_f64):
+    with pytest.raises(RunError, match="left the domain before 0.03.* s, and domain.leaving is error"):
+        watched(leaving_scene("error"), 0.01)
+
+
+def test_ids_stay_with_their_particles_when_others_leave(taichi_f64):
+    """Each sphere of a row keeps its own size and height while every other one flies away."""
+    count = 40
+    places = np.stack([np.linspace(-0.09, 0.09, count), np.zeros(count), np.arange(count) * 1e-4], axis=1)
+    velocity = np.zeros((count, 3))
+    velocity[::2, 1] = 5.0
+    diameter = np.linspace(0.001, 0.004, count)
+    scene = trial(
+        {"row": balls(places, diameter, velocity=velocity)}, walls={"far": plane([0, -0.1, 0], [0, 1, 0])},
+        domain={"min": [-0.1] * 3, "max": [0.1] * 3, "leaving": "delete"}, run={"duration": 0.03, "velocity_max": 5.0},
+    )  # fmt: skip
+    last, _ = finished(scene)
+    assert last.particles["id"].tolist() == list(range(1, count, 2))
+    np.testing.assert_array_equal(last.particles["radius"], 0.5 * diameter[1::2])
+    np.testing.assert_array_equal(last.particles["position"], places[1::2])
