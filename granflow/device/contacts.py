@@ -1,4 +1,8 @@
-"""Contact forces of one chunk of particles: normal law, friction, rolling, energy ledger, each only if needed."""
+"""Contact forces of one chunk of particles: normal law, friction, rolling, energy ledger, each only if needed.
+
+Sums are written `a[i] = a[i] + b`: Taichi makes `a[i] += b` on a field an atomic operation, which costs more than the
+whole contact law and is not needed within a chunk.
+"""
 
 from typing import Any
 
@@ -86,16 +90,16 @@ def build_surface(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def surface(
-        i, j, slot, dt, constants, memory, overlap, normal, middle, late, arm, arm_partner, radius_eff, normal_force
+        i, j, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm, arm_partner, radius_eff,
+        normal_force
     ):  # fmt: skip
         spin, other = particles.spin[i], partner_spin(i, j)
-        rate = -late.dot(normal)
         stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
         share = 0.0 * stiffness + 1.0
         if ti.static(law.lateral_grows):
-            share = ti.sqrt(ti.max(overlap - dt * rate, 0.0) / overlap)
-        slip = late + rate * normal - (arm * spin + arm_partner * other).cross(normal)
-        force, torque = 0.0 * late, 0.0 * late
+            share = ti.sqrt(ti.max(overlap - dt * late_rate, 0.0) / overlap)
+        slip = across - (arm * spin + arm_partner * other).cross(normal)
+        force, torque = 0.0 * across, 0.0 * across
         friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
         if ti.static(features.friction):
             force, friction_loss = lateral(slot, constants, stiffness, share, normal_force, normal, middle, dt * slip)
@@ -178,7 +182,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
             0.0 * particles.velocity[i],
             0.0 * particles.velocity[i],
         )
-        overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff = encounter(i, j, pose, dt)
+        overlap, normal, middle, across, late_rate, rate, arm, arm_partner, radius_eff, mass_eff = encounter(
+            i, j, pose, dt
+        )
         constants = control.pair_constants[pair_number(i, j)]
         if overlap > 0.0:
             check_overlap(i, overlap, radius_eff)
@@ -191,22 +197,22 @@ def build_contact(state: State, with_wall: bool) -> Any:
             friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
             if ti.static(features.rotation):
                 tangential, rolling, friction_loss, rolling_loss = surface(
-                    i, j, slot, dt, constants, memory, overlap, normal, middle, late, arm, arm_partner, radius_eff,
-                    normal_force
+                    i, j, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm, arm_partner,
+                    radius_eff, normal_force
                 )  # fmt: skip
                 force += tangential
                 moment = normal.cross(tangential)
                 torque, torque_partner = rolling - arm * moment, -rolling - arm_partner * moment
             if ti.static(features.ledger):
                 share = weight(i, j)
-                control.losses[chunk][FRICTION] += share * friction_loss
-                control.losses[chunk][ROLLING] += share * rolling_loss
-                control.losses[chunk][DAMPING] += share * viscous * rate * dt
-                control.losses[chunk][WALL_WORK] += wall_work(i, j, pose, force, dt)
+                control.losses[chunk][FRICTION] = control.losses[chunk][FRICTION] + share * friction_loss
+                control.losses[chunk][ROLLING] = control.losses[chunk][ROLLING] + share * rolling_loss
+                control.losses[chunk][DAMPING] = control.losses[chunk][DAMPING] + share * viscous * rate * dt
+                control.losses[chunk][WALL_WORK] = control.losses[chunk][WALL_WORK] + wall_work(i, j, pose, force, dt)
         else:
             lost = forget(slot, i, j, constants, dt)
             if ti.static(features.ledger):
-                control.losses[chunk][PLASTIC] += weight(i, j) * lost
+                control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * lost
         return force, torque, torque_partner
 
     return contact
@@ -229,15 +235,15 @@ def build_forces(state: State) -> Any:
         for i in range(first, last):
             particles.force[i] = particles.mass[i] * ti.Vector(gravity, dt=real)
             if ti.static(features.rotation):
-                particles.torque[i] *= 0.0
+                particles.torque[i] = 0.0 * particles.torque[i]
 
     @ti.func
     def react(j, first, last, force, torque):
         if ti.static(shared_chunks):
             if j >= first and j < last:
-                particles.force[j] -= force
+                particles.force[j] = particles.force[j] - force
                 if ti.static(features.rotation):
-                    particles.torque[j] += torque
+                    particles.torque[j] = particles.torque[j] + torque
 
     @ti.func
     def forces(chunk, count, pose, dt):
@@ -254,8 +260,8 @@ def build_forces(state: State) -> Any:
                 force, torque, other = grain_contact(chunk, i, slot, j, pose, dt)
                 total, total_torque = total + force, total_torque + torque
                 react(j, first, last, force, other)
-            particles.force[i] += total
+            particles.force[i] = particles.force[i] + total
             if ti.static(features.rotation):
-                particles.torque[i] += total_torque
+                particles.torque[i] = particles.torque[i] + total_torque
 
     return forces

@@ -11,10 +11,10 @@ from granflow.device.walls import build_wall_geometry
 def build_encounter(state: State, with_wall: bool) -> Any:
     """Device function (i, j, pose, time_step) -> what there is to know of a near pair; a wall's j is -1 - its index.
 
-    Returns overlap [m] (0 or less: apart), normal from j to i, mean of this normal and that of a step earlier,
-    velocity of i relative to j half a step earlier, rate of overlap [m/s] (> 0 approaching), lever arms of both
-    [m], effective radius [m] and mass [kg]. Grains and walls have functions of their own: one
-    function with a branch for walls ran at half the speed.
+    Returns overlap [m] (0 or less: apart), normal from j to i, mean of this normal and that of a step earlier, part of
+    the velocity of i relative to j across the normal half a step earlier, rate of overlap then and at the time of
+    the positions [m/s] (> 0 approaching), lever arms of both [m], effective radius [m] and mass [kg]. Grains and
+    walls have functions of their own, without a branch between them in the loops.
 
     Every operation gives exactly the opposite or the same number when i and j change places.
     """
@@ -23,14 +23,13 @@ def build_encounter(state: State, with_wall: bool) -> Any:
 
 def _build_grain_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    middle_normal = _build_middle_normal()
 
     @ti.func
     def grain_encounter(i, j, pose, time_step):
         radius, radius_partner = particles.radius[i], particles.radius[j]
         zero = 0.0 * particles.velocity[i]
         overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
-        normal, middle, late, radius_eff, mass_eff = zero, zero, zero, radius, radius
+        normal, middle, across, radius_eff, mass_eff, late_rate = zero, zero, zero, radius, radius, 0.0 * radius
         apart = ti.cast(particles.position[i] - particles.position[j], real)
         reach = radius + radius_partner
         square = apart.dot(apart)
@@ -40,31 +39,32 @@ def _build_grain_encounter(state: State) -> Any:
             overlap = reach - distance
             normal = inverse * apart
             late = particles.velocity[i] - particles.velocity[j]
-            now = late
+            late_rate = -late.dot(normal)
+            rate = late_rate
             if ti.static(features.rate_dependent):
-                now = particles.velocity_now[i] - particles.velocity_now[j]
-            rate = -now.dot(normal)
-            middle = middle_normal(normal, late, inverse, time_step)
+                rate = -(particles.velocity_now[i] - particles.velocity_now[j]).dot(normal)
+            across = late + late_rate * normal
+            middle = normal - (0.5 * time_step * inverse) * across
             share = 1.0 / reach
             radius_eff = radius * radius_partner * share
             mass, mass_partner = particles.mass[i], particles.mass[j]
             mass_eff = mass * mass_partner / (mass + mass_partner)
             arm = radius - overlap * (share * radius_partner)
             arm_partner = radius_partner - overlap * (share * radius)
-        return overlap, normal, middle, late, rate, arm, arm_partner, radius_eff, mass_eff
+        return overlap, normal, middle, across, late_rate, rate, arm, arm_partner, radius_eff, mass_eff
 
     return grain_encounter
 
 
 def _build_wall_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    geometry, middle_normal = build_wall_geometry(state), _build_middle_normal()
+    geometry = build_wall_geometry(state)
 
     @ti.func
     def wall_encounter(i, j, pose, time_step):
         radius = particles.radius[i]
         zero = 0.0 * particles.velocity[i]
-        normal, middle, late, rate = zero, zero, zero, 0.0 * radius
+        normal, middle, across, late_rate, rate = zero, zero, zero, 0.0 * radius, 0.0 * radius
         gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
         overlap = ti.cast(radius - gap, real)
         if overlap > 0.0:
@@ -72,24 +72,16 @@ def _build_wall_encounter(state: State) -> Any:
             foot = particles.position[i] - gap * direction
             surface = ti.cast(geometry.surface_velocity(-1 - j, pose, foot), real)
             late = particles.velocity[i] - surface
-            now = late
+            late_rate = -late.dot(normal)
+            rate = late_rate
             if ti.static(features.rate_dependent):
-                now = particles.velocity_now[i] - surface
-            rate = -now.dot(normal)
-            middle = middle_normal(normal, late, 1.0 / ti.max(ti.cast(gap, real), 0.5 * radius), time_step)
-        return overlap, normal, middle, late, rate, radius - overlap, 0.0 * radius, radius, particles.mass[i]
+                rate = -(particles.velocity_now[i] - surface).dot(normal)
+            across = late + late_rate * normal
+            middle = normal - (0.5 * time_step / ti.max(ti.cast(gap, real), 0.5 * radius)) * across
+        arm = radius - overlap
+        return overlap, normal, middle, across, late_rate, rate, arm, 0.0 * radius, radius, particles.mass[i]
 
     return wall_encounter
-
-
-def _build_middle_normal() -> Any:
-    @ti.func
-    def middle_normal(normal, late, inverse_distance, time_step):
-        """The normal half a step earlier, to second order."""
-        across = late - late.dot(normal) * normal
-        return normal - (0.5 * time_step * inverse_distance) * across
-
-    return middle_normal
 
 
 def build_either_encounter(state: State) -> Any:
@@ -105,9 +97,9 @@ def build_either_encounter(state: State) -> Any:
         overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
         radius_eff, mass_eff = overlap, overlap
         if j < 0:
-            overlap, _n, _m, _l, rate, _a, _p, radius_eff, mass_eff = wall(i, j, pose, time_step)
+            overlap, _n, _m, _c, _l, rate, _a, _p, radius_eff, mass_eff = wall(i, j, pose, time_step)
         else:
-            overlap, _n2, _m2, _l2, rate, _a2, _p2, radius_eff, mass_eff = grain(i, j, pose, time_step)
+            overlap, _n2, _m2, _c2, _l2, rate, _a2, _p2, radius_eff, mass_eff = grain(i, j, pose, time_step)
         return overlap, rate, radius_eff, mass_eff
 
     particles = state.particles

@@ -41,7 +41,7 @@ def build_move(state: State) -> Any:
             particles.position[i] = position
             if ti.static(features.rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
-                particles.spin[i] += dt / inertia * particles.torque[i]
+                particles.spin[i] = particles.spin[i] + dt / inertia * particles.torque[i]
             travel = position - particles.position_at_search[i]
             square = travel.dot(travel)
             if square > near:

@@ -209,7 +209,7 @@ def build_recall(state: State) -> Any:
             source = find(j_before, i_before)
             sign = -1.0
         for n in ti.static(range(len(names))):
-            contacts.history[names[n]][slot] *= 0.0
+            contacts.history[names[n]][slot] = 0.0 * contacts.history[names[n]][slot]
             if source >= 0:
                 if ti.static(odd[n]):
                     contacts.history[names[n]][slot] = sign * contacts.before[names[n]][source]

@@ -31,12 +31,11 @@ def build(damped: bool) -> NormalLaw:
 
         F = k d^1.5 + sqrt(5) zeta sqrt(M k) d^(1/4) d'       (Tsuji 1992; Antypov & Elliott 2011)
         """
-        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-        root = ti.sqrt(overlap)
-        elastic = k * overlap * root
-        viscous = 0.0 * k
+        tangent = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap)
+        elastic = tangent * overlap
+        viscous = 0.0 * elastic
         if ti.static(damped):
-            viscous = ti.max(constants[2] * ti.sqrt(mass_eff * k * root) * overlap_rate, -elastic)
+            viscous = ti.max(constants[2] * ti.sqrt(mass_eff * tangent) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history
 
     @ti.func

@@ -71,19 +71,20 @@ def least_restitution(k, mass, overlap_max, time_step, angle):
 
 
 @ti.func
-def unloading_force(k, overlap_max, e, y, overlap):
+def unloading_force(stiffness, radius, overlap_max, e, y, overlap):
     """Force on the unloading branch [N], zero below the residual overlap.
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
-    Steeper than loading by up to 1/e^2; bounded by the time step as e -> 0.
+    with k = stiffness sqrt(radius), stiffness = (4/3) E. Steeper than loading by up to 1/e^2; bounded by the time
+    step as e -> 0.
     """
-    force = 0.0 * k
+    force = 0.0 * stiffness
     above = overlap - overlap_max * (1.0 - y)
     if above > 0.0:
         cube = e * e * e
-        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-        force = k * above * (slope + cube * ti.sqrt(above))
+        slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+        force = stiffness * above * (slope + cube * ti.sqrt(radius * above))
     return force
 
 
@@ -122,8 +123,9 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-        normal_force = 0.0 * k
+        stiffness = 4.0 / 3.0 * constants[0]
+        contact_radius = ti.sqrt(radius_eff * overlap)
+        normal_force = 0.0 * stiffness
         memory = history
         if ti.static(not peak):
             if memory[0] == 0.0:
@@ -131,17 +133,17 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         if overlap >= memory[0]:
             memory[0] = overlap
             memory[2] = 0.0
-            normal_force = k * overlap * ti.sqrt(overlap)
+            normal_force = stiffness * contact_radius * overlap
         else:
             e, y = resolve(constants, radius_eff, mass_eff, time_step, memory)
             memory[1] = e
             memory[2] = y
-            normal_force = unloading_force(k, memory[0], e, y, overlap)
-        viscous = 0.0 * k
+            normal_force = unloading_force(stiffness, radius_eff, memory[0], e, y, overlap)
+        viscous = 0.0 * stiffness
         if ti.static(damped):
             if normal_force > 0.0:
-                stiffness = 1.5 * k * ti.sqrt(overlap)
-                viscous = 2.0 * damping_ratio * ti.sqrt(stiffness * mass_eff) * overlap_rate
+                tangent = 1.5 * stiffness * contact_radius
+                viscous = 2.0 * damping_ratio * ti.sqrt(tangent * mass_eff) * overlap_rate
                 viscous = ti.max(viscous, -normal_force)
         return normal_force + viscous, viscous, memory
 
