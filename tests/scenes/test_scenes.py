@@ -1,0 +1,93 @@
+"""Every scene that comes with granflow does what its `expect:` block says; the large ones in small form, too."""
+
+from pathlib import Path
+
+import pytest
+
+from granflow import Simulation, load_scene
+
+SCENES = Path(__file__).parents[2] / "scenes"
+VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
+LARGE = ("hopper", "vibrated_bed", "drum")
+
+SMALL = {
+    # The outlet is as wide as the heap is high, so there is no steady flow to hold to Beverloo: only that all leave.
+    "hopper": (
+        "particles.beads.count=300",
+        "materials.glass.young_modulus=10 MPa",
+        "materials.acrylic.young_modulus=10 MPa",
+        "numerics.overlap_limit=0.2",
+        "stages.0.duration=0.2 s",
+        "stages.1.at_most=0.1 s",
+        "stages.2.duration=0.3 s",
+        "expect=[{quantity: flow_count.outlet, equals: 300, tolerance: 0}, "
+        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
+    ),
+    # A tenth of the width: M = 25.13 g. There are two landings in 0.28 s: 32.0 mJ.
+    "vibrated_bed": (
+        "particles.beads.count=300",
+        "particles.beads.place.region.box={min: [-20 mm, -10 mm, 0], max: [20 mm, 10 mm, 100 mm]}",
+        "walls.floor.corner=[-20 mm, -10 mm, 0]",
+        "walls.floor.sides=[[40 mm, 0, 0], [0, 20 mm, 0]]",
+        "walls.left.corner=[-20 mm, -10 mm, 0]",
+        "walls.right.corner=[20 mm, -10 mm, 0]",
+        "walls.front.corner=[-20 mm, -10 mm, 0]",
+        "walls.front.sides=[[40 mm, 0, 0], [0, 0, 150 mm]]",
+        "walls.back.corner=[-20 mm, 10 mm, 0]",
+        "walls.back.sides=[[40 mm, 0, 0], [0, 0, 150 mm]]",
+        "run.duration=0.28 s",
+        "expect=[{quantity: wall_work, between: [0.028, 0.035]}, {quantity: energy_error, between: [-1e-3, 1e-3]}]",
+    ),
+    # Half as wide and half as long at the same Froude number: M = 29.3 g, b = 12.7 mm, w = 4.443 rad/s. Its end walls are
+    # four beads apart and hold the slope at up to 50 degrees.
+    "drum": (
+        "particles.beads.count=350",
+        "particles.beads.place={kind: pack, "
+        "region: {box: {min: [-22.5 mm, -7.5 mm, -19 mm], max: [22.5 mm, 7.5 mm, 19 mm]}}}",
+        "walls.shell={shape: cylinder, from: [0, -7.5 mm, 0], to: [0, 7.5 mm, 0], radius: 30 mm, material: steel, "
+        "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
+        "walls.front={shape: disc, center: [0, -7.5 mm, 0], normal: [0, 1, 0], radius: 30 mm, material: steel, "
+        "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
+        "walls.back={shape: disc, center: [0, 7.5 mm, 0], normal: [0, 1, 0], radius: 30 mm, material: steel, "
+        "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",
+        "run.duration=0.7 s",
+        "expect=[{quantity: gravitational_energy, between: [-3.5e-3, -2.3e-3]}, "
+        "{quantity: wall_work, between: [3e-3, 8e-3]}, {quantity: energy_error, between: [-1e-3, 1e-3]}]",
+    ),
+}
+
+
+def unmet(path, out, overrides=()):
+    simulation = Simulation(load_scene(path, ["output.interval=1000 s", *overrides]), threads=2, out=out)
+    result = simulation.run()
+    simulation.free()
+    assert result.expectations
+    return [sentence for sentence, met in result.expectations if not met]
+
+
+@pytest.mark.parametrize("path", VERIFICATION, ids=lambda path: path.stem)
+def test_closed_forms(path, tmp_path, taichi_f64):
+    assert unmet(path, tmp_path) == []
+
+
+def test_two_spheres(tmp_path, taichi_f64):
+    assert unmet(SCENES / "two_spheres.yaml", tmp_path) == []
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_small_forms(name, tmp_path, taichi_f64):
+    assert unmet(SCENES / f"{name}.yaml", tmp_path, SMALL[name]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+@pytest.mark.parametrize("name", LARGE)
+def test_large_scenes(name, tmp_path, taichi_f64):
+    assert unmet(SCENES / f"{name}.yaml", tmp_path) == []
+
+
+def test_every_scene_says_what_it_shows_and_is_held_to_it():
+    for path in [*VERIFICATION, *SCENES.glob("*.yaml")]:
+        scene = load_scene(path)
+        assert scene.description, path
+        assert scene.expect, path
