@@ -10,8 +10,10 @@ import numpy as np
 import pyvista
 
 SPHERE_FACETS = 20
+RIM_ANGLE = 25  # degrees between two facets, above which their edge is drawn
 WALL = {"color": "lightsteelblue", "opacity": 0.15}
-BAR = {"color": "black", "vertical": True, "position_x": 0.86, "position_y": 0.3, "height": 0.4, "width": 0.05}
+BAR = {"color": "black", "vertical": True, "position_x": 0.88, "position_y": 0.3, "height": 0.4, "width": 0.04}
+TEXT = {"fmt": "%.2g", "n_labels": 3, "title_font_size": 24, "label_font_size": 22}
 
 
 def main() -> None:
@@ -37,11 +39,11 @@ def nearest(series: Path, time: float) -> pyvista.DataSet:
 
 def add_walls(plotter: pyvista.Plotter, walls: pyvista.DataSet, cut: float | None) -> None:
     """Walls, see-through with their rims drawn; with `cut`, only what stands behind y = cut [m]."""
-    surface = walls.extract_surface(algorithm="dataset_surface")
+    surface = walls.extract_surface(algorithm="dataset_surface").clean()
     if cut is not None:
         surface = surface.clip("-y", origin=(0, cut, 0))
     plotter.add_mesh(surface, **WALL)
-    plotter.add_mesh(surface.extract_feature_edges(35), color="slategray", line_width=2)
+    plotter.add_mesh(surface.extract_feature_edges(RIM_ANGLE), color="slategray", line_width=2)
 
 
 def add_particles(plotter: pyvista.Plotter, particles: pyvista.DataSet, color: str, limit: float | None) -> None:
@@ -50,10 +52,10 @@ def add_particles(plotter: pyvista.Plotter, particles: pyvista.DataSet, color: s
     particles["shown"] = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
     sphere = pyvista.Sphere(radius=0.5, theta_resolution=SPHERE_FACETS, phi_resolution=SPHERE_FACETS)
     spheres = particles.glyph(scale="diameter", geom=sphere, orient=False)
-    title = "speed [m/s]" if color == "velocity" else color
+    title = "speed [m/s]\n" if color == "velocity" else f"{color}\n"
     highest = limit or float(np.quantile(particles["shown"], 0.98)) or 1.0
     look = {"cmap": "viridis", "clim": (0, highest), "smooth_shading": True, "specular": 0.25, "ambient": 0.2}
-    plotter.add_mesh(spheres, scalars="shown", scalar_bar_args=BAR | {"title": title}, **look)
+    plotter.add_mesh(spheres, scalars="shown", scalar_bar_args=BAR | TEXT | {"title": title}, **look)
 
 
 def arguments() -> argparse.Namespace:
