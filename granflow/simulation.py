@@ -155,11 +155,9 @@ class Simulation:
         self._stage_times[stage.name] = (began, inf)
         self._set_walls()
         self._pour()
+        self.engine.refresh()
         if first:
-            self.engine.begin()
             self._show_to(self._observers)
-        else:
-            self.engine.refresh()
 
     def _set_walls(self) -> None:
         times: StageTimes = self._stage_times

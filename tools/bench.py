@@ -101,7 +101,7 @@ def measure(bed: str, law: str, precision: str, threads: int) -> dict[str, Any]:
     none = np.zeros(count, np.int32)
     engine.insert(Grains(grains[:, 1:4], still, still, 0.5 * grains[:, 0], none, none))
     engine.set_walls([True] * 5, [()] * 5)
-    engine.begin()
+    engine.refresh()
     steps = max(int(4e6 / count), 20)
     engine.advance(2 * steps)
     rates = [timed(engine, steps) * count / 1e6 for _ in range(WINDOWS)]

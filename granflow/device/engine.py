@@ -31,6 +31,7 @@ class Engine:
         self.books = Books()
         self.step_count = 0
         self._gravity = np.array(plan.gravity)
+        self._walls_changed = False
 
     def _build_looks(self) -> None:
         """Kernels that move data in and out; they know the fields, which growing replaces."""
@@ -104,17 +105,30 @@ class Engine:
         self.state.wall_motions = tuple(tuple(each) for each in motions)
         for index, there in enumerate(present):
             self.state.walls.present[index] = int(there)
+        self._walls_changed = True
 
     def refresh(self) -> None:
-        """Search and forces anew, after grains or walls came or went."""
-        self.stepper.refresh(self.time)
+        """Search and forces anew, after grains or walls came or went.
 
-    def begin(self) -> None:
-        """First forces. Grains made overlapping count what their contacts store as brought along."""
-        self.refresh()
-        if self.plan.features.ledger:
-            measured = self.survey.measure()
-            self.books.brought_energy += measured["elastic_energy"] + measured["plastic_dissipation"]
+        What contacts hold with a wall that appears among the grains, or vanishes, counts as brought or taken away.
+        """
+        counted = self.plan.features.ledger and self._walls_changed
+        before = self._contact_energy() if counted else 0.0
+        self.stepper.refresh(self.time)
+        if counted:
+            self.books.brought_energy += self._contact_energy() - before
+        self._walls_changed = False
+
+    def _contact_energy(self) -> float:
+        """Energy that the contacts there are have taken up, to give back or for good [J]."""
+        self._stand_walls()
+        measured = self.survey.measure()
+        return measured["elastic_energy"] + measured["plastic_dissipation"]
+
+    def _stand_walls(self) -> None:
+        """Pose 0 on the device is that of now."""
+        if self.plan.features.moving_walls:
+            upload_poses(self.state, self.time - self.plan.time_step, self.plan.time_step)
 
     def advance(self, steps: int) -> None:
         """Do `steps` steps, fewer if a guard trips."""
@@ -131,8 +145,7 @@ class Engine:
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
             return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
-        if self.plan.features.moving_walls:
-            upload_poses(self.state, self.time - self.plan.time_step, self.plan.time_step)
+        self._stand_walls()
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)

@@ -213,7 +213,7 @@ def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
     """Step through the collision and note what it reaches."""
     engine.insert(initial_grains(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
-    engine.begin()
+    engine.refresh()
     limit = int(LONGEST * sum(plan.law.phase_durations(
         impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / plan.time_step) + 10  # fmt: skip
     before = last = _look(engine, plan)

@@ -34,7 +34,7 @@ def begun(scene):
     """A simulation whose first search is done."""
     simulation = Simulation(scene)
     simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
-    simulation.engine.begin()
+    simulation.engine.refresh()
     return simulation
 
 
