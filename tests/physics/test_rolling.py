@@ -72,10 +72,10 @@ def test_rolling_friction_stops_a_ball_after_its_distance(taichi_f64, rolling):
 
 
 def test_on_a_slope_a_ball_that_cannot_roll_sticks_below_the_friction_angle_and_slides_above(taichi_f64):
-    slope, frictions, duration = 0.4, np.array([0.2, 0.3, 0.5, 0.8]), 0.05
+    slope, frictions, duration = 0.4, np.array([0.2, 0.3, 0.5, 3.0]), 0.05
     angle = np.arctan(slope)
     down, into = GRAVITY * np.sin(angle), GRAVITY * np.cos(angle)
-    pairs = [{"friction": mu, "rolling_friction": 2.0} for mu in frictions]
+    pairs = [{"friction": mu, "rolling_friction": 4.0} for mu in frictions]
     scene = on_a_floor(pairs, 0.0, 0.0, (down, 0.0, -into), duration, rolling="epsd")
     seen = watched(scene, duration / 50)
     way, t = column(seen, "position")[:, :, 0], times(seen)
@@ -84,12 +84,14 @@ def test_on_a_slope_a_ball_that_cannot_roll_sticks_below_the_friction_angle_and_
         gained = column(seen, "velocity")[late, n, 0] - (down - frictions[n] * into) * t[late]
         np.testing.assert_allclose(gained, gained.mean(), rtol=0.0, atol=2e-3 * down * duration)
         assert 0.0 < gained.mean() < 2e-3
-    # the springs give by what carries the pull, twice that as they swing, and let the ball turn likewise
+    # each spring gives by what carries the pull, the rolling one by as much again at the centre; from rest the ball
+    # swings to twice that at first, and creeps by no more than as much while its normal contact still trembles
     overlap = resting_overlap(into)
     shear = BODY["young_modulus"] / (2.0 * (1.0 + BODY["poisson_ratio"])) / (2.0 * (2.0 - BODY["poisson_ratio"]))
     give = MASS * down / (8.0 * shear * np.sqrt(RADIUS * overlap))
-    assert 0.5 * give < np.abs(way[:, 2:]).max() < 4.5 * give
-    assert 4.5 * give < 1e-3 * way[-1, 1]
+    first = way[t < 0.2 * duration, 3]
+    assert 2.0 * give < first.max() < 1.01 * 4.0 * give
+    assert np.abs(way[:, 2:]).max() < 8.0 * give < 1e-3 * way[-1, 1]
 
 
 def test_the_same_ball_free_to_roll_runs_down_the_slope(taichi_f64):
