@@ -22,7 +22,7 @@ def main() -> None:
     plotter = pyvista.Plotter(off_screen=True, window_size=options.size)
     plotter.set_background("white")
     add_walls(plotter, nearest(options.run / "walls.pvd", options.time), options.cut)
-    add_particles(plotter, nearest(options.run / "particles.pvd", options.time), options.color, options.limit)
+    add_particles(plotter, nearest(options.run / "particles.pvd", options.time), options)
     plotter.enable_anti_aliasing("ssaa")
     plotter.camera_position = [np.array(options.viewpoint), (0, 0, 0), (0, 0, 1)]
     plotter.reset_camera()
@@ -46,14 +46,17 @@ def add_walls(plotter: pyvista.Plotter, walls: pyvista.DataSet, cut: float | Non
     plotter.add_mesh(surface.extract_feature_edges(RIM_ANGLE), color="slategray", line_width=2)
 
 
-def add_particles(plotter: pyvista.Plotter, particles: pyvista.DataSet, color: str, limit: float | None) -> None:
-    """Spheres of true size, coloured by one quantity (a vector by its magnitude)."""
+def add_particles(plotter: pyvista.Plotter, particles: pyvista.DataSet, options: argparse.Namespace) -> None:
+    """Spheres of true size behind the cut, coloured by one quantity (a vector by its magnitude)."""
+    color = options.color
+    if options.cut is not None:
+        particles = particles.extract_points(particles.points[:, 1] > options.cut, include_cells=False)
     values = particles.point_data[color]
     particles["shown"] = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
     sphere = pyvista.Sphere(radius=0.5, theta_resolution=SPHERE_FACETS, phi_resolution=SPHERE_FACETS)
     spheres = particles.glyph(scale="diameter", geom=sphere, orient=False)
     title = "speed [m/s]\n" if color == "velocity" else f"{color}\n"
-    highest = limit or float(np.quantile(particles["shown"], 0.98)) or 1.0
+    highest = options.limit or float(np.quantile(particles["shown"], 0.98)) or 1.0
     look = {"cmap": "viridis", "clim": (0, highest), "smooth_shading": True, "specular": 0.25, "ambient": 0.2}
     plotter.add_mesh(spheres, scalars="shown", scalar_bar_args=BAR | TEXT | {"title": title}, **look)
 
@@ -69,7 +72,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--from", dest="viewpoint", type=float, nargs=3, default=(1.0, -2.0, 0.8), help="direction of view"
     )
-    parser.add_argument("--cut", type=float, help="leave out walls in front of this y [m]")
+    parser.add_argument("--cut", type=float, help="leave out what stands in front of this y [m]")
     parser.add_argument("--zoom", type=float, default=1.3, help="larger is nearer (1.3)")
     parser.add_argument("--size", type=int, nargs=2, default=(1200, 900), help="pixels (1200 900)")
     return parser.parse_args()
