@@ -32,6 +32,7 @@ class Engine:
         self.step_count = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
+        self._begun = False
 
     def _build_looks(self) -> None:
         """Kernels that move data in and out; they know the fields, which growing replaces."""
@@ -94,7 +95,8 @@ class Engine:
             "spin": grains.spin,
         }
         books.brought_energy += sum(mechanical_energy(arrays, self._gravity))
-        arrays["velocity"] = grains.velocity - 0.5 * self.plan.time_step * self._gravity
+        if self._begun:
+            arrays["velocity"] = grains.velocity - 0.5 * self.plan.time_step * self._gravity
         self.transfer.append(arrays)
         books.inserted_count += count
         books.material.append(grains.material)
@@ -110,7 +112,8 @@ class Engine:
     def refresh(self) -> None:
         """Search and forces anew, after grains or walls came or went.
 
-        What contacts hold with a wall that appears among the grains, or vanishes, counts as brought or taken away.
+        The first one also sets velocities half a step back, where the leapfrog has them. What contacts hold with a
+        wall that appears among the grains, or vanishes, counts as brought or taken away.
         """
         counted = self.plan.features.ledger and self._walls_changed
         before = self._contact_energy() if counted else 0.0
@@ -118,6 +121,9 @@ class Engine:
         if counted:
             self.books.brought_energy += self._contact_energy() - before
         self._walls_changed = False
+        if not self._begun:
+            self._begun = True
+            self.transfer.kick(-0.5 * self.plan.time_step)
 
     def _contact_energy(self) -> float:
         """Energy that the contacts there are have taken up, to give back or for good [J]."""

@@ -15,6 +15,7 @@ class Transfer:
     def __init__(self, state: State) -> None:
         self.state = state
         self._append = _build_append(state)
+        self._kick = _build_kick(state)
 
     def append(self, arrays: dict[str, np.ndarray]) -> None:
         """Put n more particles behind those that are there.
@@ -40,6 +41,10 @@ class Transfer:
             np.ascontiguousarray(arrays["spin"], dtype=wide),
         )
         state.count += count
+
+    def kick(self, time: float) -> None:
+        """Advance velocities and spins by `time` [s] under the present forces; backwards if it is negative."""
+        self._kick(self.state.count, time)
 
     def taken(self, names: tuple[str, ...], first: int = 0, last: int | None = None) -> dict[str, np.ndarray]:
         """Host copies of particle fields from index `first` to before `last` (the present count)."""
@@ -78,3 +83,17 @@ def _build_append(state: State) -> Callable[..., None]:
                 particles.material[i] = material[k]
 
     return append
+
+
+def _build_kick(state: State) -> Callable[..., None]:
+    particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
+
+    @ti.kernel
+    def kick(count: ti.i32, time: real):
+        for i in range(count):
+            particles.velocity[i] = particles.velocity[i] + time / particles.mass[i] * particles.force[i]
+            if ti.static(rotation):
+                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                particles.spin[i] = particles.spin[i] + time / inertia * particles.torque[i]
+
+    return kick
