@@ -20,6 +20,7 @@ from granflow.observe import (
     observers_for,
     progress_for,
     run_log,
+    time_series_for,
     versions,
     write_result,
     write_scene_as_run,
@@ -126,6 +127,8 @@ class Simulation:
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
+        elif self.scene.output.meters:
+            found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))
         return found
@@ -178,8 +181,6 @@ class Simulation:
         self.engine.advance(steps)
         if self.engine.trip is not None:
             self._stop()
-        if self._deleted_too_many():
-            self._refuse_loss()
         if self._pour() or any(self._reached(change) for change in self._changes):
             self._changes = tuple(change for change in self._changes if not self._reached(change))
             self._set_walls()
@@ -215,22 +216,12 @@ class Simulation:
         for observer in self._observers:
             observer.finish()
 
-    def _deleted_too_many(self) -> bool:
-        return self.scene.domain.leaving == "error" and self.engine.books.deleted_count > 0
-
     def _stop(self) -> None:
         """A guard tripped: write what stands there, then say why."""
         trip = self.engine.trip
         assert trip is not None
         self._show_to(self._observers)
         raise RunError(guard_message(trip, self.plan, self.time, self.out))
-
-    def _refuse_loss(self) -> None:
-        self._show_to(self._observers)
-        raise RunError(
-            f"A particle left the domain before {self.time:.6g} s, and domain.leaving is error "
-            f"({self.scene.where('domain', 'leaving')}). Close the gap in the walls, widen the domain, or write delete."
-        )
 
     def _result(self, last: Snapshot, wall_clock: float, judged: bool) -> Result:
         timing = self.engine.timing

@@ -6,6 +6,9 @@ import numpy as np
 
 from granflow.device.state import LOSSES, State
 
+SMALLEST_SHARE = 1e-9
+"""The ledger's error is taken over no less than this share of the potential energies it adds up."""
+
 
 @dataclass
 class Books:
@@ -58,6 +61,8 @@ def ledger_totals(
     removed = books.removed_energy - books.brought_energy
     missing = held + dissipated + removed - losses["wall_work"]
     passed = energies[0] + energies[1] + measured["elastic_energy"] + dissipated + books.removed_kinetic_energy
+    rounding = SMALLEST_SHARE * (abs(energies[2]) + abs(removed))
+    scale = max(passed, rounding)
     return {
         "gravitational_energy": energies[2],
         "elastic_energy": measured["elastic_energy"],
@@ -67,5 +72,5 @@ def ledger_totals(
         "damping_dissipation": losses["damping"],
         "wall_work": losses["wall_work"],
         "removed_energy": removed,
-        "energy_error": missing / passed if passed > 0.0 else 0.0,
+        "energy_error": missing / scale if scale > 0.0 else 0.0,
     }

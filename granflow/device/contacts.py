@@ -73,10 +73,12 @@ def build_surface(state: State, with_wall: bool) -> Any:
     lateral, rolling = build_lateral(state), build_rolling(state)
 
     @ti.func
-    def partner_spin(i, j):
+    def partner_spin(i, j, pose):
         spin = 0.0 * particles.spin[i]
         if ti.static(not with_wall):
             spin = particles.spin[j]
+        elif ti.static(features.moving_walls):
+            spin = ti.cast(state.walls.spin[pose, -1 - j], state.backend.real)
         return spin
 
     @ti.func
@@ -90,10 +92,10 @@ def build_surface(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def surface(
-        i, j, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm, arm_partner, radius_eff,
-        normal_force
+        i, j, pose, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm, arm_partner,
+        radius_eff, normal_force
     ):  # fmt: skip
-        spin, other = particles.spin[i], partner_spin(i, j)
+        spin, other = particles.spin[i], partner_spin(i, j, pose)
         stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
         share = 0.0 * stiffness + 1.0
         if ti.static(law.lateral_grows):
@@ -168,11 +170,12 @@ def build_contact(state: State, with_wall: bool) -> Any:
             ti.atomic_min(control.guard_particle[0], particles.id[i])
 
     @ti.func
-    def wall_work(i, j, pose, force, dt):
+    def wall_work(i, j, pose, force, torque, dt):
         work = 0.0 * dt
         if ti.static(with_wall and features.moving_walls):
             velocity = geometry.surface_velocity(-1 - j, pose, particles.position[i])
-            work = dt * force.dot(ti.cast(velocity, real))
+            turning = state.walls.spin[pose, -1 - j]
+            work = dt * (force.dot(ti.cast(velocity, real)) + torque.dot(ti.cast(turning, real)))
         return work
 
     @ti.func
@@ -197,8 +200,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
             if ti.static(features.rotation):
                 tangential, rolling, friction_loss, rolling_loss = surface(
-                    i, j, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm, arm_partner,
-                    radius_eff, normal_force
+                    i, j, pose, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm,
+                    arm_partner, radius_eff, normal_force
                 )  # fmt: skip
                 force += tangential
                 moment = normal.cross(tangential)
@@ -208,7 +211,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
                 control.losses[chunk][FRICTION] = control.losses[chunk][FRICTION] + share * friction_loss
                 control.losses[chunk][ROLLING] = control.losses[chunk][ROLLING] + share * rolling_loss
                 control.losses[chunk][DAMPING] = control.losses[chunk][DAMPING] + share * viscous * rate * dt
-                control.losses[chunk][WALL_WORK] = control.losses[chunk][WALL_WORK] + wall_work(i, j, pose, force, dt)
+                control.losses[chunk][WALL_WORK] = control.losses[chunk][WALL_WORK] + wall_work(
+                    i, j, pose, force, torque, dt
+                )
         else:
             lost = forget(slot, i, j, constants, dt)
             if ti.static(features.ledger):

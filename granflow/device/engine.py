@@ -7,13 +7,12 @@ import numpy as np
 
 from granflow.device.backend import Backend
 from granflow.device.books import Books, ledger_totals, mechanical_energy
-from granflow.device.guards import GUARDS, Trip
+from granflow.device.guards import GUARD_LEFT, GUARDS, Trip
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
 from granflow.device.survey import Survey
 from granflow.device.transfer import Transfer
-from granflow.device.walls import upload_poses
 from granflow.plan import Plan
 from granflow.scene.generate import Grains
 from granflow.snapshot import Snapshot, WallPose
@@ -107,6 +106,8 @@ class Engine:
         self.state.wall_motions = tuple(tuple(each) for each in motions)
         for index, there in enumerate(present):
             self.state.walls.present[index] = int(there)
+            pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
+            self.state.walls.pivot[index] = pivot.tolist()
         self._walls_changed = True
 
     def refresh(self) -> None:
@@ -127,14 +128,9 @@ class Engine:
 
     def _contact_energy(self) -> float:
         """Energy that the contacts there are have taken up, to give back or for good [J]."""
-        self._stand_walls()
+        self.stepper.stand_walls(self.time)
         measured = self.survey.measure()
         return measured["elastic_energy"] + measured["plastic_dissipation"]
-
-    def _stand_walls(self) -> None:
-        """Pose 0 on the device is that of now."""
-        if self.plan.features.moving_walls:
-            upload_poses(self.state, self.time - self.plan.time_step, self.plan.time_step)
 
     def advance(self, steps: int) -> None:
         """Do `steps` steps, fewer if a guard trips."""
@@ -151,7 +147,7 @@ class Engine:
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
             return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
-        self._stand_walls()
+        self.stepper.stand_walls(self.time)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
@@ -181,7 +177,10 @@ class Engine:
 
     def _on_gone(self, first: int, last: int) -> None:
         """Enter particles that left the domain into the books."""
-        arrays = self.transfer.taken(("mass", "radius", "position", "velocity", "spin"), first, last)
+        arrays = self.transfer.taken(("id", "mass", "radius", "position", "velocity", "spin"), first, last)
+        if self.plan.scene.domain.leaving == "error":
+            self.state.control.guard[0] = GUARD_LEFT
+            self.state.control.guard_particle[0] = int(arrays["id"].min())
         kinetic, rotational, potential = mechanical_energy(arrays, self._gravity)
         self.books.deleted_count += last - first
         self.books.deleted_mass += float(arrays["mass"].sum(dtype=float))

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from granflow.plan import Plan
 
-GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP = 1, 2, 3
-"""Codes that kernels raise: a step longer than half the skin, a position that is no number, an overlap too large."""
+GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP, GUARD_LEFT = 1, 2, 3, 4
+"""Codes: a step longer than half the skin, a position that is no number, an overlap too large, and (raised by the host)
+a particle outside a domain that none may leave."""
 
-GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap"}
+GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap", GUARD_LEFT: "left"}
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that tripped a guard."""
@@ -53,4 +54,12 @@ def _overlap(place: str, plan: Plan) -> str:
     )
 
 
-_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap}
+def _left(place: str, plan: Plan) -> str:
+    where = plan.scene.where("domain", "leaving")
+    return (
+        f"Stopped: {place} is outside the domain, and domain.leaving is error ({where}). Close the gap in the walls, "
+        "widen the domain, or write delete."
+    )
+
+
+_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left}

@@ -16,7 +16,7 @@ from granflow.walls.shape import PARAMETER_COUNT
 CPU_STRIDE = 512
 """Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
 
-WALL_BATCH = 64
+WALL_BATCH = 256
 """Steps whose wall poses are uploaded at a time."""
 
 

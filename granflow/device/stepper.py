@@ -1,6 +1,6 @@
 """The compiled phases of one plan, in order: motion, search when it is due, contact forces.
 
-One launch does one step of many chunks, or many steps of one chunk. Once a particle has travelled half the skin
+One launch does one step with chunks in parallel, or many steps on one thread. Once a particle has travelled half the skin
 every later phase of the launch does nothing until the host has run the search: no transfer per step.
 """
 
@@ -28,8 +28,14 @@ from granflow.device.walls import upload_poses
 BATCH = 16
 """Steps launched between two looks at the flags where every step is a launch of its own."""
 
-ONE_CHUNK_BATCH = 4096
-"""The same where one launch does all of them."""
+SERIAL_BATCH = 1_000_000
+"""Particle-steps of one launch where a launch does many steps: a tenth of a second, so that Ctrl-C is heard."""
+
+SERIAL_BELOW = 4000
+"""Particles up to which one thread doing many steps a launch beats several woken for every phase of a step.
+
+Waking Taichi's threads took 60 us a phase on the machine where this was measured.
+"""
 
 SAMPLE_EVERY = 256
 """Every so many steps one is done phase by phase with a clock beside it."""
@@ -70,6 +76,10 @@ class Stepper:
         self._on_gone = on_gone
         self._steps_since_search = 0
         self._since_sample = 0
+        one_thread = state.backend.on_cpu and state.backend.threads == 1
+        few = state.plan.chunk_capacity == 1 or (state.backend.on_cpu and state.plan.particle_capacity <= SERIAL_BELOW)
+        self._serial = one_thread or few
+        self._pose = WALL_BATCH if state.plan.features.moving_walls else 0
         self._build()
 
     def _build(self) -> None:
@@ -78,8 +88,7 @@ class Stepper:
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._set_aside = build_set_aside(state) if state.contacts.history else None
         self._rows = build_rows(state)
-        self._one_chunk = state.plan.chunk_capacity == 1
-        build = _build_one_chunk if self._one_chunk else _build_chunks
+        build = _build_serial if self._serial else _build_chunks
         self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
         self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
@@ -140,10 +149,15 @@ class Stepper:
 
     def refresh(self, time: float) -> None:
         """Search and forces anew at `time` [s] without a step: after grains or walls came or went."""
-        if self.state.plan.features.moving_walls:
-            upload_poses(self.state, time - self.state.plan.time_step, self.state.plan.time_step)
+        self.stand_walls(time)
         self.search()
         self.forces(history_step=0.0)
+
+    def stand_walls(self, time: float) -> None:
+        """Pose 0 on the device becomes that of `time` [s]."""
+        if self.state.plan.features.moving_walls:
+            upload_poses(self.state, time - self.state.plan.time_step, self.state.plan.time_step)
+            self._pose = WALL_BATCH
 
     def advance(self, steps: int, time: float) -> int:
         """Do `steps` steps from `time` [s], searching on the way; returns the steps done, fewer if a guard tripped."""
@@ -162,15 +176,19 @@ class Stepper:
         if plan.features.moving_walls:
             if self._steps_walls_allow() < 1:
                 self.refresh(time)
-            steps = min(steps, WALL_BATCH, max(self._steps_walls_allow(), 1))
-            upload_poses(state, time, plan.time_step)
+            if self._pose == WALL_BATCH:
+                upload_poses(state, time, plan.time_step)
+                self._pose = 0
+            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
         state.control.steps_done[0] = 0
         began, searched = clock.perf_counter(), self.timing.search
         done = self._launch(steps)
         if state.control.search_due[0]:
-            self.search(pose=done)
-            self.forces(pose=done)
+            self.search(pose=self._pose + done)
+            self.forces(pose=self._pose + done)
             done += 1
+        if plan.features.moving_walls:
+            self._pose += done
         self._steps_since_search += done
         self._since_sample += done
         self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
@@ -183,15 +201,16 @@ class Stepper:
         step = self.state.plan.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        if self._one_chunk:
-            self._launch_step(min(steps, ONE_CHUNK_BATCH), 0, step)
+        if self._serial:
+            batch = max(SERIAL_BATCH // max(self.state.count, 1), 1)
+            self._launch_step(min(steps, batch), self._pose, step)
         else:
             for _ in range(min(steps, BATCH)):
-                self._launch_step(1, 0, step)
+                self._launch_step(1, self._pose, step)
         return int(self.state.control.steps_done[0])
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
-        """One launch: `steps` steps of one chunk, or one step of many; either phase alone where the other is 0."""
+        """One launch: `steps` steps serially, or one in parallel; either phase alone where the other is 0."""
         state = self.state
         self._step(steps, state.chunk_count, state.count, pose, step, moving, forcing)
 
@@ -199,13 +218,13 @@ class Stepper:
         """One step phase by phase, timed."""
         state, step, began = self.state, self.state.plan.time_step, clock.perf_counter()
         self._since_sample = 0
-        self._launch_step(1, 0, step, forcing=0)
+        self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
         moved = clock.perf_counter()
         if state.control.search_due[0]:
             return 0
         looked = clock.perf_counter()
-        self._launch_step(1, 0, step, moving=0)
+        self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
         self.timing.sampled_motion += moved - began
         self.timing.sampled_forces += clock.perf_counter() - looked
@@ -231,38 +250,40 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
             if task % stride == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
                     move(task // stride, count, dt)
-        for _ in range(moving):
+        if moving == 1:
             control.search_due[0] = control.search_wanted[0]
         for task in range(forcing * chunks * stride):
             if task % stride == 0:
                 if control.search_due[0] == 0 and control.guard[0] == 0:
                     forces(task // stride, count, pose + control.steps_done[0], dt)
-        for _ in range(forcing):
-            if control.search_due[0] == 0 and control.guard[0] == 0:
-                control.steps_done[0] += 1
+        if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
+            control.steps_done[0] = control.steps_done[0] + 1
 
     return step_chunks
 
 
-def _build_one_chunk(state: State, move: Any, forces: Any) -> Callable[..., None]:
-    """Many steps of one chunk in one task."""
+def _build_serial(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    """Many steps in one task of one thread, chunk after chunk: the same bits as chunks in parallel."""
     control, real = state.control, state.backend.real
 
     @ti.kernel
-    def step_one_chunk(
+    def step_serially(
         steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
     ):  # fmt: skip
+        ti.loop_config(serialize=True)
         for _ in range(1):
             done = 0
             while done < steps and control.search_due[0] == 0 and control.guard[0] == 0:
                 if moving == 1:
-                    move(0, count, dt)
+                    for chunk in range(chunks):
+                        move(chunk, count, dt)
                     control.search_due[0] = control.search_wanted[0]
                 if forcing == 1 and control.search_due[0] == 0:
-                    forces(0, count, pose + done, dt)
+                    for chunk in range(chunks):
+                        forces(chunk, count, pose + done, dt)
                 done += 1
             if control.search_due[0] == 1:
                 done -= 1
             control.steps_done[0] = ti.max(done, 0)
 
-    return step_one_chunk
+    return step_serially

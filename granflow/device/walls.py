@@ -87,5 +87,3 @@ def upload_poses(state: State, time: float, time_step: float) -> None:
     upload(walls.rotation, [p.rotation for p in now], position_real)
     upload(walls.velocity, [p.velocity for p in middle], real)
     upload(walls.spin, [p.angular_velocity for p in middle], real)
-    for index, poses in enumerate(now):
-        walls.pivot[index] = poses.pivot.tolist()

@@ -22,6 +22,7 @@ def carried_displacement(displacement, normal, normal_middle):
 
         s' = s - (s . n) (n_before + n) / 2
 
+    A pair that spins as one about its normal does not turn its spring: no peer does, and it costs a cross product.
     The mean of the old and the new normal keeps the length of s to fourth order in the angle turned.
     """
     return displacement - displacement.dot(normal) * normal_middle

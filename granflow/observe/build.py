@@ -33,7 +33,7 @@ def observers_for(
     return observers
 
 
-def time_series_for(scene: Any, out_dir: Path) -> TimeSeries:
+def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters."""
     meters = {
         name: FlowMeter(meter.point, meter.normal, meter.radius) for name, meter in (scene.output.meters or {}).items()

@@ -18,19 +18,19 @@ class TimeSeries:
 
     The columns are fixed by the first snapshot: time [s], stage, the totals it has in the order of the
     glossary, then per meter the mass and number passed and the mass flow since the row before. Units stand
-    in the header.
+    in the header. Without a directory nothing is written and the meters are read all the same.
     """
 
     def __init__(
         self,
-        directory: Path,
+        directory: Path | None,
         interval: float,
         meters: Mapping[str, FlowMeter] | None = None,
         start: float = 0.0,
     ) -> None:
         self.meters = dict(meters or {})
         self.wants = frozenset({TOTALS, PARTICLES} if self.meters else {TOTALS})
-        self.path = Path(directory) / "timeseries.csv"
+        self.path = None if directory is None else Path(directory) / "timeseries.csv"
         self._schedule = Schedule(interval, start)
         self._names: list[str] = []
         self._file: TextIOWrapper | None = None
@@ -45,8 +45,10 @@ class TimeSeries:
             return
         for meter in self.meters.values():
             meter.look(snapshot)
+        if self.path is None:
+            return
         if self._file is None:
-            self._open(snapshot)
+            self._open(self.path, snapshot)
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._write_row([snapshot.time, snapshot.stage, *totals, *self._readings()])
 
@@ -59,11 +61,11 @@ class TimeSeries:
         """Numbers of every meter at the end, by the meter's name."""
         return {name: meter.result() for name, meter in self.meters.items()}
 
-    def _open(self, snapshot: Snapshot) -> None:
+    def _open(self, path: Path, snapshot: Snapshot) -> None:
         known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
         self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(self.path, "w", newline="", encoding="utf-8")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(path, "w", newline="", encoding="utf-8")
         self._write_row(["time [s]", "stage", *map(_label, self._names), *self._meter_labels()])
 
     def _write_row(self, row: list[Any]) -> None:

@@ -23,7 +23,7 @@ from granflow.plan.sizes import diameter_range
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
-from granflow.scene.schema import GivenStiffness, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
+from granflow.scene.schema import GivenStiffness, Group, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
 
 SLOTS_PER_PARTICLE = 5
 """First guess of the near partners in a row; rows grow when it is too small."""
@@ -219,24 +219,40 @@ def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.
 
 
 def meetings_of(scene: Scene) -> list[Meeting]:
-    """How any two groups, and any group and wall, can meet: their smallest particles."""
+    """How any two groups, and any group and wall, can meet: their smallest particles.
+
+    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in.
+    """
     found = []
     groups = list(scene.particles.items())
+    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, (name, group) in enumerate(groups):
-        radius = 0.5 * diameter_range(group)[0]
-        body = solid(scene, group.material)
-        mass = _sphere_mass(radius, body.density)
         for other_name, other in groups[n:]:
-            other_radius = 0.5 * diameter_range(other)[0]
-            other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
-            pair = pair_material(scene, group.material, other.material)
-            radius_eff = radius * other_radius / (radius + other_radius)
-            mass_eff = mass * other_mass / (mass + other_mass)
-            found.append(Meeting(f"{name}-{other_name}", pair, radius_eff, mass_eff, radius, body))
-        for wall in dict.fromkeys(wall.material for wall in scene.walls.values()):
-            pair = pair_material(scene, group.material, wall)
-            found.append(Meeting(f"{name}-{wall} wall", pair, radius, mass, radius, body))
+            if scene.pair_key(group.material, other.material) in scene.pairs:
+                pair = pair_material(scene, group.material, other.material)
+                found.append(_meeting(scene, f"{name}-{other_name}", pair, group, other))
+        for wall in walls:
+            found.append(
+                _meeting(scene, f"{name}-{wall} wall", pair_material(scene, group.material, wall), group, None)
+            )
+    if not found:
+        name, group = groups[0]
+        body = solid(scene, group.material)
+        like = PairMaterial(modulus_eff(body, body), shear_modulus_eff(body, body), 1.0, 0.0)
+        found.append(_meeting(scene, f"{name}-{name}", like, group, group))
     return found
+
+
+def _meeting(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> Meeting:
+    """The smallest of a group with the smallest of another, or with a wall (None)."""
+    radius, body = 0.5 * diameter_range(group)[0], solid(scene, group.material)
+    mass = _sphere_mass(radius, body.density)
+    if other is None:
+        return Meeting(name, pair, radius, mass, radius, body)
+    other_radius = 0.5 * diameter_range(other)[0]
+    other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
+    radius_eff = radius * other_radius / (radius + other_radius)
+    return Meeting(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, body)
 
 
 def _sphere_mass(radius: float, density: float) -> float:

@@ -99,10 +99,9 @@ def test_arguments_take_units():
 def test_run_passes_on_what_is_asked(stand_ins, capsys):
     arguments = "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
     assert main(arguments.split()) == 0
-    assert stand_ins.overrides == ["x.y=1", "z=2"]
+    assert stand_ins.overrides == ["x.y=1", "z=2", "run.precision=f32"]
     assert stand_ins.simulation == {
         "arch": "cuda",
-        "precision": "f32",
         "threads": 2,
         "out": Path("here"),
         "progress": True,
@@ -115,7 +114,7 @@ def test_run_passes_on_what_is_asked(stand_ins, capsys):
 def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
     main(["run", "scenes/hopper.yaml"])
     assert stand_ins.simulation == {
-        **{"arch": "cpu", "precision": None, "threads": None},
+        **{"arch": "cpu", "threads": None},
         **{"out": Path("out/hopper"), "progress": True},
     }
 

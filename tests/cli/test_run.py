@@ -145,7 +145,7 @@ def test_a_guard_stops_the_run_after_writing_the_state(home):
 def test_a_particle_that_leaves_is_an_error_with_the_line_that_says_so(home):
     left = granflow(home, "run", "beads.yaml", "--out", "left", "--set", "walls={}", "--set", "run.duration=1 s")
     assert left.returncode == 3, left.stderr
-    assert "left the domain before 0.0" in left.stderr and f"(beads.yaml:{LEAVING_LINE})" in left.stderr
+    assert "is outside the domain" in left.stderr and f"(beads.yaml:{LEAVING_LINE})" in left.stderr
     assert frames(home / "left")
 
 
