@@ -118,7 +118,7 @@ class Engine:
         """
         counted = self.plan.features.ledger and self._walls_changed
         before = self._contact_energy() if counted else 0.0
-        self.stepper.refresh(self.time)
+        self.stepper.refresh(self.step_count)
         if counted:
             self.books.brought_energy += self._contact_energy() - before
         self._walls_changed = False
@@ -128,13 +128,13 @@ class Engine:
 
     def _contact_energy(self) -> float:
         """Energy that the contacts there are have taken up, to give back or for good [J]."""
-        self.stepper.stand_walls(self.time)
+        self.stepper.stand_walls(self.step_count)
         measured = self.survey.measure()
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
         """Do `steps` steps, fewer if a guard trips."""
-        self.step_count += self.stepper.advance(steps, self.time)
+        self.step_count += self.stepper.advance(steps, self.step_count)
 
     def mean_kinetic_energy(self) -> float:
         """Mean kinetic energy per particle, of centres and spins [J]."""
@@ -147,7 +147,7 @@ class Engine:
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
             return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
-        self.stepper.stand_walls(self.time)
+        self.stepper.stand_walls(self.step_count)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)

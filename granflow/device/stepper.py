@@ -147,23 +147,23 @@ class Stepper:
         self.state.control.steps_done[0] = 0
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
-    def refresh(self, time: float) -> None:
-        """Search and forces anew at `time` [s] without a step: after grains or walls came or went."""
-        self.stand_walls(time)
+    def refresh(self, step: int) -> None:
+        """Search and forces anew after step number `step`, without a step: after grains or walls came or went."""
+        self.stand_walls(step)
         self.search()
         self.forces(history_step=0.0)
 
-    def stand_walls(self, time: float) -> None:
-        """Pose 0 on the device becomes that of `time` [s]."""
+    def stand_walls(self, step: int) -> None:
+        """Pose 0 on the device becomes that after step number `step`."""
         if self.state.plan.features.moving_walls:
-            upload_poses(self.state, time - self.state.plan.time_step, self.state.plan.time_step)
+            upload_poses(self.state, step)
             self._pose = WALL_BATCH
 
-    def advance(self, steps: int, time: float) -> int:
-        """Do `steps` steps from `time` [s], searching on the way; returns the steps done, fewer if a guard tripped."""
+    def advance(self, steps: int, step: int) -> int:
+        """Do `steps` steps after step number `step`; returns those done, fewer if a guard tripped."""
         done = 0
         while done < steps and not self.guard_code:
-            done += self._advance_batch(steps - done, time + done * self.state.plan.time_step)
+            done += self._advance_batch(steps - done, step + done)
         return done
 
     @property
@@ -171,13 +171,13 @@ class Stepper:
         """0, or why the run must stop."""
         return int(self.state.control.guard[0])
 
-    def _advance_batch(self, steps: int, time: float) -> int:
+    def _advance_batch(self, steps: int, step: int) -> int:
         state, plan = self.state, self.state.plan
         if plan.features.moving_walls:
             if self._steps_walls_allow() < 1:
-                self.refresh(time)
+                self.refresh(step)
             if self._pose == WALL_BATCH:
-                upload_poses(state, time, plan.time_step)
+                upload_poses(state, step + 1)
                 self._pose = 0
             steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
         state.control.steps_done[0] = 0
@@ -187,9 +187,10 @@ class Stepper:
             self.search(pose=self._pose + done)
             self.forces(pose=self._pose + done)
             done += 1
+        else:
+            self._steps_since_search += done
         if plan.features.moving_walls:
             self._pose += done
-        self._steps_since_search += done
         self._since_sample += done
         self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
         self.timing.step_count += done

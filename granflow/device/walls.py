@@ -68,13 +68,13 @@ def build_wall_geometry(state: State) -> WallGeometry:
     return WallGeometry(distance, closest, surface_velocity)
 
 
-def upload_poses(state: State, time: float, time_step: float) -> None:
-    """Put the poses of the WALL_BATCH steps after `time` on the device, velocities from the middle of each step.
+def upload_poses(state: State, step: int) -> None:
+    """Put the poses after WALL_BATCH steps from number `step` on the device, velocities from the middle of each step.
 
-    Entry s belongs to the forces at time + (s + 1) dt.
+    Times come from step numbers, so that they are the same to the last bit wherever a batch begins.
     """
-    walls = state.walls
-    times = time + (np.arange(WALL_BATCH) + 1.0) * time_step
+    walls, time_step = state.walls, state.plan.time_step
+    times = (step + np.arange(WALL_BATCH)) * time_step
     now = [pose(motions, times) for motions in state.wall_motions]
     middle = [pose(motions, times - 0.5 * time_step) for motions in state.wall_motions]
     real = np.float64 if state.backend.precision == "f64" else np.float32

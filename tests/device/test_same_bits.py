@@ -3,8 +3,11 @@
 import hashlib
 
 import numpy as np
+import pytest
 from child import in_child
 from trials import balls, box, finished, plane, trial
+
+from granflow.device import stepper
 
 ARRAYS = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
 
@@ -29,21 +32,30 @@ def busy_scene():
     )  # fmt: skip
 
 
-def fingerprint(threads):
+def fingerprint(threads, in_parallel, precision="f64"):
     """Digest of what a run leaves behind, how many particles and contacts there are, and how many searches it took."""
-    last, simulation = finished(busy_scene(), threads=threads)
+    if in_parallel:  # a scene this small would be stepped on one thread
+        stepper.SERIAL_BELOW = 0
+    last, simulation = finished(busy_scene(), threads=threads, precision=precision)
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.search_count)
     return [digest.hexdigest(), *counts]
 
 
 def test_bits_do_not_depend_on_threads_nor_on_the_run():
-    one, two, again = (in_child(fingerprint, threads) for threads in (1, 2, 2))
+    one, two, again, few = (in_child(fingerprint, *how) for how in ((1, False), (2, True), (2, True), (2, False)))
     _, particles, contacts, searches = one
     assert particles == 316.0
     assert contacts > 20
     assert searches > 20
-    assert one == two == again
+    assert one == two == again == few
+
+
+@pytest.mark.parametrize("precision", ["mixed", "f32"])
+def test_bits_do_not_depend_on_threads_in_less_precision(precision):
+    one, two = in_child(fingerprint, 1, False, precision), in_child(fingerprint, 2, True, precision)
+    assert one[1] == 316.0
+    assert one == two
 
 
 def heap(**changes):

@@ -148,7 +148,9 @@ def test_particles_that_leave_the_domain_are_deleted_and_counted(taichi_f64):
 
 
 def test_a_particle_that_leaves_stops_the_run_where_that_is_an_error(taichi_f64):
-    with pytest.raises(RunError, match="particle [0-9]+ at 0.0[0-9]+ s is outside the domain, and domain.leaving is error"):
+    with pytest.raises(
+        RunError, match="particle [0-9]+ at 0.0[0-9]+ s is outside the domain, and domain.leaving is error"
+    ):
         watched(leaving_scene("error"), 0.01)
 
 
