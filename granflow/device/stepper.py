@@ -1,7 +1,7 @@
 """The compiled phases of one plan, in order: motion, search when it is due, contact forces.
 
-One launch does one step with chunks in parallel, or many steps on one thread. Once a particle has travelled half the skin
-every later phase of the launch does nothing until the host has run the search: no transfer per step.
+One launch does one step with chunks in parallel, or many steps on one thread. Once a particle has travelled half the
+skin every later phase of the launch does nothing until the host has run the search: no transfer per step.
 """
 
 import time as clock
