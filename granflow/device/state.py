@@ -1,5 +1,6 @@
 """The arrays on the device. Fields are allocated by quantity; what the plan does not need is None."""
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -173,6 +174,7 @@ class Control:
         self.search_due = block.scalar(ti.i32, 1)
         self.search_wanted = block.scalar(ti.i32, 1)
         self.steps_done = block.scalar(ti.i32, 1)
+        self.next_chunk = block.scalar(ti.i32, 1)
         self.guard = block.scalar(ti.i32, 1)
         self.guard_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
@@ -210,6 +212,13 @@ class State:
         self.walls = Walls(block, plan, backend)
         self.control = Control(block, plan, backend)
         block.finish()
+
+    @property
+    def task_count(self) -> int:
+        """Iterations of a loop over chunks: one thread after the other on a CPU, chunk after chunk on a GPU."""
+        if self.backend.on_cpu:
+            return CPU_STRIDE * (self.backend.threads or os.cpu_count() or 1)
+        return self.chunk_count
 
     @property
     def stride(self) -> int:

@@ -96,7 +96,7 @@ class Stepper:
         self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
         if self._set_aside is not None:
             self._set_aside(0)
-        self._step(0, 0, 0, 0, 0.0, 1, 1)
+        self._step(0, 0, 0, 0, 0.0, 1, 1, 0)
         self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
@@ -213,7 +213,7 @@ class Stepper:
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps serially, or one in parallel; either phase alone where the other is 0."""
         state = self.state
-        self._step(steps, state.chunk_count, state.count, pose, step, moving, forcing)
+        self._step(steps, state.chunk_count, state.count, pose, step, moving, forcing, state.task_count)
 
     def _sampled_step(self) -> int:
         """One step phase by phase, timed."""
@@ -240,23 +240,44 @@ class Stepper:
 
 
 def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
-    """One step of many chunks, each a task of its own."""
-    control, real, stride = state.control, state.backend.real, state.stride
+    """One step with chunks in parallel. CPU threads take chunk after chunk, so that none waits long for the others."""
+    control, real, stride, on_cpu = state.control, state.backend.real, state.stride, state.backend.on_cpu
+
+    @ti.func
+    def next_chunk(previous, end):
+        chunk = end
+        if ti.static(on_cpu):
+            chunk = ti.atomic_add(control.next_chunk[0], 1)
+        return chunk
+
+    @ti.func
+    def first_chunk(task, end):
+        chunk = task
+        if ti.static(on_cpu):
+            chunk = next_chunk(task, end)
+        return chunk
 
     @ti.kernel
     def step_chunks(
-        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
+        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32,
+        tasks: ti.i32
     ):  # fmt: skip
-        for task in range(moving * chunks * stride):
-            if task % stride == 0:
-                if control.search_due[0] == 0 and control.guard[0] == 0:
-                    move(task // stride, count, dt)
+        control.next_chunk[0] = 0
+        for task in range(moving * tasks):
+            if task % stride == 0 and control.search_due[0] == 0 and control.guard[0] == 0:
+                chunk = first_chunk(task, chunks)
+                while chunk < chunks:
+                    move(chunk, count, dt)
+                    chunk = next_chunk(chunk, chunks)
         if moving == 1:
             control.search_due[0] = control.search_wanted[0]
-        for task in range(forcing * chunks * stride):
-            if task % stride == 0:
-                if control.search_due[0] == 0 and control.guard[0] == 0:
-                    forces(task // stride, count, pose + control.steps_done[0], dt)
+        control.next_chunk[0] = 0
+        for task in range(forcing * tasks):
+            if task % stride == 0 and control.search_due[0] == 0 and control.guard[0] == 0:
+                chunk = first_chunk(task, chunks)
+                while chunk < chunks:
+                    forces(chunk, count, pose + control.steps_done[0], dt)
+                    chunk = next_chunk(chunk, chunks)
         if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
             control.steps_done[0] = control.steps_done[0] + 1
 
@@ -269,7 +290,8 @@ def _build_serial(state: State, move: Any, forces: Any) -> Callable[..., None]:
 
     @ti.kernel
     def step_serially(
-        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32
+        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32,
+        tasks: ti.i32
     ):  # fmt: skip
         ti.loop_config(serialize=True)
         for _ in range(1):

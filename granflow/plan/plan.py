@@ -25,7 +25,7 @@ from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
 from granflow.scene.schema import GivenStiffness, Group, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
 
-SLOTS_PER_PARTICLE = 5
+SLOTS_PER_PARTICLE = 7
 """First guess of the near partners in a row; rows grow when it is too small."""
 
 CELLS_PER_PARTICLE = 8
