@@ -58,7 +58,7 @@ def build_bounds(state: State) -> Callable[[int], None]:
     return bounds
 
 
-def build_cell_of(position_real: Any) -> Any:
+def build_cell_of() -> Any:
     """Device function: cell coordinates to the number of the cell in block order."""
 
     @ti.func
@@ -74,10 +74,10 @@ def build_sort(state: State) -> Callable[..., None]:
     """Counting sort by cell, by id within a cell; particles outside the domain come last.
 
     Reads:   position, id
-    Writes:  cell, cell_start, order, rank
+    Writes:  cell, cell_start, order
     """
     particles, sorting, real = state.particles, state.sorting, state.backend.position_real
-    number = build_cell_of(real)
+    number = build_cell_of()
     low_x, low_y, low_z = (float(value) for value in state.plan.domain_low)
     high_x, high_y, high_z = (float(value) for value in state.plan.domain_high)
 
@@ -127,8 +127,6 @@ def build_sort(state: State) -> Callable[..., None]:
             sorting.order[sorting.cell_start[cell] + slot] = i
         for c in range(cells):
             order_by_id(sorting.cell_start[c], sorting.cell_start[c + 1])
-        for k in range(count):
-            sorting.rank[sorting.order[k]] = k
 
     @ti.func
     def order_by_id(begin, end):
@@ -228,7 +226,7 @@ def build_rows(state: State) -> Callable[..., None]:
     plan, particles, sorting, contacts = state.plan, state.particles, state.sorting, state.contacts
     real, chunk_size, slots = state.backend.position_real, plan.chunk_size, contacts.slots_per_chunk
     wall_count, remembers, stride = len(plan.walls), bool(contacts.history), state.stride
-    number = build_cell_of(real)
+    number = build_cell_of()
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
 

@@ -99,7 +99,6 @@ class Sorting:
         self.cell_capacity = cell_capacity
         self.cell = block.scalar(ti.i32, count)
         self.order = block.scalar(ti.i32, count)
-        self.rank = block.scalar(ti.i32, count)
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)

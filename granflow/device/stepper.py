@@ -244,7 +244,7 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
     control, real, stride, on_cpu = state.control, state.backend.real, state.stride, state.backend.on_cpu
 
     @ti.func
-    def next_chunk(previous, end):
+    def next_chunk(end):
         chunk = end
         if ti.static(on_cpu):
             chunk = ti.atomic_add(control.next_chunk[0], 1)
@@ -254,7 +254,7 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
     def first_chunk(task, end):
         chunk = task
         if ti.static(on_cpu):
-            chunk = next_chunk(task, end)
+            chunk = next_chunk(end)
         return chunk
 
     @ti.kernel
@@ -268,7 +268,7 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
                 chunk = first_chunk(task, chunks)
                 while chunk < chunks:
                     move(chunk, count, dt)
-                    chunk = next_chunk(chunk, chunks)
+                    chunk = next_chunk(chunks)
         if moving == 1:
             control.search_due[0] = control.search_wanted[0]
         control.next_chunk[0] = 0
@@ -277,7 +277,7 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
                 chunk = first_chunk(task, chunks)
                 while chunk < chunks:
                     forces(chunk, count, pose + control.steps_done[0], dt)
-                    chunk = next_chunk(chunk, chunks)
+                    chunk = next_chunk(chunks)
         if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
             control.steps_done[0] = control.steps_done[0] + 1
 

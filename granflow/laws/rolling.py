@@ -5,11 +5,7 @@ with torque for force and angle for displacement, rolling stiffness k_t R^2 (Wen
 Technol. 217:409) and the cap mu_r R F. Torques act on the first partner; the second gets the opposite.
 """
 
-from typing import Literal
-
 import taichi as ti
-
-Rolling = Literal["none", "epsd", "cdt"]
 
 
 @ti.func

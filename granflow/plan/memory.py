@@ -12,8 +12,8 @@ VECTOR = 3
 ROW = 2
 """Where a particle's row of near partners begins and ends."""
 
-SORTED = 3
-"""Integers for each particle while the neighbour search sorts: cell, order, rank."""
+SORTED = 2
+"""Integers for each particle while the neighbour search sorts: cell and order."""
 
 
 @dataclass(frozen=True)
