@@ -1,5 +1,6 @@
 """The only place that starts Taichi: architecture, precision, threads. Once per process."""
 
+import os
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -27,6 +28,11 @@ class Backend:
     def on_cpu(self) -> bool:
         """True where kernels run on the host's own cores."""
         return self.arch == "cpu"
+
+    @property
+    def worker_count(self) -> int:
+        """CPU threads that take part in a loop."""
+        return self.threads or os.cpu_count() or 1
 
 
 _started: Backend | None = None

@@ -1,9 +1,10 @@
-"""Geometry and kinematics of one near pair: what every law needs, for a partner grain or a wall alike."""
+"""Geometry and kinematics of one near pair, read from the state, for a partner grain or a wall alike."""
 
 from typing import Any
 
 import taichi as ti
 
+from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
 from granflow.device.walls import build_wall_geometry
 
@@ -13,45 +14,32 @@ def build_encounter(state: State, with_wall: bool) -> Any:
 
     Returns overlap [m] (0 or less: apart), normal from j to i, mean of this normal and that of a step earlier, part of
     the velocity of i relative to j across the normal half a step earlier, rate of overlap then and at the time of
-    the positions [m/s] (> 0 approaching), lever arms of both [m], effective radius [m] and mass [kg]. Grains and
-    walls have functions of their own, without a branch between them in the loops.
-
-    Every operation gives exactly the opposite or the same number when i and j change places.
+    the positions [m/s] (> 0 approaching), lever arms of both [m]. Grains and walls have functions of their own,
+    without a branch between them in the loops.
     """
     return _build_wall_encounter(state) if with_wall else _build_grain_encounter(state)
 
 
 def _build_grain_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
+    meet, touches = build_meet(state.plan), build_touches(real)
 
     @ti.func
     def grain_encounter(i, j, pose, time_step):
         radius, radius_partner = particles.radius[i], particles.radius[j]
         zero = 0.0 * particles.velocity[i]
         overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
-        normal, middle, across, radius_eff, mass_eff, late_rate = zero, zero, zero, radius, radius, 0.0 * radius
+        normal, middle, across, late_rate = zero, zero, zero, 0.0 * radius
         apart = ti.cast(particles.position[i] - particles.position[j], real)
-        reach = radius + radius_partner
-        square = apart.dot(apart)
-        if square < reach * reach:
-            distance = ti.sqrt(square)
-            inverse = 1.0 / distance
-            overlap = reach - distance
-            normal = inverse * apart
+        if touches(apart.dot(apart), radius + radius_partner):
             late = particles.velocity[i] - particles.velocity[j]
-            late_rate = -late.dot(normal)
-            rate = late_rate
+            now = late
             if ti.static(features.rate_dependent):
-                rate = -(particles.velocity_now[i] - particles.velocity_now[j]).dot(normal)
-            across = late + late_rate * normal
-            middle = normal - (0.5 * time_step * inverse) * across
-            share = 1.0 / reach
-            radius_eff = radius * radius_partner * share
-            mass, mass_partner = particles.mass[i], particles.mass[j]
-            mass_eff = mass * mass_partner / (mass + mass_partner)
-            arm = radius - overlap * (share * radius_partner)
-            arm_partner = radius_partner - overlap * (share * radius)
-        return overlap, normal, middle, across, late_rate, rate, arm, arm_partner, radius_eff, mass_eff
+                now = particles.velocity_now[i] - particles.velocity_now[j]
+            overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
+                radius, radius_partner, apart, late, now, time_step
+            )
+        return overlap, normal, middle, across, late_rate, rate, arm, arm_partner
 
     return grain_encounter
 
@@ -78,10 +66,29 @@ def _build_wall_encounter(state: State) -> Any:
                 rate = -(particles.velocity_now[i] - surface).dot(normal)
             across = late + late_rate * normal
             middle = normal - (0.5 * time_step / ti.max(ti.cast(gap, real), 0.5 * radius)) * across
-        arm = radius - overlap
-        return overlap, normal, middle, across, late_rate, rate, arm, 0.0 * radius, radius, particles.mass[i]
+        return overlap, normal, middle, across, late_rate, rate, radius - overlap, 0.0 * radius
 
     return wall_encounter
+
+
+def build_effective(state: State, with_wall: bool) -> Any:
+    """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair."""
+    particles = state.particles
+
+    @ti.func
+    def inertia(i):
+        return 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+
+    @ti.func
+    def effective(i, j):
+        radius_eff, mass_eff, inertia_eff = particles.radius[i], particles.mass[i], inertia(i)
+        if ti.static(not with_wall):
+            radius_eff = half_of_both(radius_eff, particles.radius[j])
+            mass_eff = half_of_both(mass_eff, particles.mass[j])
+            inertia_eff = half_of_both(inertia_eff, inertia(j))
+        return radius_eff, mass_eff, inertia_eff
+
+    return effective
 
 
 def build_either_encounter(state: State) -> Any:
@@ -89,20 +96,23 @@ def build_either_encounter(state: State) -> Any:
 
     Returns (overlap, rate, effective radius, effective mass).
     """
-    grain = build_encounter(state, False)
-    wall = build_encounter(state, True) if state.plan.has_walls else grain
+    has_walls = state.plan.has_walls
+    grain, grain_effective = build_encounter(state, False), build_effective(state, False)
+    wall = build_encounter(state, True) if has_walls else grain
+    wall_effective = build_effective(state, True)
+    particles = state.particles
 
     @ti.func
     def either(i, j, pose, time_step):
         overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
-        radius_eff, mass_eff = overlap, overlap
+        radius_eff, mass_eff, _inertia = wall_effective(i, j)
         if j < 0:
-            overlap, _n, _m, _c, _l, rate, _a, _p, radius_eff, mass_eff = wall(i, j, pose, time_step)
+            overlap, _n, _m, _c, _l, rate, _a, _p = wall(i, j, pose, time_step)
         else:
-            overlap, _n2, _m2, _c2, _l2, rate, _a2, _p2, radius_eff, mass_eff = grain(i, j, pose, time_step)
+            radius_eff, mass_eff, _inertia = grain_effective(i, j)
+            overlap, _n2, _m2, _c2, _l2, rate, _a2, _p2 = grain(i, j, pose, time_step)
         return overlap, rate, radius_eff, mass_eff
 
-    particles = state.particles
     return either
 
 

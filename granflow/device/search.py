@@ -172,6 +172,7 @@ def build_set_aside(state: State) -> Callable[[int], None]:
             contacts.row_end_before[i] = end
             for slot in range(begin, end):
                 contacts.partner_before[slot] = contacts.partner[slot]
+                contacts.touching_before[slot] = contacts.touching[slot]
                 for name in ti.static(names):
                     contacts.before[name][slot] = contacts.history[name][slot]
 
@@ -206,6 +207,9 @@ def build_recall(state: State) -> Any:
         if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
             source = find(j_before, i_before)
             sign = -1.0
+        contacts.touching[slot] = 0
+        if source >= 0:
+            contacts.touching[slot] = contacts.touching_before[source]
         for n in ti.static(range(len(names))):
             contacts.history[names[n]][slot] = 0.0 * contacts.history[names[n]][slot]
             if source >= 0:

@@ -1,6 +1,5 @@
 """The arrays on the device. Fields are allocated by quantity; what the plan does not need is None."""
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -138,8 +137,40 @@ class Contacts:
             self.history[name] = block.vector(backend.real, self.capacity, count=size)
             self.before[name] = block.vector(backend.real, self.capacity, count=size)
         if self.history:
+            self.touching = block.scalar(ti.i32, self.capacity)
+            self.touching_before = block.scalar(ti.i32, self.capacity)
             self.row_begin_before, self.row_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
             self.partner_before = block.scalar(ti.i32, self.capacity)
+
+
+LANES = 16
+"""Batches are padded to a multiple of this, so that no contact is left to the loop for the remainder."""
+
+STAGGER = 24
+"""Columns must not lie a multiple of 4096 bytes apart, or they push each other out of the cache."""
+
+
+class Batch:
+    """Columns of numbers, an entry for each contact in work, a part of each column for every CPU thread."""
+
+    def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
+        features, real = plan.features, backend.real
+        page = 4096 // 8
+        self.capacity = -(-(slots_per_chunk + LANES) // page) * page + STAGGER
+        count = self.capacity * backend.worker_count
+
+        def columns(number: int) -> list[Any]:
+            return [block.scalar(real, count) for _ in range(number)]
+
+        self.slot, self.owner, self.partner = (block.scalar(ti.i32, count) for _ in range(3))
+        self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
+        self.apart, self.late = columns(3), columns(3)
+        self.now = columns(3 * features.rate_dependent)
+        self.spin, self.spin_partner = columns(3 * features.rotation), columns(3 * features.rotation)
+        self.memory = columns(plan.history.get("normal", 0))
+        self.slide, self.angle = columns(plan.history.get("lateral", 0)), columns(plan.history.get("rolling", 0))
+        self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
+        self.losses = columns(3 * features.ledger)
 
 
 class Walls:
@@ -207,6 +238,8 @@ class State:
         self._block = block
         self.particles = Particles(block, plan, backend)
         self.contacts = Contacts(block, plan, backend, slots_per_chunk)
+        batched = backend.on_cpu and plan.chunk_size > 1
+        self.batch = Batch(block, plan, backend, slots_per_chunk) if batched else None
         self.sorting = Sorting(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
         self.control = Control(block, plan, backend)
@@ -216,7 +249,7 @@ class State:
     def task_count(self) -> int:
         """Iterations of a loop over chunks: one thread after the other on a CPU, chunk after chunk on a GPU."""
         if self.backend.on_cpu:
-            return CPU_STRIDE * (self.backend.threads or os.cpu_count() or 1)
+            return CPU_STRIDE * self.backend.worker_count
         return self.chunk_count
 
     @property

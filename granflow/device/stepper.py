@@ -276,7 +276,7 @@ def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
             if task % stride == 0 and control.search_due[0] == 0 and control.guard[0] == 0:
                 chunk = first_chunk(task, chunks)
                 while chunk < chunks:
-                    forces(chunk, count, pose + control.steps_done[0], dt)
+                    forces(task // stride, chunk, count, pose + control.steps_done[0], dt)
                     chunk = next_chunk(chunks)
         if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
             control.steps_done[0] = control.steps_done[0] + 1
@@ -303,7 +303,7 @@ def _build_serial(state: State, move: Any, forces: Any) -> Callable[..., None]:
                     control.search_due[0] = control.search_wanted[0]
                 if forcing == 1 and control.search_due[0] == 0:
                     for chunk in range(chunks):
-                        forces(chunk, count, pose + done, dt)
+                        forces(0, chunk, count, pose + done, dt)
                 done += 1
             if control.search_due[0] == 1:
                 done -= 1

@@ -50,6 +50,14 @@ class NormalLaw:
     unloading_stiffness: Callable[[PairMaterial, float, float, float], float]
     """Steepest tangent [N/m] met in a binary collision: (pair, radius_eff, mass_eff, velocity)."""
 
+    prepare: Any = None
+    """`force` in two parts, for loops over many contacts: (same arguments) -> history, with whatever branches."""
+    prepared_force: Any = None
+    """What is left of `force` after `prepare`: arithmetic that a compiler can do for several contacts at once.
+
+    None in both where `force` itself is that.
+    """
+
     @property
     def history_count(self) -> int:
         """How many numbers a contact of this law remembers."""

@@ -47,14 +47,24 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
         return value
 
     @ti.func
-    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens."""
+    def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """The spring of a contact that opens."""
         memory = history
         if memory[0] == 0.0:
             memory[0] = spring_at(constants, radius_eff, mass_eff, overlap_rate)
-        elastic = memory[0] * overlap
-        viscous = ti.max(2.0 * constants[2] * ti.sqrt(memory[0] * mass_eff) * overlap_rate, -elastic)
-        return elastic + viscous, viscous, memory
+        return memory
+
+    @ti.func
+    def prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull."""
+        elastic = history[0] * overlap
+        viscous = ti.max(2.0 * constants[2] * ti.sqrt(history[0] * mass_eff) * overlap_rate, -elastic)
+        return elastic + viscous, viscous, history
+
+    @ti.func
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
+        return prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -89,6 +99,8 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
         lateral_grows=False,
         pair_constants=pair_constants,
         force=force,
+        prepare=prepare,
+        prepared_force=prepared_force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
         lateral_stiffness=lateral_stiffness,

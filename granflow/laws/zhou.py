@@ -79,13 +79,10 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap):
     with k = stiffness sqrt(radius), stiffness = (4/3) E. Steeper than loading by up to 1/e^2; bounded by the time
     step as e -> 0.
     """
-    force = 0.0 * stiffness
-    above = overlap - overlap_max * (1.0 - y)
-    if above > 0.0:
-        cube = e * e * e
-        slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-        force = stiffness * above * (slope + cube * ti.sqrt(radius * above))
-    return force
+    above = ti.max(overlap - overlap_max * (1.0 - y), 0.0)
+    cube = e * e * e
+    slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+    return stiffness * above * (slope + cube * ti.sqrt(radius * above))
 
 
 @ti.func
@@ -122,30 +119,38 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         return e, y
 
     @ti.func
-    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        stiffness = 4.0 / 3.0 * constants[0]
-        contact_radius = ti.sqrt(radius_eff * overlap)
-        normal_force = 0.0 * stiffness
+    def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """Restitution of a contact that opens; restitution and recovery of one that begins to unload."""
         memory = history
         if ti.static(not peak):
             if memory[0] == 0.0:
                 memory[1] = restitution_at(constants, overlap_rate)
-        if overlap >= memory[0]:
-            memory[0] = overlap
-            memory[2] = 0.0
-            normal_force = stiffness * contact_radius * overlap
-        else:
+        if overlap < memory[0] and memory[2] == 0.0:
             e, y = resolve(constants, radius_eff, mass_eff, time_step, memory)
             memory[1] = e
             memory[2] = y
-            normal_force = unloading_force(stiffness, radius_eff, memory[0], e, y, overlap)
+        return memory
+
+    @ti.func
+    def prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        stiffness = 4.0 / 3.0 * constants[0]
+        contact_radius = ti.sqrt(radius_eff * overlap)
+        overlap_max, e, recovery = history[0], history[1], history[2]
+        loading = overlap >= overlap_max
+        unloading = unloading_force(stiffness, radius_eff, overlap_max, e, ti.select(loading, 1.0, recovery), overlap)
+        normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
         if ti.static(damped):
-            if normal_force > 0.0:
-                tangent = 1.5 * stiffness * contact_radius
-                viscous = 2.0 * damping_ratio * ti.sqrt(tangent * mass_eff) * overlap_rate
-                viscous = ti.max(viscous, -normal_force)
+            tangent = 1.5 * stiffness * contact_radius
+            viscous = 2.0 * damping_ratio * ti.sqrt(tangent * mass_eff) * overlap_rate
+            viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
+        memory = ti.Vector([ti.max(overlap, overlap_max), e, ti.select(loading, 0.0, recovery)])
         return normal_force + viscous, viscous, memory
+
+    @ti.func
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
+        return prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -169,6 +174,8 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         lateral_grows=True,
         pair_constants=pair_constants,
         force=force,
+        prepare=prepare,
+        prepared_force=prepared_force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
         lateral_stiffness=mindlin_stiffness,
