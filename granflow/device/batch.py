@@ -82,7 +82,7 @@ def _build_find(state: State) -> Any:
             square, reach = apart.dot(apart), radius + radius_partner
             near = touches(square, reach)
             end += ti.cast(near, ti.i32)
-            check_overlap(i, square, reach, ti.min(radius, radius_partner))
+            check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))
             if ti.static(remembers):
                 if contacts.touching[slot] == 1 and not near:
                     part(chunk, slot, i, j, dt)
