@@ -15,7 +15,7 @@ from granflow.device.pair import build_meet, build_respond, build_touches, half_
 from granflow.device.slots import build_forget, build_read
 from granflow.device.state import LANES, State
 
-BATCH = 64
+BATCH = 128
 """Contacts from which on no further row joins a batch."""
 
 
