@@ -108,7 +108,7 @@ def _build_gather(state: State) -> Any:
         apart = ti.Vector([batch.apart[0][entry], batch.apart[1][entry], batch.apart[2][entry]])
         distance = ti.sqrt(apart.dot(apart))
         radius, radius_partner = particles.radius[i], particles.radius[j]
-        rate = -apart.dot(now) / distance
+        rate = -now.dot(1.0 / distance * apart)
         return law.prepare(
             constants, half_of_both(radius, radius_partner), half_of_both(particles.mass[i], particles.mass[j]), dt,
             radius + radius_partner - distance, rate, memory
