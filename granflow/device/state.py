@@ -205,6 +205,7 @@ class Control:
         self.search_wanted = block.scalar(ti.i32, 1)
         self.steps_done = block.scalar(ti.i32, 1)
         self.next_chunk = block.scalar(ti.i32, 1)
+        self.arrived, self.meetings, self.running = (block.scalar(ti.i32, 1) for _ in range(3))
         self.guard = block.scalar(ti.i32, 1)
         self.guard_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
@@ -244,13 +245,6 @@ class State:
         self.walls = Walls(block, plan, backend)
         self.control = Control(block, plan, backend)
         block.finish()
-
-    @property
-    def task_count(self) -> int:
-        """Iterations of a loop over chunks: one thread after the other on a CPU, chunk after chunk on a GPU."""
-        if self.backend.on_cpu:
-            return CPU_STRIDE * self.backend.worker_count
-        return self.chunk_count
 
     @property
     def stride(self) -> int:

@@ -1,7 +1,7 @@
 """The compiled phases of one plan, in order: motion, search when it is due, contact forces.
 
-One launch does one step with chunks in parallel, or many steps on one thread. Once a particle has travelled half the
-skin every later phase of the launch does nothing until the host has run the search: no transfer per step.
+One launch does many steps on a CPU, one on a GPU. Once a particle has travelled half the skin every later phase of
+the launch does nothing until the host has run the search: no transfer per step.
 """
 
 import time as clock
@@ -22,20 +22,17 @@ from granflow.device.search import (
     build_set_aside,
     build_sort,
 )
-from granflow.device.state import WALL_BATCH, State
+from granflow.device.state import CPU_STRIDE, WALL_BATCH, State
 from granflow.device.walls import upload_poses
 
-BATCH = 16
-"""Steps launched between two looks at the flags where every step is a launch of its own."""
+GPU_BATCH = 16
+"""Steps launched between two looks at the flags on a GPU, where every step is a launch of its own."""
 
-SERIAL_BATCH = 1_000_000
-"""Particle-steps of one launch where a launch does many steps: a tenth of a second, so that Ctrl-C is heard."""
+CPU_BATCH = 1_000_000
+"""Particle-steps of one launch on a CPU: a tenth of a second, so that Ctrl-C is heard."""
 
-SERIAL_BELOW = 4000
-"""Particles up to which one thread doing many steps a launch beats several woken for every phase of a step.
-
-Waking Taichi's threads took 60 us a phase on the machine where this was measured.
-"""
+ONE_WORKER = 512
+"""Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
 
 SAMPLE_EVERY = 256
 """Every so many steps one is done phase by phase with a clock beside it."""
@@ -76,9 +73,6 @@ class Stepper:
         self._on_gone = on_gone
         self._steps_since_search = 0
         self._since_sample = 0
-        one_thread = state.backend.on_cpu and state.backend.threads == 1
-        few = state.plan.chunk_capacity == 1 or (state.backend.on_cpu and state.plan.particle_capacity <= SERIAL_BELOW)
-        self._serial = one_thread or few
         self._pose = WALL_BATCH if state.plan.features.moving_walls else 0
         self._build()
 
@@ -88,7 +82,7 @@ class Stepper:
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._set_aside = build_set_aside(state) if state.contacts.history else None
         self._rows = build_rows(state)
-        build = _build_serial if self._serial else _build_chunks
+        build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
         self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
         self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
@@ -96,7 +90,7 @@ class Stepper:
         self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
         if self._set_aside is not None:
             self._set_aside(0)
-        self._step(0, 0, 0, 0, 0.0, 1, 1, 0)
+        self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
@@ -202,18 +196,23 @@ class Stepper:
         step = self.state.plan.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        if self._serial:
-            batch = max(SERIAL_BATCH // max(self.state.count, 1), 1)
+        if self.state.backend.on_cpu:
+            batch = max(CPU_BATCH // max(self.state.count, 1), 1)
             self._launch_step(min(steps, batch), self._pose, step)
         else:
-            for _ in range(min(steps, BATCH)):
+            for _ in range(min(steps, GPU_BATCH)):
                 self._launch_step(1, self._pose, step)
         return int(self.state.control.steps_done[0])
 
+    @property
+    def _workers(self) -> int:
+        """CPU threads worth waking."""
+        return 1 if self.state.count <= ONE_WORKER else self.state.backend.worker_count
+
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
-        """One launch: `steps` steps serially, or one in parallel; either phase alone where the other is 0."""
+        """One launch: `steps` steps on a CPU, one on a GPU; one step of either phase alone where the other is 0."""
         state = self.state
-        self._step(steps, state.chunk_count, state.count, pose, step, moving, forcing, state.task_count)
+        self._step(steps, self._workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """One step phase by phase, timed."""
@@ -239,74 +238,85 @@ class Stepper:
         return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self._steps_since_search
 
 
-def _build_chunks(state: State, move: Any, forces: Any) -> Callable[..., None]:
-    """One step with chunks in parallel. CPU threads take chunk after chunk, so that none waits long for the others."""
-    control, real, stride, on_cpu = state.control, state.backend.real, state.stride, state.backend.on_cpu
-
-    @ti.func
-    def next_chunk(end):
-        chunk = end
-        if ti.static(on_cpu):
-            chunk = ti.atomic_add(control.next_chunk[0], 1)
-        return chunk
-
-    @ti.func
-    def first_chunk(task, end):
-        chunk = task
-        if ti.static(on_cpu):
-            chunk = next_chunk(end)
-        return chunk
-
-    @ti.kernel
-    def step_chunks(
-        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32,
-        tasks: ti.i32
-    ):  # fmt: skip
-        control.next_chunk[0] = 0
-        for task in range(moving * tasks):
-            if task % stride == 0 and control.search_due[0] == 0 and control.guard[0] == 0:
-                chunk = first_chunk(task, chunks)
-                while chunk < chunks:
-                    move(chunk, count, dt)
-                    chunk = next_chunk(chunks)
-        if moving == 1:
-            control.search_due[0] = control.search_wanted[0]
-        control.next_chunk[0] = 0
-        for task in range(forcing * tasks):
-            if task % stride == 0 and control.search_due[0] == 0 and control.guard[0] == 0:
-                chunk = first_chunk(task, chunks)
-                while chunk < chunks:
-                    forces(task // stride, chunk, count, pose + control.steps_done[0], dt)
-                    chunk = next_chunk(chunks)
-        if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
-            control.steps_done[0] = control.steps_done[0] + 1
-
-    return step_chunks
-
-
-def _build_serial(state: State, move: Any, forces: Any) -> Callable[..., None]:
-    """Many steps in one task of one thread, chunk after chunk: the same bits as chunks in parallel."""
+def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    """One step, every chunk a task of its own."""
     control, real = state.control, state.backend.real
 
     @ti.kernel
-    def step_serially(
-        steps: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32, forcing: ti.i32,
-        tasks: ti.i32
+    def step_on_gpu(
+        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
     ):  # fmt: skip
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            done = 0
-            while done < steps and control.search_due[0] == 0 and control.guard[0] == 0:
-                if moving == 1:
-                    for chunk in range(chunks):
-                        move(chunk, count, dt)
-                    control.search_due[0] = control.search_wanted[0]
-                if forcing == 1 and control.search_due[0] == 0:
-                    for chunk in range(chunks):
-                        forces(0, chunk, count, pose + done, dt)
-                done += 1
-            if control.search_due[0] == 1:
-                done -= 1
-            control.steps_done[0] = ti.max(done, 0)
+        for chunk in range(moving * chunks):
+            if control.search_due[0] == 0 and control.guard[0] == 0:
+                move(chunk, count, dt)
+        if moving == 1:
+            control.search_due[0] = control.search_wanted[0]
+        for chunk in range(forcing * chunks):
+            if control.search_due[0] == 0 and control.guard[0] == 0:
+                forces(0, chunk, count, pose + control.steps_done[0], dt)
+        if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
+            control.steps_done[0] = control.steps_done[0] + 1
 
-    return step_serially
+    return step_on_gpu
+
+
+def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None]:
+    """Many steps in one launch. Workers take chunk after chunk and meet after every phase; see `meet_others`."""
+    control, real = state.control, state.backend.real
+
+    @ti.func
+    def meet_others(workers, meeting, forced, steps_wanted):
+        """Wait until every worker is here; the last one settles what comes next before it lets the others go.
+
+        Spinning on atomic counters takes a microsecond where waking Taichi's threads for every phase took sixty.
+        """
+        if ti.atomic_add(control.arrived[0], 1) == meeting * workers - 1:
+            control.next_chunk[0] = 0
+            if forced == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
+                control.steps_done[0] = control.steps_done[0] + 1
+            control.search_due[0] = control.search_wanted[0]
+            on = control.steps_done[0] < steps_wanted and control.search_due[0] == 0 and control.guard[0] == 0
+            control.running[0] = ti.cast(on, ti.i32)
+            ti.atomic_add(control.meetings[0], 1)
+        while ti.atomic_add(control.meetings[0], 0) < meeting:
+            pass
+
+    @ti.func
+    def next_chunk():
+        return ti.atomic_add(control.next_chunk[0], 1)
+
+    @ti.func
+    def work(worker, workers, chunks, count, pose, dt, moving, forcing, steps):
+        meeting = 0
+        while control.running[0] == 1:
+            if moving == 1:
+                chunk = next_chunk()
+                while chunk < chunks:
+                    move(chunk, count, dt)
+                    chunk = next_chunk()
+                meeting += 1
+                meet_others(workers, meeting, 0, forcing * steps)
+            if forcing == 1 and control.running[0] == 1:
+                pose_now = pose + control.steps_done[0]
+                chunk = next_chunk()
+                while chunk < chunks:
+                    forces(worker, chunk, count, pose_now, dt)
+                    chunk = next_chunk()
+                meeting += 1
+                meet_others(workers, meeting, 1, steps)
+
+    @ti.kernel
+    def step_on_cpu(
+        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
+    ):  # fmt: skip
+        control.next_chunk[0] = 0
+        control.arrived[0] = 0
+        control.meetings[0] = 0
+        control.running[0] = ti.cast(steps > 0 and control.search_due[0] == 0 and control.guard[0] == 0, ti.i32)
+        for task in range(workers * CPU_STRIDE):
+            if task % CPU_STRIDE == 0:
+                work(task // CPU_STRIDE, workers, chunks, count, pose, dt, moving, forcing, steps)
+
+    return step_on_cpu

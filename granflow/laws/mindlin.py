@@ -33,15 +33,13 @@ def elastic_plastic_spring(stiffness, share, cap, carried, step):
     """Spring force -k s after one more step of displacement, held at `cap`; returns (force, displacement kept).
 
     `share` is the stiffness one step ago over the present one: below 1 the force is kept, above 1 the displacement.
+    Selected without a branch, which would keep the compiler from doing several contacts at once.
     """
     kept = ti.min(share, 1.0) * carried + step
     force = -stiffness * kept
     square = force.dot(force)
-    if square > cap * cap:
-        ratio = cap / ti.sqrt(square)
-        force = ratio * force
-        kept = ratio * kept
-    return force, kept
+    ratio = ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
+    return ratio * force, ratio * kept
 
 
 @ti.func

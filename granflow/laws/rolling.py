@@ -11,9 +11,6 @@ import taichi as ti
 @ti.func
 def directional_torque(radius_eff, rolling_friction, normal_force, rolling_rate, inertia_eff, time_step):
     """CDT: torque mu_r R F against the relative rolling, at most half of what would stop it within the step."""
-    torque = 0.0 * rolling_rate
     rate = ti.sqrt(rolling_rate.dot(rolling_rate))
-    if rate > 0.0:
-        size = ti.min(rolling_friction * radius_eff * normal_force, 0.5 * inertia_eff * rate / time_step)
-        torque = -size / rate * rolling_rate
-    return torque
+    size = ti.min(rolling_friction * radius_eff * normal_force, 0.5 * inertia_eff * rate / time_step)
+    return ti.select(rate > 0.0, -size / rate, 0.0) * rolling_rate
