@@ -25,21 +25,19 @@ def build_batched_forces(state: State) -> Any:
     Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows
     Writes:  force, torque, history, losses, guard, the worker's batch
     """
-    capacity = state.batch.capacity
     find, gather, respond, hand_out = _build_find(state), _build_gather(state), _build_respond(state), _build_out(state)
 
     @ti.func
     def batched_forces(worker, chunk, first, last, dt):
-        base = worker * capacity
         i = first
         while i < last:
-            end = base
-            while i < last and end < base + BATCH:
-                end = find(chunk, i, end, dt)
+            found = 0
+            while i < last and found < BATCH:
+                found = find(worker, chunk, i, found, dt)
                 i += 1
-            gather(base, end, dt)
-            respond(base, base + (end - base + LANES - 1) // LANES * LANES, dt)
-            hand_out(chunk, base, end, first, last)
+            gather(worker, found, dt)
+            respond(worker, (found + LANES - 1) // LANES * LANES, dt)
+            hand_out(worker, chunk, found, first, last)
 
     return batched_forces
 
@@ -66,19 +64,19 @@ def _build_find(state: State) -> Any:
             ti.atomic_min(control.guard_particle[0], particles.id[i])
 
     @ti.func
-    def find(chunk, i, begin, dt):
+    def find(worker, chunk, i, begin, dt):
         position, radius = particles.position[i], particles.radius[i]
         end = begin
         for slot in range(contacts.row_middle[i], contacts.row_end[i]):
             j = contacts.partner[slot]
             apart = ti.cast(position - particles.position[j], real)
             radius_partner = particles.radius[j]
-            batch.slot[end] = slot
-            batch.owner[end] = i
-            batch.partner[end] = j
-            batch.radius_partner[end] = radius_partner
+            batch.slot[worker, end] = slot
+            batch.owner[worker, end] = i
+            batch.partner[worker, end] = j
+            batch.radius_partner[worker, end] = radius_partner
             for axis in ti.static(range(3)):
-                batch.apart[axis][end] = apart[axis]
+                batch.apart[axis][worker, end] = apart[axis]
             square, reach = apart.dot(apart), radius + radius_partner
             near = touches(square, reach)
             end += ti.cast(near, ti.i32)
@@ -98,14 +96,14 @@ def _build_gather(state: State) -> Any:
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
 
     @ti.func
-    def put(columns: ti.template(), entry, vector):
+    def put(columns: ti.template(), worker, entry, vector):
         for k in ti.static(range(len(columns))):
-            columns[k][entry] = vector[k]
+            columns[k][worker, entry] = vector[k]
 
     @ti.func
-    def prepared(constants, entry, i, j, late, now, memory, dt):
+    def prepared(constants, worker, entry, i, j, late, now, memory, dt):
         """The branches of the law."""
-        apart = ti.Vector([batch.apart[0][entry], batch.apart[1][entry], batch.apart[2][entry]])
+        apart = ti.Vector([batch.apart[0][worker, entry], batch.apart[1][worker, entry], batch.apart[2][worker, entry]])
         distance = ti.sqrt(apart.dot(apart))
         radius, radius_partner = particles.radius[i], particles.radius[j]
         rate = -now.dot(1.0 / distance * apart)
@@ -115,30 +113,30 @@ def _build_gather(state: State) -> Any:
         )  # fmt: skip
 
     @ti.func
-    def gather(base, end, dt):
-        for entry in range(base, end):
-            i, j, slot = batch.owner[entry], batch.partner[entry], batch.slot[entry]
-            batch.radius[entry] = particles.radius[i]
+    def gather(worker, end, dt):
+        for entry in range(end):
+            i, j, slot = batch.owner[worker, entry], batch.partner[worker, entry], batch.slot[worker, entry]
+            batch.radius[worker, entry] = particles.radius[i]
             late = particles.velocity[i] - particles.velocity[j]
             now = late
-            put(batch.late, entry, late)
+            put(batch.late, worker, entry, late)
             if ti.static(features.rate_dependent):
                 now = particles.velocity_now[i] - particles.velocity_now[j]
-                put(batch.now, entry, now)
-            batch.mass[entry] = particles.mass[i]
-            batch.mass_partner[entry] = particles.mass[j]
+                put(batch.now, worker, entry, now)
+            batch.mass[worker, entry] = particles.mass[i]
+            batch.mass_partner[worker, entry] = particles.mass[j]
             if ti.static(features.rotation):
-                put(batch.spin, entry, particles.spin[i])
-                put(batch.spin_partner, entry, particles.spin[j])
+                put(batch.spin, worker, entry, particles.spin[i])
+                put(batch.spin_partner, worker, entry, particles.spin[j])
             memory, slide, angle = read(slot)
             number = pair_number(i, j)
             if ti.static(prepares):
-                memory = prepared(control.pair_constants[number], entry, i, j, late, now, memory, dt)
+                memory = prepared(control.pair_constants[number], worker, entry, i, j, late, now, memory, dt)
             if ti.static(not features.one_material):
-                put(batch.constants, entry, control.pair_constants[number])
-            put(batch.memory, entry, memory)
-            put(batch.slide, entry, slide)
-            put(batch.angle, entry, angle)
+                put(batch.constants, worker, entry, control.pair_constants[number])
+            put(batch.memory, worker, entry, memory)
+            put(batch.slide, worker, entry, slide)
+            put(batch.angle, worker, entry, angle)
 
     return gather
 
@@ -150,50 +148,50 @@ def _build_respond(state: State) -> Any:
     meet, response = build_meet(plan), build_respond(plan, True)
 
     @ti.func
-    def get(columns: ti.template(), entry, count: ti.template()):
+    def get(columns: ti.template(), worker, entry, count: ti.template()):
         vector = ti.Vector.zero(real, count)
         for k in ti.static(range(len(columns))):
-            vector[k] = columns[k][entry]
+            vector[k] = columns[k][worker, entry]
         return vector
 
     @ti.func
-    def put(columns: ti.template(), entry, vector):
+    def put(columns: ti.template(), worker, entry, vector):
         for k in ti.static(range(len(columns))):
-            columns[k][entry] = vector[k]
+            columns[k][worker, entry] = vector[k]
 
     @ti.func
-    def inertia_eff(entry):
-        inertia = 0.4 * batch.mass[entry] * batch.radius[entry] * batch.radius[entry]
-        radius_partner = batch.radius_partner[entry]
-        return half_of_both(inertia, 0.4 * batch.mass_partner[entry] * radius_partner * radius_partner)
+    def inertia_eff(worker, entry):
+        inertia = 0.4 * batch.mass[worker, entry] * batch.radius[worker, entry] * batch.radius[worker, entry]
+        radius_partner = batch.radius_partner[worker, entry]
+        return half_of_both(inertia, 0.4 * batch.mass_partner[worker, entry] * radius_partner * radius_partner)
 
-    @ti.func
-    def respond(base, end, dt):
+    @ti.real_func
+    def respond(worker: ti.i32, end: ti.i32, dt: real):
         shared = control.pair_constants[0]
-        for entry in range(base, end):
+        for entry in range(end):
             constants = shared
             if ti.static(not features.one_material):
-                constants = get(batch.constants, entry, plan.pair_constants.shape[1])
-            radius, radius_partner = batch.radius[entry], batch.radius_partner[entry]
+                constants = get(batch.constants, worker, entry, plan.pair_constants.shape[1])
+            radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
             overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
-                radius, radius_partner, get(batch.apart, entry, 3), get(batch.late, entry, 3), get(batch.now, entry, 3),
+                radius, radius_partner, get(batch.apart, worker, entry, 3), get(batch.late, worker, entry, 3), get(batch.now, worker, entry, 3),
                 dt
             )  # fmt: skip
             force, torque, torque_partner, memory, slide, angle, friction_loss, rolling_loss, damping_loss = response(
                 constants, half_of_both(radius, radius_partner),
-                half_of_both(batch.mass[entry], batch.mass_partner[entry]), inertia_eff(entry), overlap, normal,
-                middle, across, late_rate, rate, arm, arm_partner, get(batch.spin, entry, 3),
-                get(batch.spin_partner, entry, 3), get(batch.memory, entry, size), get(batch.slide, entry, 3),
-                get(batch.angle, entry, 3), dt
+                half_of_both(batch.mass[worker, entry], batch.mass_partner[worker, entry]), inertia_eff(worker, entry), overlap, normal,
+                middle, across, late_rate, rate, arm, arm_partner, get(batch.spin, worker, entry, 3),
+                get(batch.spin_partner, worker, entry, 3), get(batch.memory, worker, entry, size), get(batch.slide, worker, entry, 3),
+                get(batch.angle, worker, entry, 3), dt
             )  # fmt: skip
-            put(batch.apart, entry, force)
-            put(batch.spin, entry, torque)
-            put(batch.spin_partner, entry, torque_partner)
-            put(batch.memory, entry, memory)
-            put(batch.slide, entry, slide)
-            put(batch.angle, entry, angle)
+            put(batch.apart, worker, entry, force)
+            put(batch.spin, worker, entry, torque)
+            put(batch.spin_partner, worker, entry, torque_partner)
+            put(batch.memory, worker, entry, memory)
+            put(batch.slide, worker, entry, slide)
+            put(batch.angle, worker, entry, angle)
             if ti.static(features.ledger):
-                put(batch.losses, entry, ti.Vector([friction_loss, rolling_loss, damping_loss]))
+                put(batch.losses, worker, entry, ti.Vector([friction_loss, rolling_loss, damping_loss]))
 
     return respond
 
@@ -205,41 +203,41 @@ def _build_out(state: State) -> Any:
     weight = build_weight(state)
 
     @ti.func
-    def vector_of(columns: ti.template(), entry):
-        return ti.Vector([columns[0][entry], columns[1][entry], columns[2][entry]])
+    def vector_of(columns: ti.template(), worker, entry):
+        return ti.Vector([columns[0][worker, entry], columns[1][worker, entry], columns[2][worker, entry]])
 
     @ti.func
-    def keep(entry, slot):
+    def keep(worker, entry, slot):
         if ti.static(len(history) > 0):
             contacts.touching[slot] = 1
         if ti.static("normal" in history):
             for k in ti.static(range(len(batch.memory))):
-                history["normal"][slot][k] = batch.memory[k][entry]
+                history["normal"][slot][k] = batch.memory[k][worker, entry]
         if ti.static("lateral" in history):
-            history["lateral"][slot] = vector_of(batch.slide, entry)
+            history["lateral"][slot] = vector_of(batch.slide, worker, entry)
         if ti.static("rolling" in history):
-            history["rolling"][slot] = vector_of(batch.angle, entry)
+            history["rolling"][slot] = vector_of(batch.angle, worker, entry)
 
     @ti.func
-    def enter_losses(chunk, i, j, entry):
+    def enter_losses(worker, chunk, i, j, entry):
         share = weight(i, j)
         for k in ti.static(range(3)):
-            control.losses[chunk][1 + k] = control.losses[chunk][1 + k] + share * batch.losses[k][entry]
+            control.losses[chunk][1 + k] = control.losses[chunk][1 + k] + share * batch.losses[k][worker, entry]
 
     @ti.func
-    def hand_out(chunk, base, end, first, last):
-        for entry in range(base, end):
-            i, j = batch.owner[entry], batch.partner[entry]
-            force = vector_of(batch.apart, entry)
+    def hand_out(worker, chunk, end, first, last):
+        for entry in range(end):
+            i, j = batch.owner[worker, entry], batch.partner[worker, entry]
+            force = vector_of(batch.apart, worker, entry)
             particles.force[i] = particles.force[i] + force
             if ti.static(features.rotation):
-                particles.torque[i] = particles.torque[i] + vector_of(batch.spin, entry)
+                particles.torque[i] = particles.torque[i] + vector_of(batch.spin, worker, entry)
             if j >= first and j < last:
                 particles.force[j] = particles.force[j] - force
                 if ti.static(features.rotation):
-                    particles.torque[j] = particles.torque[j] + vector_of(batch.spin_partner, entry)
-            keep(entry, batch.slot[entry])
+                    particles.torque[j] = particles.torque[j] + vector_of(batch.spin_partner, worker, entry)
+            keep(worker, entry, batch.slot[worker, entry])
             if ti.static(features.ledger):
-                enter_losses(chunk, i, j, entry)
+                enter_losses(worker, chunk, i, j, entry)
 
     return hand_out

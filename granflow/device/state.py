@@ -46,6 +46,17 @@ class Block:
         self._builder.dense(ti.i, count).place(*wanted)
         self.fields += wanted
 
+    def parts(self, count: int) -> Any:
+        """So many equal parts, each of which holds the whole of several columns."""
+        return self._builder.dense(ti.i, count)
+
+    def column(self, parts: Any, dtype: Any, length: int) -> Any:
+        """A field [part, entry] with the entries of one part side by side."""
+        field = ti.field(dtype)
+        parts.dense(ti.j, length).place(field)
+        self.fields.append(field)
+        return field
+
     def finish(self) -> None:
         """Allocate; no field can be added afterwards."""
         self._tree = self._builder.finalize()
@@ -157,12 +168,12 @@ class Batch:
         features, real = plan.features, backend.real
         page = 4096 // 8
         self.capacity = -(-(slots_per_chunk + LANES) // page) * page + STAGGER
-        count = self.capacity * backend.worker_count
+        desk = block.parts(backend.worker_count)
 
-        def columns(number: int) -> list[Any]:
-            return [block.scalar(real, count) for _ in range(number)]
+        def columns(number: int, dtype: Any = real) -> list[Any]:
+            return [block.column(desk, dtype, self.capacity) for _ in range(number)]
 
-        self.slot, self.owner, self.partner = (block.scalar(ti.i32, count) for _ in range(3))
+        self.slot, self.owner, self.partner = columns(3, ti.i32)
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
         self.apart, self.late = columns(3), columns(3)
         self.now = columns(3 * features.rate_dependent)
