@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import FileError, GranflowError
 
 if TYPE_CHECKING:
     from granflow.observe import Result
@@ -64,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def refuse(error: GranflowError) -> int:
-    """Show an error of ours without a traceback and give its exit code; problems of a scene are counted."""
-    problems = error.problems if isinstance(error, SceneError) else ()
+    """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
+    problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return complain(str(error), error.exit_code)
     for problem in problems:
