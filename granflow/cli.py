@@ -1,4 +1,4 @@
-"""The command line: `granflow run | check | explain | schema | collide`.
+"""The command line: `granflow run | check | explain | schema | collide | restitution | fit`.
 
 Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
 """
@@ -114,10 +114,11 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or Path("out") / scene.path.stem
     make_room(out, options.force)
     from granflow.simulation import Simulation
+    from granflow.study.restitution import warnings as restitution_warnings
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn(simulation.plan.step.warnings)
+        warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
         try:
             result = simulation.run(until=options.until)
         except KeyboardInterrupt as stop:
@@ -171,6 +172,43 @@ def collide(options: argparse.Namespace) -> int:
     else:
         show_comparison(numbers)
     return 0
+
+
+def restitution(options: argparse.Namespace) -> int:
+    """`granflow restitution`: what every pair of materials is asked and reaches at the scene's own time step."""
+    from granflow.study.restitution import measure, restitution_rows, write_restitution
+
+    scene = load(options)
+    found, step = measure(scene, options.arch)
+    heads = ("pair of materials", "velocity m/s", "asked", "reached", "difference %")
+    title = f"{scene.title}: restitution with steps of {step:.4g} s in {scene.run.precision} (* above 1 %)"
+    show_table(title, heads, restitution_rows(found))
+    write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
+    return 0
+
+
+def fit(options: argparse.Namespace) -> int:
+    """`granflow fit`: sigma and psi of Eq. 12 from measured velocities and restitutions."""
+    from granflow.study.fit import fit as fitted
+    from granflow.study.fit import fit_rows, limit_from_materials, write_fit
+    from granflow.study.measurements import read_measurements
+
+    data = read_measurements(options.data)
+    limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
+    found = fitted(data, limit)
+    show_table(f"Eq. 12 fitted to {len(data)} rows of {options.data}", ("", "value", "error", "unit"), fit_rows(found))
+    print(f"For a pair in a scene:\n  {found.snippet()}")
+    write_study(options.out or Path("out") / options.data.stem, write_fit, data, found)
+    return 0
+
+
+def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
+    """Write the files of a study; without matplotlib those that need none, and say so."""
+    try:
+        write(out, *numbers)
+    except GranflowError as error:
+        print(error)
+    print(f"Written to {out}")
 
 
 def load(options: argparse.Namespace) -> "Scene":
@@ -259,6 +297,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_machine(explained)
     verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
     add_collide(verbs)
+    add_restitution(verbs)
+    add_fit(verbs)
     return parser
 
 
@@ -321,6 +361,29 @@ def add_collide(verbs: Any) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON in SI units")
     add_machine(parser)
     parser.set_defaults(verb=collide)
+
+
+def add_restitution(verbs: Any) -> None:
+    """`granflow restitution` and its arguments."""
+    parser = add_scene_verb(verbs, restitution, "show the restitution that a scene asks for and that it reaches")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the scene's name)")
+    add_machine(parser)
+
+
+def add_fit(verbs: Any) -> None:
+    """`granflow fit` and its arguments."""
+    summary = "fit sigma and psi of Eq. 12 to measured restitutions"
+    parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "data", metavar="DATA.csv", type=Path, help="columns velocity [m/s] and restitution, maybe deviation or weight"
+    )
+    known = parser.add_mutually_exclusive_group(required=True)
+    known.add_argument("--material", metavar="PRESET", help="limit velocity from Eq. 11 for this material")
+    known.add_argument("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
+    known.add_argument("--fit-limit", action="store_true", help="fit the limit velocity, too")
+    parser.add_argument("--material2", metavar="PRESET", help="of the partner, with --material (the same)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the data's name)")
+    parser.set_defaults(verb=fit)
 
 
 def quantity(dimension: str) -> Callable[[str], float]:

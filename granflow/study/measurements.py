@@ -98,8 +98,8 @@ def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
     missing = [name for name in ("velocity", "restitution") if name not in found]
     if missing:
         raise FileError(
-            f"{path}:{line}: the header is {', '.join(cells)}, without a column {' and '.join(missing)}: "
-            "the first row must name the columns, such as velocity,restitution."
+            f"{path}:{line}: the header is {', '.join(cells)}, which does not name {' and '.join(missing)}: the first row "
+            "names the columns, such as velocity,restitution."
         )
     if "deviation" in found and "weight" in found:
         raise FileError(f"{path}:{line}: the header has both deviation and weight: keep one.")
@@ -119,11 +119,9 @@ def _unit_checked(path: Path, line: int, cells: Sequence[str], found: dict[str, 
 
 def _surplus(cells: Sequence[str], width: int) -> list[str]:
     """What is wrong with a row longer than the header."""
-    if len(cells) <= width:
+    if not any(cells[width:]):
         return []
-    return [
-        f"the row has {len(cells)} values, but the header {width} columns; a decimal point is asked here, not a comma"
-    ]
+    return [f"the row has {len(cells)} values, but the header {width} columns; decimals are written with a point"]
 
 
 def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dict[str, float]]) -> Iterator[str]:

@@ -14,13 +14,13 @@ import numpy as np
 
 from granflow.device.backend import start
 from granflow.device.engine import Engine
-from granflow.laws import theory
 from granflow.laws.material import PairMaterial
 from granflow.plan import Plan, plan_for
 from granflow.plan.plan import pair_material
 from granflow.plan.sizes import diameter_range
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
+from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
 DECADES = 3
@@ -31,6 +31,9 @@ SPACING = 2.5
 """Distance of neighbouring collisions over the largest diameter."""
 LONGEST = 20.0
 """A collision not over after this many durations is given up: the spheres stick."""
+
+HEIGHT = 5.2
+"""Of the figure [inch]."""
 
 TOLERANCE = 0.01
 """Relative difference from which on a run warns."""
@@ -88,7 +91,7 @@ def pairings(scene: Scene) -> list[Pairing]:
 
 @dataclass(frozen=True)
 class Row:
-    """One pair at one velocity [m/s]: asked, and the smallest, largest and worst restitution reached."""
+    """One pair at one velocity [m/s]: restitution asked, and the smallest and largest reached over the phases."""
 
     pair: str
     velocity: float
@@ -109,11 +112,11 @@ class Row:
         return self.reached / self.asked - 1.0
 
 
-def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], Plan]:
+def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], float]:
     """Collide every pair of materials of a scene head on at velocities up to the largest expected.
 
     All collisions stand side by side at the far side of the scene's domain, where single precision is coarsest; each
-    begins at several phases of a step. Also returns the plan of the scene, which has the time step.
+    begins at several phases of a step. Also returns the time step [s].
     """
     backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
@@ -127,20 +130,15 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], Plan]:
     for pair, per_velocity in zip(pairs, reached, strict=True):
         material = pair_material(scene, pair.first, pair.second)
         for velocity, found in zip(velocities, per_velocity, strict=True):
-            asked = material.restitution_at(float(velocity))
+            asked = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
             rows.append(Row(pair.name, float(velocity), asked, float(found.min()), float(found.max())))
-    return rows, plan
+    return rows, plan.time_step
 
 
 def _longest(plan: Plan, pairs: Sequence[Pairing], velocity: float) -> int:
     """Steps after which the slowest collision is given up."""
-    durations = (_duration(plan, pair, velocity) for pair in pairs)
-    return int(LONGEST * max(durations) / plan.time_step) + 10
-
-
-def _duration(plan: Plan, pair: Pairing, velocity: float) -> float:
-    material = pair_material(plan.scene, pair.first, pair.second)
-    return sum(plan.law.phase_durations(material, *pair.reduced(plan.scene), velocity))
+    longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
+    return int(LONGEST * longest / plan.time_step) + 10
 
 
 def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities: np.ndarray) -> Scene:
@@ -178,7 +176,9 @@ def _add_row(
     """Spheres of one pair, one collision for each velocity and phase; they would touch at x = `touch` [m]."""
     speed = np.repeat(velocities, len(PHASES))
     gap = speed * step * np.tile(PHASES, len(velocities))
-    lanes = np.stack([np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1)
+    lanes = np.stack(
+        [np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1
+    )
     sides = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
     share = 1.0 if pair.other_radius is None else 0.5
     for name, material, radius, side in sides:
@@ -233,85 +233,130 @@ def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(rates), np.concatenate(forces)
 
 
+def restitution_rows(rows: Sequence[Row]) -> list[tuple[str, str, str, str, str]]:
+    """The table of what was asked and reached: pair, velocity, asked, reached, difference in percent."""
+    found = []
+    for before, row in zip([None, *rows], rows, strict=False):
+        name = row.pair if before is None or before.pair != row.pair else ""
+        difference = f"{100.0 * row.difference:+.3f}" + (" *" if abs(row.difference) > TOLERANCE else "")
+        found.append((name, f"{row.velocity:.4g}", f"{row.asked:.5f}", f"{row.reached:.5f}", difference))
+    return found
+
+
+def write_restitution(out: Path, rows: Sequence[Row], title: str) -> None:
+    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError where matplotlib is not installed."""
+    out.mkdir(parents=True, exist_ok=True)
+    names = ("pair", "velocity", "asked", "least", "most", "difference")
+    write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
+    draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
+
+
+def _draw(figure: Any, rows: Sequence[Row], title: str) -> None:
+    """Restitution above, difference in percent below, both against velocity; bars from least to most."""
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    below.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="0.93", zorder=0)
+    for number, name in enumerate(dict.fromkeys(row.pair for row in rows)):
+        mine = [row for row in rows if row.pair == name]
+        velocity, asked, least, most = (
+            np.array([getattr(row, key) for row in mine]) for key in ("velocity", "asked", "least", "most")
+        )
+        color, middle, half = COLORS[number % len(COLORS)], 0.5 * (least + most), 0.5 * (most - least)
+        look = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
+        above.semilogx(velocity, asked, color=color)
+        above.errorbar(velocity, middle, half, label=name, **look)
+        known = asked > 0.0
+        percent = 100.0 / asked[known]
+        below.errorbar(velocity[known], (middle - asked)[known] * percent, half[known] * percent, **look)
+    above.set(ylabel="restitution coefficient $e$", title=f"{title}: asked (lines) and reached (points)")
+    above.legend(loc="best")
+    below.set(xlabel="approach velocity $v$ [m/s]", ylabel="reached over asked, less 1 [%]")
+
+
 # ---------------------------------------------------------------- on the twin
 
 
 def warnings(plan: Plan) -> list[str]:
     """A sentence for every pair of materials whose collisions miss the restitution asked for by more than 1 %.
 
-    Only the worst velocity of each is told. Pairs that the plan itself warns of are left out.
+    Only the worst velocity of each is told. Collisions that the plan itself warns of are left out.
     """
     found, steps = [], 0
     for pair in pairings(plan.scene):
-        material = pair_material(plan.scene, pair.first, pair.second)
-        worst: tuple[float, float, float, float] = (TOLERANCE, 0.0, 0.0, 0.0)
+        misses = []
         for share in QUICK_VELOCITIES:
-            velocity = share * plan.velocity_max
-            steps += len(QUICK_PHASES) * int(_duration(plan, pair, velocity) / plan.time_step)
-            if steps > QUICK_STEPS or _out_of_reach(plan, pair, material, velocity):
+            impact = _impact(plan, pair, share * plan.velocity_max)
+            steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
+            if steps > QUICK_STEPS or _out_of_reach(plan, impact):
                 break
-            asked = material.restitution_at(velocity)
-            reached = _worst_reached(plan, pair, material, velocity, plan.time_step)
-            worst = max(worst, (abs(reached / asked - 1.0), velocity, asked, reached))
-        if worst[0] > TOLERANCE:
-            found.append(_sentence(plan, pair, material, *worst[1:]))
+            misses.append((abs(_worst_reached(plan, impact, plan.time_step) / impact.asked - 1.0), impact))
+        worst, impact = max(misses, key=lambda each: each[0], default=(0.0, None))
+        if impact is not None and worst > TOLERANCE:
+            found.append(_sentence(plan, pair, impact))
     return found
 
 
-def _out_of_reach(plan: Plan, pair: Pairing, material: PairMaterial, velocity: float) -> bool:
-    """Whether the step cannot carry an unloading as steep as asked, of which the plan warns."""
-    asked = material.restitution_at(velocity)
-    if plan.law.name != "zhou":
-        return asked == 0.0
-    radius_eff, mass_eff = pair.reduced(plan.scene)
-    k = theory.hertz_stiffness(material.modulus_eff, radius_eff)
-    largest = theory.overlap_max(k, mass_eff, velocity)
-    angle = plan.scene.numerics.unloading_angle
-    return bool(asked < theory.least_restitution(k, mass_eff, largest, plan.time_step, angle))
+@dataclass(frozen=True)
+class _Impact:
+    """One collision: the pair, effective radius [m] and mass [kg], velocity [m/s], restitution asked, duration [s]."""
+
+    material: PairMaterial
+    radius_eff: float
+    mass_eff: float
+    velocity: float
+    asked: float
+    duration: float
 
 
-def _worst_reached(plan: Plan, pair: Pairing, material: PairMaterial, velocity: float, step: float) -> float:
+def _impact(plan: Plan, pair: Pairing, velocity: float) -> _Impact:
+    collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
+    return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
+
+
+def _out_of_reach(plan: Plan, impact: _Impact) -> bool:
+    """Whether 0 is asked, or less than the step can carry, of which the plan warns."""
+    if plan.law.least_restitution is None or impact.asked == 0.0:
+        return impact.asked == 0.0
+    collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
+    return impact.asked < plan.law.least_restitution(*collision, plan.time_step)
+
+
+def _worst_reached(plan: Plan, impact: _Impact, step: float) -> float:
     """Restitution of the twin that is farthest from what is asked, over a few phases of a step."""
-    asked = material.restitution_at(velocity)
-    found = [_twin_restitution(plan, pair, material, velocity, step, phase) for phase in QUICK_PHASES]
-    return max(found, key=lambda e: abs(e - asked))
+    found = [_twin_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
+    return max(found, key=lambda e: abs(e - impact.asked))
 
 
-def _twin_restitution(
-    plan: Plan, pair: Pairing, material: PairMaterial, velocity: float, step: float, phase: float
-) -> float:
+def _twin_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
     """Restitution of one collision with the numpy twin of the law, in the device's leapfrog."""
-    constants, (radius_eff, mass_eff) = np.array(plan.law.pair_constants(material)), pair.reduced(plan.scene)
-    memory = np.zeros(max(plan.law.history_count, 1))
-    overlap, rate, rate_now = phase * velocity * step, velocity, velocity
-    for _ in range(int(LONGEST * _duration(plan, pair, velocity) / step)):
-        felt = rate_now if plan.law.rate_dependent else rate
-        force, memory = plan.law.reference_force(constants, radius_eff, mass_eff, step, overlap, felt, memory)
-        kick = force / mass_eff * step
+    law, mass = plan.law, impact.mass_eff
+    constants, memory = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
+    rate = rate_now = impact.velocity
+    overlap = phase * rate * step
+    for _ in range(int(LONGEST * impact.duration / step)):
+        felt = rate_now if law.rate_dependent else rate
+        force, memory = law.reference_force(constants, impact.radius_eff, mass, step, overlap, felt, memory)
+        kick = force / mass * step
         rate -= kick
         rate_now = rate - 0.5 * kick
         overlap += step * rate
-        if overlap <= 0.0 or (force == 0.0 and rate < 0.0):
-            return -rate / velocity
+        if rate < 0.0 and (overlap <= 0.0 or force == 0.0):
+            return -rate / impact.velocity
     return 0.0
 
 
-def _sentence(
-    plan: Plan, pair: Pairing, material: PairMaterial, velocity: float, asked: float, reached: float
-) -> str:  # fmt: skip
-    remedy = next(_remedies(plan, pair, material, velocity, asked), None)
+def _sentence(plan: Plan, pair: Pairing, impact: _Impact) -> str:
+    reached = _worst_reached(plan, impact, plan.time_step)
+    remedy = next(_remedies(plan, impact), None)
     advice = f"A run.time_step of {remedy:.2g} s would do." if remedy else "A smaller run.time_step brings it nearer."
     return (
-        f"{pair.name}: restitution {asked:.4g} is asked for at {velocity:.3g} m/s, but {reached:.4g} comes out with "
-        f"a step of {plan.time_step:.3g} s. {advice}"
+        f"{pair.name}: restitution {impact.asked:.4g} is asked for at {impact.velocity:.3g} m/s, but {reached:.4g} "
+        f"comes out with a step of {plan.time_step:.3g} s. {advice}"
     )
 
 
-def _remedies(
-    plan: Plan, pair: Pairing, material: PairMaterial, velocity: float, asked: float
-) -> Iterator[float]:  # fmt: skip
+def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
     """Steps, each half the one before, at which the restitution is reached within the tolerance."""
     for halvings in range(1, HALVINGS + 1):
         step = plan.time_step / 2.0**halvings
-        if abs(_worst_reached(plan, pair, material, velocity, step) / asked - 1.0) <= TOLERANCE:
+        if abs(_worst_reached(plan, impact, step) / impact.asked - 1.0) <= TOLERANCE:
             yield step
