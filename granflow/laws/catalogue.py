@@ -1,12 +1,45 @@
-"""The normal laws by name. A new law is one new file and one line here."""
+"""The normal laws by name: a new law is one new file, `<name>.py`, and one entry here. No Taichi."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
+from types import MappingProxyType
 
-from granflow.laws import hertz, linear, zhou
-from granflow.laws.law import NormalLaw
+from granflow.laws.kind import Amount, Choice, LawKind
 
-NORMAL_LAWS: dict[str, Callable[..., NormalLaw]] = {
-    "zhou": zhou.build,
-    "hertz": hertz.build,
-    "linear": linear.build,
-}
+SPRING = Choice(
+    "onset (Eq. 19 per contact, from its own first velocity), {reference_velocity: 1 m/s} or {value: 1e4 N/m}",
+    words=("onset",),
+    keyed={
+        "reference_velocity": Amount(
+            "approach velocity at which the spring stores what Hertz does [m/s]",
+            *("1 m/s", "velocity", "a speed"),
+            above=0,
+        ),
+        "value": Amount("stiffness of the spring [N/m]", "1e4 N/m", "stiffness", above=0),
+    },
+)
+
+ZHOU = LawKind(
+    "zhou",
+    "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
+    {
+        "restitution": Choice(
+            "which velocity gives e: that at first touch, that which Eq. 5 gives for the largest overlap, "
+            "or none; a number in every pair makes it constant",
+            words=("onset", "peak", "constant"),
+            default="onset",
+            with_numbers="constant",
+        ),
+        "damping_ratio": Amount(
+            "viscous damping on the elastic branch, over the critical damping",
+            *("0.1", "number", "a damping ratio"),
+            at_least=0,
+            at_most=1,
+            default=0.0,
+        ),
+    },
+    "number or fit",
+)
+HERTZ = LawKind("hertz", "Hertz spring; viscous damping that gives each pair's restitution number, 1 being elastic.")
+LINEAR = LawKind("linear", "Linear spring and dashpot.", {"stiffness": SPRING}, example={"stiffness": "onset"})
+
+NORMAL_LAWS: Mapping[str, LawKind] = MappingProxyType({kind.name: kind for kind in (ZHOU, HERTZ, LINEAR)})

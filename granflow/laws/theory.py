@@ -10,6 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
+from granflow.laws.material import PairMaterial
+
 Number: TypeAlias = float | np.ndarray
 
 LOADING_DURATION = 0.4 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
@@ -63,6 +65,12 @@ def unloading_tangent(e: Number) -> np.ndarray:
 def overlap_max(k: Number, mass: Number, velocity: Number) -> Number:
     """Largest overlap dmax = (5 M v^2 / (4 k))^(2/5) [m] (Eq. 5)."""
     return (1.25 * mass * velocity**2 / k) ** 0.4
+
+
+def hertz_tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    """Hertz tangent at the largest overlap of a collision, 1.5 k sqrt(dmax) [N/m]."""
+    k = float(hertz_stiffness(pair.modulus_eff, radius_eff))
+    return 1.5 * k * float(np.sqrt(overlap_max(k, mass_eff, velocity)))
 
 
 def time_scale(k: Number, mass: Number, velocity: Number) -> Number:

@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from granflow.scene import Scene
-from granflow.scene.schema import ZhouNormal
 
 
 @dataclass(frozen=True)
@@ -86,8 +85,9 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     normal = scene.contact.normal
     if not features.rate_dependent:
         return f"the {normal.law} law as set here has no viscous term"
-    if isinstance(normal, ZhouNormal):
-        return f"contact.normal.damping_ratio is {normal.damping_ratio:g} ({scene.where('contact', 'normal')})"
+    damping_ratio = normal.settings().get("damping_ratio")
+    if damping_ratio is not None:
+        return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
     return f"the {normal.law} law reaches a restitution below 1 by damping ({scene.where('contact', 'normal')})"
 
 

@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import (
     PairMaterial,
     Solid,
@@ -16,6 +15,7 @@ from granflow.laws.material import (
     limit_velocity,
     modulus_eff,
     shear_modulus_eff,
+    yield_strength,
 )
 from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, features_of, reasons_for
@@ -23,7 +23,7 @@ from granflow.plan.sizes import diameter_range
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
-from granflow.scene.schema import GivenStiffness, Group, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
+from granflow.scene.schema import Group, RestitutionFit
 
 SLOTS_PER_PARTICLE = 7
 """First guess of the near partners in a row; rows grow when it is too small."""
@@ -32,9 +32,6 @@ CELLS_PER_PARTICLE = 8
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
 LEAST_CELLS = 8192
-
-SLOWEST_SPRING = 0.01
-"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
 
 SKIN_STEPS = 60
 """A particle at the largest velocity should cross half the skin in no fewer steps than this."""
@@ -167,19 +164,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The scene's normal law with its settings."""
+    """The scene's normal law with its settings; `velocity` is the fastest approach expected [m/s]."""
     normal = scene.contact.normal
-    build = NORMAL_LAWS[normal.law]
-    numbers_only = not any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if isinstance(normal, ZhouNormal):
-        source = "constant" if numbers_only else normal.restitution
-        return build(source, scene.numerics.unloading_angle, normal.damping_ratio)
-    if isinstance(normal, LinearNormal):
-        given = normal.stiffness
-        value = given.value if isinstance(given, GivenStiffness) else None
-        reference = given.reference_velocity if isinstance(given, ReferenceVelocity) else None
-        return build(value, reference, SLOWEST_SPRING * velocity)
-    return build(any(pair.restitution != 1.0 for pair in scene.pairs.values()))
+    pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
+    return normal.kind.build(Asked(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
 
 
 def solid(scene: Scene, material: str) -> Solid:
@@ -192,13 +180,15 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     """Mixed constants of two materials. Raises KeyError where the scene has no such pair."""
     pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
     given = pair.restitution
-    restitution: float | VelocityRestitution
+    restitution: float | VelocityRestitution | None
     if isinstance(given, RestitutionFit):
         restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
     else:
         restitution = given
     rolling = pair.rolling_friction or 0.0
-    return PairMaterial(modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling)
+    return PairMaterial(
+        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b)
+    )
 
 
 def _used_materials(scene: Scene) -> Iterator[str]:
@@ -266,7 +256,7 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -
     try:
         step = choose_time_step(
             given, meetings, law, velocity,
-            numerics.time_step_safety, numerics.rayleigh_fraction, numerics.unloading_angle,
+            numerics.time_step_safety, numerics.rayleigh_fraction,
         )  # fmt: skip
     except ValueError as error:
         raise SceneError(f"{scene.place('run', 'time_step')}: run.time_step {error}") from None

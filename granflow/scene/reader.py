@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -12,7 +11,7 @@ from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.draft import Draft, draft_of
-from granflow.scene.matter import RestitutionFit, ZhouNormal
+from granflow.scene.matter import RestitutionFit
 from granflow.scene.schema import Scene
 from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
@@ -101,10 +100,10 @@ def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
 
 
 def _settled(scene: Scene) -> Scene:
-    """With a restitution number in every pair, the Zhou law has no velocity to look at: it is constant."""
-    normal: Any = scene.contact.normal
+    """With a restitution number in every pair, a law may have nothing left to choose: zhou's is constant."""
+    normal = scene.contact.normal
     fitted = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if not isinstance(normal, ZhouNormal) or fitted:
+    if fitted or not normal.fixed_by_numbers():
         return scene
-    constant = normal.model_copy(update={"restitution": "constant"})
-    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": constant})})
+    fixed = normal.model_copy(update=normal.fixed_by_numbers())
+    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})

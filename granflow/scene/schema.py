@@ -53,14 +53,9 @@ from granflow.scene.groups import (
 )
 from granflow.scene.matter import (
     Contact,
-    GivenStiffness,
-    HertzNormal,
-    LinearNormal,
     Material,
     Pair,
-    ReferenceVelocity,
     RestitutionFit,
-    ZhouNormal,
 )
 from granflow.scene.shapes import (
     AnyWall,
@@ -88,11 +83,8 @@ __all__ = [
     "Disc",
     "Domain",
     "Expectation",
-    "GivenStiffness",
     "Group",
-    "HertzNormal",
     "Lattice",
-    "LinearNormal",
     "Listed",
     "LogNormalSizes",
     "Material",
@@ -105,7 +97,6 @@ __all__ = [
     "Plane",
     "Rain",
     "Rectangle",
-    "ReferenceVelocity",
     "RestitutionFit",
     "Rotation",
     "Run",
@@ -117,7 +108,6 @@ __all__ = [
     "UniformSizes",
     "Vibration",
     "Wall",
-    "ZhouNormal",
 ]
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]

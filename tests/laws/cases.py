@@ -8,7 +8,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import PairMaterial, VelocityRestitution
 
 
@@ -73,32 +73,48 @@ def law_of(case, units):
     return case.build(units)
 
 
-def linear(stiffness, reference_velocity):
+def asked(name, restitution, settings=lambda units: {}):
+    """Builds the law of that name as a scene would ask for it."""
+
     def build(units):
-        value = None if stiffness is None else stiffness * units.newton / units.metre
-        velocity = None if reference_velocity is None else reference_velocity * units.velocity
-        return NORMAL_LAWS["linear"](value, velocity, 0.01 * units.velocity)
+        given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
+        pair = PairMaterial(MODULUS * units.pascal, SHEAR_MODULUS * units.pascal, restitution(units), 0.0)
+        return NORMAL_LAWS[name].build(Asked(given, (pair,), units.velocity, ANGLE))
 
     return build
 
 
+def spring(number=None, velocity=None):
+    """A linear spring as a scene gives it: a number [N/m], a reference velocity [m/s], or per contact."""
+    if number is not None:
+        return lambda units: {"stiffness": {"value": number * units.newton / units.metre}}
+    if velocity is not None:
+        return lambda units: {"stiffness": {"reference_velocity": velocity * units.velocity}}
+    return lambda units: {"stiffness": "onset"}
+
+
+def case(name, law, restitution, settings=lambda units: {}, **marks):
+    """A case of the law `law`."""
+    return Case(name, asked(law, restitution, settings), restitution, **marks)
+
+
 def zhou(source, damping_ratio=0.0):
-    return lambda units: NORMAL_LAWS["zhou"](source, ANGLE, damping_ratio)
+    return lambda units: {"restitution": source, "damping_ratio": damping_ratio}
 
 
 CASES = (
-    Case("zhou_onset", zhou("onset"), fit, plastic=True),
-    Case("zhou_peak", zhou("peak"), fit, plastic=True),
-    Case("zhou_constant", zhou("constant"), number(0.6), plastic=True),
-    Case("zhou_without_rebound", zhou("constant"), number(0.0), plastic=True),
-    Case("zhou_elastic", zhou("constant"), number(1.0)),
-    Case("zhou_damped", zhou("onset", 0.2), fit, plastic=True),
-    Case("hertz_elastic", lambda units: NORMAL_LAWS["hertz"](False), number(1.0)),
-    Case("hertz_damped", lambda units: NORMAL_LAWS["hertz"](True), number(0.6)),
-    Case("linear_onset", linear(None, None), number(0.6)),
-    Case("linear_reference", linear(None, 0.7), number(0.6)),
-    Case("linear_number", linear(2e4, None), number(0.6)),
-    Case("linear_elastic", linear(2e4, None), number(1.0)),
+    case("zhou_onset", "zhou", fit, zhou("onset"), plastic=True),
+    case("zhou_peak", "zhou", fit, zhou("peak"), plastic=True),
+    case("zhou_constant", "zhou", number(0.6), plastic=True),
+    case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
+    case("zhou_elastic", "zhou", number(1.0)),
+    case("zhou_damped", "zhou", fit, zhou("onset", 0.2), plastic=True),
+    case("hertz_elastic", "hertz", number(1.0)),
+    case("hertz_damped", "hertz", number(0.6)),
+    case("linear_onset", "linear", number(0.6), spring()),
+    case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
+    case("linear_number", "linear", number(0.6), spring(2e4)),
+    case("linear_elastic", "linear", number(1.0), spring(2e4)),
 )
 
 

@@ -1,0 +1,83 @@
+"""The linear spring of the laws that have one: a number, or Zhou's Eq. 19 at one velocity or per contact."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws import theory
+from granflow.laws.law import Asked
+from granflow.laws.material import PairMaterial
+
+SLOWEST_SHARE = 0.01
+"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A spring stiffness [N/m]: on the device, on the host, and whether every contact has its own."""
+
+    at: Any
+    """Device function (constants, radius_eff, mass_eff, velocity); constants[0] is the effective modulus."""
+    at_host: Callable[[float, float, float, float], float]
+    """The same of (modulus_eff, radius_eff, mass_eff, velocity)."""
+    per_contact: bool
+
+    def of(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Stiffness [N/m] in a collision of this pair."""
+        return self.at_host(pair.modulus_eff, radius_eff, mass_eff, velocity)
+
+
+@ti.func
+def equivalent_spring(constants, radius_eff, mass_eff, velocity):
+    """Spring with the Hertz contact's energy at its largest overlap, (4/5) k sqrt(dmax) [N/m] (Zhou 2011, Eq. 19)."""
+    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+    return 0.8 * k * ti.pow(1.25 * mass_eff * velocity * velocity / k, 0.2)
+
+
+@ti.func
+def lateral_spring(constants, stiffness):
+    """Mindlin's ratio of tangential to normal stiffness, 4 G / E, on a linear spring [N/m]; constants E, G first."""
+    return 4.0 * constants[1] / constants[0] * stiffness
+
+
+def build_spring(stiffness: float | None, reference_velocity: float | None, velocity_floor: float) -> Spring:
+    """A spring [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
+
+    Per contact the spring comes from that contact's own approach velocity, at least `velocity_floor`: Eq. 19 gives
+    no spring at all to a contact that forms at rest.
+    """
+    given, fixed = stiffness is not None, reference_velocity is not None
+
+    @ti.func
+    def spring_at(constants, radius_eff, mass_eff, velocity):
+        value = 0.0 * radius_eff
+        if ti.static(given):
+            value += stiffness
+        elif ti.static(fixed):
+            value += equivalent_spring(constants, radius_eff, mass_eff, reference_velocity)
+        else:
+            value += equivalent_spring(constants, radius_eff, mass_eff, ti.max(velocity, velocity_floor))
+        return value
+
+    def at_host(modulus: float, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        if stiffness is not None:
+            return stiffness
+        speed = max(velocity, velocity_floor) if reference_velocity is None else reference_velocity
+        return float(theory.equivalent_spring(theory.hertz_stiffness(modulus, radius_eff), mass_eff, speed))
+
+    return Spring(spring_at, at_host, per_contact=not given and not fixed)
+
+
+def spring_for(asked: Asked) -> Spring:
+    """The spring that a scene asks for under `stiffness`."""
+    given: str | Mapping[str, float] = asked.settings["stiffness"]
+    keyed: Mapping[str, float] = {} if isinstance(given, str) else given
+    return build_spring(keyed.get("value"), keyed.get("reference_velocity"), SLOWEST_SHARE * asked.velocity_max)
+
+
+def quarter_period(stiffness: float, mass_eff: float) -> float:
+    """Time [s] from first touch to the largest overlap on a linear spring."""
+    return 0.5 * np.pi * float(np.sqrt(mass_eff / stiffness))
