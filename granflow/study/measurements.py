@@ -94,12 +94,13 @@ def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
         places = [n for n, each in enumerate(names) if each in known]
         if len(places) > 1:
             raise FileError(f"{path}:{line}: the header has {len(places)} columns for {name}: keep one.")
-        found.update({name: place for place in places})
+        if places:
+            found[name] = places[0]
     missing = [name for name in ("velocity", "restitution") if name not in found]
     if missing:
         raise FileError(
-            f"{path}:{line}: the header is {', '.join(cells)}, which does not name {' and '.join(missing)}: the first row "
-            "names the columns, such as velocity,restitution."
+            f"{path}:{line}: the header is {', '.join(cells)}, which does not name {' and '.join(missing)}: "
+            "the first row names the columns, such as velocity,restitution."
         )
     if "deviation" in found and "weight" in found:
         raise FileError(f"{path}:{line}: the header has both deviation and weight: keep one.")
