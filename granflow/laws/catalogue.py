@@ -41,5 +41,39 @@ ZHOU = LawKind(
 )
 HERTZ = LawKind("hertz", "Hertz spring; viscous damping that gives each pair's restitution number, 1 being elastic.")
 LINEAR = LawKind("linear", "Linear spring and dashpot.", {"stiffness": SPRING}, example={"stiffness": "onset"})
+THORNTON = LawKind(
+    "thornton",
+    "Elastic, perfectly plastic spheres: the yield strength decides the restitution (Thornton 1997).",
+    {
+        "yield_ratio": Amount(
+            "largest contact pressure over the yield strength: 1.6 where yield begins below the surface "
+            "(Thornton 1997), 2.8 where the contact is fully plastic (Johnson 1985)",
+            *("1.6", "number", "a ratio"),
+            above=0,
+        )
+    },
+    "nothing",
+    example={"yield_ratio": 1.6},
+)
+WALTON_BRAUN = LawKind(
+    "walton_braun",
+    "Bilinear: stiffness k1 on loading, the steeper k2 on unloading (Walton & Braun 1986).",
+    {
+        "stiffness": SPRING,
+        "unloading": Choice(
+            "constant (k2 = k1 / e^2: one restitution) or {reference_velocity: 1 m/s} (k2 grows with the largest "
+            "force, so that each pair's restitution is that at this velocity, and e falls)",
+            words=("constant",),
+            keyed={
+                "reference_velocity": Amount(
+                    "approach velocity with each pair's restitution [m/s]", *("1 m/s", "velocity", "a speed"), above=0
+                )
+            },
+        ),
+    },
+    example={"stiffness": "onset", "unloading": "constant"},
+)
 
-NORMAL_LAWS: Mapping[str, LawKind] = MappingProxyType({kind.name: kind for kind in (ZHOU, HERTZ, LINEAR)})
+NORMAL_LAWS: Mapping[str, LawKind] = MappingProxyType(
+    {kind.name: kind for kind in (ZHOU, HERTZ, LINEAR, THORNTON, WALTON_BRAUN)}
+)

@@ -20,7 +20,7 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
 
 def law_for(asked: Asked) -> NormalLaw:
     """The law that a scene asks for."""
-    return build(spring_for(asked))
+    return build(spring_for(asked, place=0))
 
 
 def build(spring: Spring) -> NormalLaw:
@@ -29,16 +29,15 @@ def build(spring: Spring) -> NormalLaw:
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens."""
-        memory = history
-        if memory[0] == 0.0:
-            memory[0] = spring.at(constants, radius_eff, mass_eff, overlap_rate)
-        elastic = memory[0] * overlap
-        viscous = ti.max(2.0 * constants[2] * ti.sqrt(memory[0] * mass_eff) * overlap_rate, -elastic)
+        memory = spring.opened(constants, radius_eff, mass_eff, overlap_rate, history)
+        stiffness = spring.held(memory)
+        elastic = stiffness * overlap
+        viscous = ti.max(2.0 * constants[2] * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
         return elastic + viscous, viscous, memory
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        return 0.5 * history[0] * overlap * overlap
+        return 0.5 * spring.held(history) * overlap * overlap
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -46,7 +45,7 @@ def build(spring: Spring) -> NormalLaw:
 
     @ti.func
     def lateral_stiffness(constants, radius_eff, overlap, history):
-        return lateral_spring(constants, history[0])
+        return lateral_spring(constants, spring.held(history))
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
         quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
@@ -57,7 +56,7 @@ def build(spring: Spring) -> NormalLaw:
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
         limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch",
         constant_names=CONSTANTS,
-        history_names=("spring_stiffness",),
+        history_names=spring.history_names,
         rate_dependent=True,
         lateral_grows=False,
         pair_constants=pair_constants,
@@ -76,10 +75,8 @@ def _twin(spring: Spring) -> Twin:
     """Numpy twin of `force`."""
 
     def twin(touch: Touch) -> tuple[float, np.ndarray]:
-        stiffness = touch.history[0]
-        if stiffness == 0.0:
-            stiffness = spring.at_host(touch.constants[0], touch.radius_eff, touch.mass_eff, touch.overlap_rate)
+        stiffness, kept = spring.touched(touch)
         viscous = 2.0 * touch.constants[2] * np.sqrt(stiffness * touch.mass_eff) * touch.overlap_rate
-        return float(max(stiffness * touch.overlap + viscous, 0.0)), np.array([stiffness])
+        return float(max(stiffness * touch.overlap + viscous, 0.0)), np.array(kept or touch.history)
 
     return twin

@@ -8,7 +8,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import Asked
+from granflow.laws.law import Asked, Touch
 from granflow.laws.material import PairMaterial
 
 SLOWEST_SHARE = 0.01
@@ -17,17 +17,30 @@ SLOWEST_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring stiffness [N/m]: on the device, on the host, and whether every contact has its own."""
+    """A spring stiffness [N/m] that a contact keeps from first touch on."""
 
-    at: Any
-    """Device function (constants, radius_eff, mass_eff, velocity); constants[0] is the effective modulus."""
+    history_names: tuple[str, ...]
+    """What a contact must remember of it: nothing where the stiffness is a number."""
+    opened: Any
+    """Device function (constants, radius_eff, mass_eff, overlap_rate, history) -> history, with the spring of a
+    contact that opens; constants[0] is the effective modulus."""
+    held: Any
+    """Device function (history) -> stiffness."""
     at_host: Callable[[float, float, float, float], float]
-    """The same of (modulus_eff, radius_eff, mass_eff, velocity)."""
-    per_contact: bool
+    """Stiffness of (modulus_eff, radius_eff, mass_eff, velocity)."""
+    place: int
+    """Where the stiffness stands in the law's history."""
 
     def of(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Stiffness [N/m] in a collision of this pair."""
         return self.at_host(pair.modulus_eff, radius_eff, mass_eff, velocity)
+
+    def touched(self, touch: Touch) -> tuple[float, list[float]]:
+        """Numpy twin of `opened` and `held`: stiffness, and what the history holds of it."""
+        held = touch.history[self.place] if self.history_names else 0.0
+        fresh = self.at_host(touch.constants[0], touch.radius_eff, touch.mass_eff, touch.overlap_rate)
+        stiffness = float(held) if held > 0.0 else fresh
+        return stiffness, [stiffness] if self.history_names else []
 
 
 @ti.func
@@ -43,23 +56,34 @@ def lateral_spring(constants, stiffness):
     return 4.0 * constants[1] / constants[0] * stiffness
 
 
-def build_spring(stiffness: float | None, reference_velocity: float | None, velocity_floor: float) -> Spring:
+def build_spring(
+    stiffness: float | None, reference_velocity: float | None, velocity_floor: float, place: int
+) -> Spring:
     """A spring [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
 
     Per contact the spring comes from that contact's own approach velocity, at least `velocity_floor`: Eq. 19 gives
-    no spring at all to a contact that forms at rest.
+    no spring at all to a contact that forms at rest. `place` is its place in the law's history.
     """
     given, fixed = stiffness is not None, reference_velocity is not None
 
     @ti.func
-    def spring_at(constants, radius_eff, mass_eff, velocity):
-        value = 0.0 * radius_eff
+    def opened(constants, radius_eff, mass_eff, overlap_rate, history):
+        memory = history
+        if ti.static(not given):
+            if memory[place] == 0.0:
+                velocity = ti.max(overlap_rate, velocity_floor)
+                if ti.static(fixed):
+                    velocity = 0.0 * overlap_rate + reference_velocity
+                memory[place] = equivalent_spring(constants, radius_eff, mass_eff, velocity)
+        return memory
+
+    @ti.func
+    def held(history):
+        value = 0.0 * history[0]
         if ti.static(given):
             value += stiffness
-        elif ti.static(fixed):
-            value += equivalent_spring(constants, radius_eff, mass_eff, reference_velocity)
         else:
-            value += equivalent_spring(constants, radius_eff, mass_eff, ti.max(velocity, velocity_floor))
+            value += history[place]
         return value
 
     def at_host(modulus: float, radius_eff: float, mass_eff: float, velocity: float) -> float:
@@ -68,14 +92,15 @@ def build_spring(stiffness: float | None, reference_velocity: float | None, velo
         speed = max(velocity, velocity_floor) if reference_velocity is None else reference_velocity
         return float(theory.equivalent_spring(theory.hertz_stiffness(modulus, radius_eff), mass_eff, speed))
 
-    return Spring(spring_at, at_host, per_contact=not given and not fixed)
+    return Spring(() if given else ("spring_stiffness",), opened, held, at_host, place)
 
 
-def spring_for(asked: Asked) -> Spring:
-    """The spring that a scene asks for under `stiffness`."""
+def spring_for(asked: Asked, place: int) -> Spring:
+    """The spring that a scene asks for under `stiffness`; `place` is its place in the law's history."""
     given: str | Mapping[str, float] = asked.settings["stiffness"]
     keyed: Mapping[str, float] = {} if isinstance(given, str) else given
-    return build_spring(keyed.get("value"), keyed.get("reference_velocity"), SLOWEST_SHARE * asked.velocity_max)
+    floor = SLOWEST_SHARE * asked.velocity_max
+    return build_spring(keyed.get("value"), keyed.get("reference_velocity"), floor, place)
 
 
 def quarter_period(stiffness: float, mass_eff: float) -> float:

@@ -58,8 +58,8 @@ def _annotation(setting: Setting) -> Any:
     models = {key: _keyed(key, amount) for key, amount in setting.keyed.items()}
     members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in setting.words]
     members += [Annotated[model, Tag(f"<{key}>")] for key, model in models.items()]
-    any_of = Union[tuple(members)]  # noqa: UP007
-    return Annotated[any_of, chosen(_tagger(setting.words, models), f"it must be {_either(setting)}")]
+    by = chosen(_tagger(setting.words, models), f"it must be {_either(setting)}")
+    return Annotated[Union[tuple(members)], by]  # noqa: UP007
 
 
 def _keyed(key: str, amount: Amount) -> type[Model]:

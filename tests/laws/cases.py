@@ -37,6 +37,8 @@ SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
 RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
 """A soft centimetre sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
+YIELD_STRENGTH = 1e6
+"""With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometres."""
 ANGLE = 0.5
 
 
@@ -48,13 +50,23 @@ def number(e):
     return lambda units: e
 
 
+def nothing(units):
+    """The material decides."""
+
+
+def pair_of(restitution, units):
+    yield_strength = YIELD_STRENGTH * units.pascal if restitution is nothing else None
+    elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
+    return PairMaterial(*elastic, restitution(units), 0.0, yield_strength=yield_strength)
+
+
 @dataclass(frozen=True)
 class Case:
     """One law with its settings, in any units."""
 
     name: str
     build: Callable[[Units], NormalLaw]
-    restitution: Callable[[Units], float | VelocityRestitution]
+    restitution: Callable[[Units], float | VelocityRestitution | None]
     plastic: bool = False
     """Whether unloading differs from loading."""
 
@@ -62,7 +74,7 @@ class Case:
         return self.name
 
     def pair(self, units=SI):
-        return PairMaterial(MODULUS * units.pascal, SHEAR_MODULUS * units.pascal, self.restitution(units), 0.0)
+        return pair_of(self.restitution, units)
 
     def law(self, units=SI):
         return law_of(self, units)
@@ -78,7 +90,7 @@ def asked(name, restitution, settings=lambda units: {}):
 
     def build(units):
         given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
-        pair = PairMaterial(MODULUS * units.pascal, SHEAR_MODULUS * units.pascal, restitution(units), 0.0)
+        pair = pair_of(restitution, units)
         return NORMAL_LAWS[name].build(Asked(given, (pair,), units.velocity, ANGLE))
 
     return build
@@ -91,6 +103,16 @@ def spring(number=None, velocity=None):
     if velocity is not None:
         return lambda units: {"stiffness": {"reference_velocity": velocity * units.velocity}}
     return lambda units: {"stiffness": "onset"}
+
+
+def bilinear(stiffness, velocity=None):
+    """Settings of walton_braun; a velocity [m/s] makes its restitution fall."""
+
+    def settings(units):
+        unloading = "constant" if velocity is None else {"reference_velocity": velocity * units.velocity}
+        return stiffness(units) | {"unloading": unloading}
+
+    return settings
 
 
 def case(name, law, restitution, settings=lambda units: {}, **marks):
@@ -115,6 +137,13 @@ CASES = (
     case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
     case("linear_number", "linear", number(0.6), spring(2e4)),
     case("linear_elastic", "linear", number(1.0), spring(2e4)),
+    case("thornton", "thornton", nothing, lambda units: {"yield_ratio": 1.0}, plastic=True),
+    case("thornton_elastic", "thornton", nothing, lambda units: {"yield_ratio": 10.0}),
+    case("walton_braun_onset", "walton_braun", number(0.6), bilinear(spring()), plastic=True),
+    case("walton_braun_reference", "walton_braun", number(0.6), bilinear(spring(velocity=0.7)), plastic=True),
+    case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),
+    case("walton_braun_falling", "walton_braun", number(0.6), bilinear(spring(), 0.7), plastic=True),
+    case("walton_braun_elastic", "walton_braun", number(1.0), bilinear(spring(2e4))),
 )
 
 
