@@ -73,7 +73,38 @@ WALTON_BRAUN = LawKind(
     },
     example={"stiffness": "onset", "unloading": "constant"},
 )
+LUDING = LawKind(
+    "luding",
+    "Bilinear with a plasticity that grows up to a limit overlap, elastic beyond it (Luding 2008); each pair's "
+    "restitution is that at the limit.",
+    {
+        "stiffness": SPRING,
+        "plasticity_depth": Amount(
+            "largest residual overlap over 2 R, R being the effective radius, such as 0.05",
+            *("0.05", "number", "a ratio"),
+            above=0,
+            at_most=1,
+        ),
+        "tension": Amount(
+            "stiffness kc of the tension line -kc d over the loading stiffness; 0 for none",
+            *("0.2", "number", "a ratio"),
+            at_least=0,
+            default=0.0,
+        ),
+    },
+    example={"stiffness": "onset", "plasticity_depth": 0.05, "tension": 0.0},
+)
+KUWABARA_KONO = LawKind(
+    "kuwabara_kono",
+    "Viscoelastic spheres, Hertz with damping by the square root of the overlap (Kuwabara & Kono 1987): e falls.",
+    {
+        "reference_velocity": Amount(
+            "approach velocity at which each pair has its restitution [m/s]", *("1 m/s", "velocity", "a speed"), above=0
+        )
+    },
+    example={"reference_velocity": 1.0},
+)
 
 NORMAL_LAWS: Mapping[str, LawKind] = MappingProxyType(
-    {kind.name: kind for kind in (ZHOU, HERTZ, LINEAR, THORNTON, WALTON_BRAUN)}
+    {kind.name: kind for kind in (ZHOU, HERTZ, LINEAR, THORNTON, WALTON_BRAUN, LUDING, KUWABARA_KONO)}
 )

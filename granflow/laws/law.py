@@ -84,7 +84,7 @@ class NormalLaw:
     lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history) -> energy this contact took for good
         that is a function of its history alone (plastic work) [J]
     lateral_stiffness(constants, radius_eff, overlap, history) -> Mindlin's no-slip stiffness [N/m]
-    attraction(constants, radius_eff, overlap) -> pulling part of `force` [N] that does not press the surfaces
+    attraction(constants, radius_eff, overlap, history) -> pulling part of `force` [N] that does not press the surfaces
         together, so that friction is capped with normal_force + attraction; None where there is none
     """
 
@@ -118,6 +118,11 @@ class NormalLaw:
     residual_overlap: Callable[[np.ndarray], float] = no_residual
     """Overlap [m] at which a contact with this history is free of force after unloading."""
     attraction: Any = None
+
+    @property
+    def attracts(self) -> bool:
+        """Whether the force can pull."""
+        return self.attraction is not None
 
     @property
     def history_count(self) -> int:

@@ -115,6 +115,15 @@ def bilinear(stiffness, velocity=None):
     return settings
 
 
+def plastic_to(depth, tension=0.0):
+    """Settings of luding: the limit is at 2 R depth / (1 - e^2)."""
+    return lambda units: spring(2e4)(units) | {"plasticity_depth": depth, "tension": tension}
+
+
+def reference_velocity(velocity):
+    return lambda units: {"reference_velocity": velocity * units.velocity}
+
+
 def case(name, law, restitution, settings=lambda units: {}, **marks):
     """A case of the law `law`."""
     return Case(name, asked(law, restitution, settings), restitution, **marks)
@@ -144,6 +153,12 @@ CASES = (
     case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),
     case("walton_braun_falling", "walton_braun", number(0.6), bilinear(spring(), 0.7), plastic=True),
     case("walton_braun_elastic", "walton_braun", number(1.0), bilinear(spring(2e4))),
+    case("luding_growing", "luding", number(0.6), plastic_to(0.05), plastic=True),
+    case("luding_limit", "luding", number(0.6), plastic_to(0.0064), plastic=True),
+    case("luding_tension", "luding", number(0.6), plastic_to(0.0128, 0.5), plastic=True),
+    case("luding_elastic", "luding", number(1.0), plastic_to(0.05)),
+    case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
+    case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
 
 
@@ -153,6 +168,8 @@ class Walk:
 
     force: np.ndarray
     viscous: np.ndarray
+    pressing: np.ndarray
+    """Force without attraction: what friction is capped with."""
     stored: np.ndarray
     lost: np.ndarray
     history: np.ndarray
@@ -166,7 +183,7 @@ def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS):
     """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets."""
     law = case.law(units)
     shape = overlap.shape
-    found = [np.zeros(shape) for _ in range(4)]
+    found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(law.history_count, 1)))
     constants = np.array(law.pair_constants(case.pair(units)))
     bodies = (radius * units.metre, mass * units.kilogram, TIME_STEP * units.second)
@@ -184,7 +201,7 @@ def kernel_for(law, constant_count):
     @ti.kernel
     def lead(
         numbers: ti.types.ndarray(ti.f64, 1), radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
-        force: table, viscous: table, stored: table, lost: table, history: cube
+        force: table, viscous: table, pressing: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
             constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
@@ -193,7 +210,9 @@ def kernel_for(law, constant_count):
                 d = overlap[i, s]
                 if d > 0.0:
                     f, v, memory = law.force(constants, radius, mass, dt, d, rate[i, s], memory)
-                    force[i, s], viscous[i, s] = f, v
+                    force[i, s], viscous[i, s], pressing[i, s] = f, v, f
+                    if ti.static(law.attracts):
+                        pressing[i, s] = f + law.attraction(constants, radius, d, memory)
                     stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, memory)
                     lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, memory)
                 else:
