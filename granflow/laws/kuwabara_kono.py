@@ -11,7 +11,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.law import Asked, NormalLaw, Touch
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
 
@@ -55,8 +55,8 @@ def build(reference_velocity: float) -> NormalLaw:
         name="kuwabara_kono",
         source="Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, "
         "doi 10.1103/PhysRevE.53.5382",
-        limits="made for slow viscoelastic impacts: 1 - e grows as v^(1/5), whatever the material; its power of the mass "
-        "costs time in every contact and step",
+        limits="made for slow viscoelastic impacts: 1 - e grows as v^(1/5), whatever the material; its power of "
+        "the mass costs time in every contact and step",
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=True,
@@ -128,7 +128,7 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
 
         x'' + g x^(1/2) x' + x^(3/2) = 0,   x(0) = 0, x'(0) = 1,   until the force is 0
 
-    Overlaps are in (M v^2 / k)^(2/5) and times in that over v. It is integrated over s = t^(1/2), in which it is smooth.
+    Overlaps are in (M v^2 / k)^(2/5) and times in that over v; s = t^(1/2) makes the start smooth.
     """
     state, s, turn = (0.0, 1.0), 0.0, 0.0
     step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
