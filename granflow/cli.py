@@ -165,7 +165,7 @@ def collide(options: argparse.Namespace) -> int:
     from granflow.study.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
-    numerics = ("steps_per_contact", "precision", "arch")
+    numerics = ("settings", "steps_per_contact", "precision", "arch")
     numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
     if options.json:
         print(json.dumps(numbers, indent=2))
@@ -349,6 +349,14 @@ def add_collide(verbs: Any) -> None:
     summary = "run one head-on collision and compare it with the closed forms"
     parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--law", default="zhou", help="contact law (zhou)")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="a setting of the law, such as --law thornton --set yield_ratio=2.8; may be repeated",
+    )
     parser.add_argument("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
     parser.add_argument("--diameter", required=True, type=quantity("length"), help="of the sphere, such as 25.4mm")
     parser.add_argument("--velocity", required=True, type=quantity("velocity"), help="of approach, such as 0.5")

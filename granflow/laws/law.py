@@ -64,11 +64,6 @@ def asked_restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, ve
     return pair.restitution_at(velocity)
 
 
-def no_residual(history: np.ndarray) -> float:
-    """Residual overlap of a law that unloads to none."""
-    return 0.0
-
-
 @dataclass(frozen=True)
 class NormalLaw:
     """One normal contact law: what it needs, what it remembers, and its functions.
@@ -115,8 +110,6 @@ class NormalLaw:
     """Restitution that the law promises in a binary collision, at a time step that resolves it."""
     least_restitution: LeastRestitution | None = None
     """For a law that bounds its unloading by the time step."""
-    residual_overlap: Callable[[np.ndarray], float] = no_residual
-    """Overlap [m] at which a contact with this history is free of force after unloading."""
     attraction: Any = None
 
     @property

@@ -188,7 +188,6 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         stable_stiffness=theory.hertz_tangent,
         unresolved_unloading=theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION,
         least_restitution=least_restitution_reached,
-        residual_overlap=lambda history: float(history[0] * (1.0 - history[2])),
     )
 
 

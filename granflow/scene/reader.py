@@ -26,7 +26,13 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     Each override, "key.path=value", replaces or adds a value before the scene is validated; the value is YAML.
     Raises `SceneError` with every problem at once, in the order of the file.
     """
-    document = _document(Path(path))
+    scene = scene_in(_document(Path(path)), overrides)
+    scene._path = Path(path)
+    return scene
+
+
+def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:
+    """Make the scene of a document that is read already. Raises as `load` does."""
     problems = list(document.problems)
     for override in overrides:
         problems += overriding.apply(document, override)
@@ -35,7 +41,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     if scene is None or problems:
         ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
         raise SceneError(str(problem) for problem in ordered)
-    scene._path, scene._document = Path(path), document
+    scene._document = document
     return scene
 
 
