@@ -17,12 +17,12 @@ from granflow.laws.material import PairMaterial
 from granflow.plan import Plan, plan_for
 from granflow.plan.plan import build_law, pair_material
 from granflow.scene import Scene
-from granflow.scene.reader import scene_in
-from granflow.scene.writer import to_yaml
-from granflow.scene.yaml12 import parse
 from granflow.scene.generate import initial_grains
 from granflow.scene.presets import PRESETS
+from granflow.scene.reader import scene_in
 from granflow.scene.suggest import known_or_meant
+from granflow.scene.writer import to_yaml
+from granflow.scene.yaml12 import parse
 
 WALL = "wall"
 HALVINGS = 60
@@ -255,7 +255,7 @@ def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, 
         k3 = slope(state + 0.5 * step * k2)
         state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(state + step * k3))
         time += step
-        _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, *state, memory)
+        _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, state[0], state[1], memory)
         largest, strongest = max(largest, state[0]), max(strongest, force(*state))
     return {"duration_theory": time, "overlap_max_theory": largest, "force_max_theory": strongest}
 
