@@ -197,11 +197,14 @@ def build_contact(state: State, with_wall: bool) -> Any:
             if ti.static("normal" in contacts.history):
                 contacts.history["normal"][slot] = memory
             force = normal_force * normal
+            pressing = normal_force
+            if ti.static(law.attracts):
+                pressing += law.attraction(constants, radius_eff, overlap, memory)
             friction_loss, rolling_loss = 0.0 * dt, 0.0 * dt
             if ti.static(features.rotation):
                 tangential, rolling, friction_loss, rolling_loss = surface(
                     i, j, pose, slot, dt, constants, memory, overlap, normal, middle, across, late_rate, arm,
-                    arm_partner, radius_eff, normal_force
+                    arm_partner, radius_eff, pressing
                 )  # fmt: skip
                 force += tangential
                 moment = normal.cross(tangential)

@@ -106,7 +106,10 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
                     force, _viscous, _m2 = law.force(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
                     normal_out[slot] = force
                     tangential_out[slot] = 0.0
-                    limit_out[slot] = constants[plan.friction_index] * force
+                    pressing = force
+                    if ti.static(law.attracts):
+                        pressing += law.attraction(constants, radius_eff, overlap, memory)
+                    limit_out[slot] = constants[plan.friction_index] * pressing
                     records.foot[slot] = foot_point(i, j)
                     if ti.static("lateral" in contacts.history):
                         slide = contacts.history["lateral"][slot]

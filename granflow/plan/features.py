@@ -14,6 +14,7 @@ class Features:
     rolling: Literal["none", "epsd", "cdt"]
     rotation: bool
     rate_dependent: bool
+    adhesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
     one_material: bool
@@ -40,11 +41,17 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         rolling=rolling,
         rotation=friction or rolling != "none",
         rate_dependent=law_is_damped,
+        adhesion=adhesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
     )
+
+
+def adhesion_of(scene: Scene) -> Literal["none", "sjkr"]:
+    """The adhesion of the scene; none where no pair has a cohesion energy density above 0."""
+    return scene.contact.adhesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
@@ -54,6 +61,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "rolling": _rolling_reason(scene, features),
         "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
         "rate_dependent": _rate_reason(scene, features),
+        "adhesion": _adhesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
@@ -79,6 +87,12 @@ def _rolling_reason(scene: Scene, features: Features) -> str:
     if scene.contact.rolling == "none":
         return f"contact.rolling is none ({scene.where('contact', 'rolling')})"
     return _first_pair(scene, "rolling_friction", features.rolling != "none")
+
+
+def _adhesion_reason(scene: Scene, features: Features) -> str:
+    if scene.contact.adhesion == "none":
+        return "contact.adhesion is none"
+    return _first_pair(scene, "cohesion_energy_density", features.adhesion != "none")
 
 
 def _rate_reason(scene: Scene, features: Features) -> str:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.laws.adhesion import ADHESIONS
 from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import (
     PairMaterial,
@@ -18,7 +19,7 @@ from granflow.laws.material import (
     yield_strength,
 )
 from granflow.plan.approach import fastest_approach
-from granflow.plan.features import Features, Reason, features_of, reasons_for
+from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
@@ -141,6 +142,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     velocity = fastest_approach(scene).value
     law = build_law(scene, velocity)
     features = features_of(scene, law.rate_dependent)
+    table = _pair_table(scene, law, materials)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
@@ -150,7 +152,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         reasons=reasons_for(scene, features),
         law=law,
         materials=materials,
-        pair_constants=_pair_table(scene, law, materials),
+        pair_constants=table,
         particle_capacity=sum(group.count for group in scene.particles.values()),
         radius_min=radius_min,
         radius_max=radius_max,
@@ -167,7 +169,9 @@ def build_law(scene: Scene, velocity: float) -> NormalLaw:
     """The scene's normal law with its settings; `velocity` is the fastest approach expected [m/s]."""
     normal = scene.contact.normal
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
-    return normal.kind.build(Asked(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
+    law = normal.kind.build(Asked(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
+    adhesion = adhesion_of(scene)
+    return law if adhesion == "none" else ADHESIONS[adhesion](law)
 
 
 def solid(scene: Scene, material: str) -> Solid:
@@ -186,8 +190,9 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     else:
         restitution = given
     rolling = pair.rolling_friction or 0.0
+    cohesion = pair.cohesion_energy_density or 0.0
     return PairMaterial(
-        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b)
+        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b), cohesion
     )
 
 
@@ -204,8 +209,21 @@ def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.
         for j, second in enumerate(materials):
             if scene.pair_key(first, second) in scene.pairs:
                 pair = pair_material(scene, first, second)
-                table[i * count + j] = (*law.pair_constants(pair), pair.friction, pair.rolling_friction)
+                table[i * count + j] = (
+                    *_law_constants(scene, law, first, second),
+                    pair.friction,
+                    pair.rolling_friction,
+                )
     return table
+
+
+def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
+    try:
+        return law.pair_constants(pair_material(scene, first, second))
+    except ValueError as error:
+        key = scene.pair_key(first, second)
+        place = scene.place("pairs", key, "restitution")
+        raise SceneError(f"{place}: pairs.{key}.restitution cannot be met: {error}.") from None
 
 
 def meetings_of(scene: Scene) -> list[Meeting]:

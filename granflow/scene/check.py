@@ -114,6 +114,18 @@ def _friction(draft: Draft) -> Iterator[Finding]:
             yield rolling, Fault((), "contact.rolling is none; leave it out, or choose epsd or cdt")
 
 
+def _cohesion(draft: Draft) -> Iterator[Finding]:
+    """A cohesion energy density in every pair where there is adhesion, and only there."""
+    adhesion = draft.scene.contact.adhesion
+    for key, pair in draft.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "cohesion_energy_density")
+        if adhesion == "none" and pair.cohesion_energy_density is not None:
+            yield path, Fault((), "contact.adhesion is none; leave it out, or choose sjkr")
+        if adhesion != "none" and pair.cohesion_energy_density is None:
+            reason = f"is missing: contact.adhesion is {adhesion}; give it in J/m3, 0 for none"
+            yield path, Fault((), reason, whole=True)
+
+
 def _restitution(draft: Draft) -> Iterator[Finding]:
     """A restitution that the normal law can give, or none where it follows from the materials."""
     normal = draft.scene.contact.normal
@@ -255,6 +267,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _pair_names),
     (("particles",), _missing_pairs),
     (("contact",), _friction),
+    (("contact",), _cohesion),
     (("contact",), _restitution),
     (("stages",), _stage_names),
     (("stages", "run"), _duration),

@@ -25,6 +25,7 @@ YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
 
 
@@ -117,6 +118,9 @@ class Pair(Model):
     rolling_friction: FrictionNumber | None = Field(
         None, description="rolling friction coefficient; needed unless contact.rolling is none"
     )
+    cohesion_energy_density: CohesionEnergyDensity | None = Field(
+        None, description="cohesion energy density [J/m3]; needed with contact.adhesion sjkr"
+    )
 
 
 class Contact(Model):
@@ -126,4 +130,7 @@ class Contact(Model):
     tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb cap) or none")
     rolling: Literal["none", "epsd", "cdt"] = Field(
         description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
+    )
+    adhesion: Literal["none", "sjkr"] = Field(
+        "none", description="none or sjkr (cohesion energy density times contact area, while in contact), with any law"
     )
