@@ -1,12 +1,13 @@
 """The laws of the catalogue with their settings, and walks of many contacts along given overlaps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import taichi as ti
 
+from granflow.laws.adhesion import with_sjkr
 from granflow.laws.catalogue import NORMAL_LAWS
 from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import PairMaterial, VelocityRestitution
@@ -39,6 +40,8 @@ RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
 """A soft centimetre sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
 YIELD_STRENGTH = 1e6
 """With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometres."""
+COHESION = 5e4
+"""A pull of 3.1 kN/m times the overlap, less than a sixth of the spring of 20 kN/m."""
 ANGLE = 0.5
 
 
@@ -57,7 +60,10 @@ def nothing(units):
 def pair_of(restitution, units):
     yield_strength = YIELD_STRENGTH * units.pascal if restitution is nothing else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
-    return PairMaterial(*elastic, restitution(units), 0.0, yield_strength=yield_strength)
+    cohesion = COHESION * units.pascal
+    return PairMaterial(
+        *elastic, restitution(units), 0.0, yield_strength=yield_strength, cohesion_energy_density=cohesion
+    )
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,8 @@ class Case:
     restitution: Callable[[Units], float | VelocityRestitution | None]
     plastic: bool = False
     """Whether unloading differs from loading."""
+    adhesive: bool = False
+    """Whether an attraction was added, which the law's own closed forms do not know."""
 
     def __str__(self) -> str:
         return self.name
@@ -129,11 +137,16 @@ def case(name, law, restitution, settings=lambda units: {}, **marks):
     return Case(name, asked(law, restitution, settings), restitution, **marks)
 
 
+def adhesive(plain):
+    """The same law with adhesion."""
+    return replace(plain, name=f"sjkr_{plain.name}", build=lambda units: with_sjkr(plain.build(units)), adhesive=True)
+
+
 def zhou(source, damping_ratio=0.0):
     return lambda units: {"restitution": source, "damping_ratio": damping_ratio}
 
 
-CASES = (
+PLAIN = (
     case("zhou_onset", "zhou", fit, zhou("onset"), plastic=True),
     case("zhou_peak", "zhou", fit, zhou("peak"), plastic=True),
     case("zhou_constant", "zhou", number(0.6), plastic=True),
@@ -160,6 +173,8 @@ CASES = (
     case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
     case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
+STICKY = ("zhou_onset", "hertz_elastic", "linear_number", "thornton", "walton_braun_number", "luding_tension")
+CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*STICKY, "kuwabara_kono")))
 
 
 @dataclass(frozen=True)
