@@ -15,12 +15,9 @@ from benchmark.process import Finished, run
 
 BENCH = Path(__file__).resolve().parent.parent / "bench.py"
 MPI = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-SKINS = {
-    ("granflow", "bed"): 0.2e-3, ("liggghts", "bed"): 0.5e-3, ("lammps", "bed"): 0.5e-3, ("yade", "bed"): 0.25e-3,
-    ("granflow", "hopper"): 0.5e-3, ("liggghts", "hopper"): 0.5e-3, ("lammps", "hopper"): 0.5e-3,
-    ("yade", "hopper"): 0.25e-3,
-}  # fmt: skip
-"""Neighbour skin [m] with which each code is fastest."""
+SKINS = {"bed": {"granflow": 0.2e-3, "liggghts": 0.2e-3, "lammps": 0.2e-3, "yade": 0.25e-3}, "hopper": {}}
+FLOWING_SKIN = 0.5e-3
+"""Neighbour skins [m]: for beds those with which each code was fastest at 50 000 spheres, else FLOWING_SKIN."""
 SLOW = {"yade"}
 LARGEST = {"yade": 200_000}
 """Spheres up to which a code is run: beyond, setting up alone takes minutes."""
@@ -56,7 +53,7 @@ def job_for(
     code: str, law: str, case: Case, threads: int, precision: str, skins: dict[str, float], scale: float
 ) -> Job:  # fmt: skip
     """A job with the skin and the steps that suit the code."""
-    skin = skins.get(code, SKINS[code, case.kind])
+    skin = skins.get(code, SKINS[case.kind].get(code, FLOWING_SKIN))
     return Job(code, law, case, threads, precision, skin, steps_for(case, code in SLOW, scale))
 
 

@@ -59,7 +59,7 @@ def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
     x, y = case.sides
     same = {
         "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
-        "sizes": f"{{distribution: uniform, min: {low}, max: {high}}}", "precision": precision, "skin": skin,
+        "sizes": f"{{distribution: uniform, min: {low}, max: {high}}}" if low < high else low, "precision": precision, "skin": skin,
         "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
     }  # fmt: skip
     if case.kind == "bed":
