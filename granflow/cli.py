@@ -1,4 +1,4 @@
-"""The command line: `granflow run | check | explain | schema | collide | restitution | fit`.
+"""The command line: `granflow run | check | explain | schema | collide | restitution | fit | paper`.
 
 Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
 """
@@ -202,6 +202,15 @@ def fit(options: argparse.Namespace) -> int:
     return 0
 
 
+def paper(options: argparse.Namespace) -> int:
+    """`granflow paper`: the figures and tables of Zhou (2011) from simulated collisions, and all laws compared."""
+    from granflow.study.paper import write_paper
+
+    page = write_paper(options.out, lambda words: print(f"{words} ...", flush=True))
+    print(f"Open {page} in a browser; the figures lie beside it as PNG and CSV.")
+    return 0
+
+
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
     """Write the files of a study; without matplotlib those that need none, and say so."""
     try:
@@ -299,6 +308,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)
+    add_paper(verbs)
     return parser
 
 
@@ -392,6 +402,14 @@ def add_fit(verbs: Any) -> None:
     parser.add_argument("--material2", metavar="PRESET", help="of the partner, with --material (the same)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the data's name)")
     parser.set_defaults(verb=fit)
+
+
+def add_paper(verbs: Any) -> None:
+    """`granflow paper` and its arguments."""
+    summary = "reproduce the figures and tables of Zhou (2011), and compare all laws, on one page"
+    parser = verbs.add_parser("paper", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out/paper"), help="where it goes (out/paper)")
+    parser.set_defaults(verb=paper)
 
 
 def quantity(dimension: str) -> Callable[[str], float]:

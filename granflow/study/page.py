@@ -126,7 +126,7 @@ def _table(table: Table) -> str:
 
 
 def _cell(tag: str, text: str, is_words: bool) -> str:
-    return f'<{tag}{" class=words" if is_words else ""}>{escape(text)}</{tag}>'
+    return f"<{tag}{' class=words' if is_words else ''}>{escape(text)}</{tag}>"
 
 
 def _is_figure(text: str) -> bool:

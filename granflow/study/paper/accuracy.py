@@ -60,7 +60,8 @@ def accuracy_plate(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Plat
     caption = (
         "Largest deviation of (a) the restitution and (b) the duration reached by simulated collisions from those "
         f"asked, over {PHASES} phases of first touch within a step, by the number of steps a collision takes. Dotted: "
-        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps."
+        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. Steps bound the unloading tangent: few of them "
+        "cannot carry a small restitution at all (50 steps, e = 0.05)."
     )
     return Plate("accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0)
 

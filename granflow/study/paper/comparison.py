@@ -55,7 +55,9 @@ class Contender:
         elif self.restitutions[0] is not None:
             said.append("Eq. 12 with the paper's sigma and psi")
         if any(self.yield_strengths):
-            said.append("yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa")
+            said.append(
+                "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
+            )
         return "; ".join(said)
 
 
@@ -181,7 +183,7 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
             mine = (columns["law"] == law) & (columns["material"] == case.name)
             look = {
                 "color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": law,
-                "markersize": 3.5, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
+                "markersize": 6.0 - 0.5 * number, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
             }  # fmt: skip
             velocity = columns["velocity"][mine]
             panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **look)
@@ -192,6 +194,9 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
         panels[0, column].set(xscale="log", title=f"({letter}) {case.title}")
         panels[1, column].set(xlabel="approach velocity (m/s)", yscale="log")
     panels[0, 0].set_ylabel("restitution coefficient $e$")
-    panels[0, 0].set_ylim(0.0, 1.04)
+    panels[0, 0].set_ylim(top=1.02)
     panels[1, 0].set_ylabel(r"collision duration $T$ (µs)")
-    panels[0, 1].legend(loc="lower left", ncols=2)
+    panels[1, 0].set_yticks([50, 100, 200], ["50", "100", "200"])
+    panels[1, 0].set_yticks([40, 60, 70, 80, 90], [], minor=True)
+    handles, names = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=4)

@@ -17,6 +17,7 @@ from granflow.study.paper.comparison import Contender
 
 SIDE = 16
 """Grains along an edge of the lattice that is timed."""
+CONTACTS = 3 * SIDE**2 * (SIDE - 1)
 REPEATS = 15
 STEPS = 60
 """Of each timing."""
@@ -46,13 +47,12 @@ def costs(contenders: Mapping[str, Contender], backend: Backend, repeats: int = 
     for _ in range(repeats):
         for name, engine in engines.items():
             times[name] = np.append(times[name], _timed(engine))
-    contacts = 3 * SIDE**2 * (SIDE - 1)
     for engine in engines.values():
         engine.free()
     found = {}
     for name, seconds in times.items():
         low, median, high = np.percentile(seconds / times[BASE], (25, 50, 75))
-        found[name] = Cost(median, low, high, 1e9 * float(np.median(seconds)) / (STEPS * contacts))
+        found[name] = Cost(median, low, high, 1e9 * float(np.median(seconds)) / (STEPS * CONTACTS))
     return found
 
 

@@ -43,7 +43,7 @@ def residual_plate(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> Plate:
         return lambda index: f"e = {e[chosen][index]:.3g}"
 
     deviations = (
-        relative_deviation("the recovered share 1 − x from Eq. 8", 1.0 - simulated, 1.0 - exact, at(plain)),
+        relative_deviation("x from Eq. 8, in shares of δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)),
         relative_deviation("T from Eq. 13", outcomes.duration, whole, at(plain), TARGET_DURATION),
         relative_deviation(
             f"the e reached from that asked, from e = {RESOLVED:g} on",
@@ -89,11 +89,9 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     axes = figure.subplots()
     axes.plot(e, 1.0 - theory.recovery(e), color=COLORS[0], label="exact (Eq. 8)")
     axes.plot(e, theory.residual_closed_form(e), "--", color=COLORS[1], label="closed form (Eq. 9)")
-    axes.plot(
-        columns["restitution"], columns["residual_simulated"], "o", color=COLORS[6], label="simulated", **POINTS
-    )
-    axes.set(xlabel="restitution coefficient $e$", ylabel=r"residual overlap $\delta^*/\delta_{\max}$")
-    axes.set(xlim=(0, 1), ylim=(0, 1.02))
+    axes.plot(columns["restitution"], columns["residual_simulated"], "o", color=COLORS[6], label="simulated", **POINTS)
+    axes.set(xlabel="restitution coefficient $e$", ylabel=r"residual overlap $x = \delta^{*}\!/\delta_{\max}$")
+    axes.set(xlim=(0, 1.01), ylim=(-0.01, 1.02))
     axes.legend(loc="lower left")
 
 

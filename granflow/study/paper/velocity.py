@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from granflow.device.backend import Backend
-from granflow.laws import theory
 from granflow.study.figures import COLORS, MARKERS, POINTS
 from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, Case, small_soft_case
 from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Deviation, Plate, relative_deviation
+from granflow.study.paper.plate import Deviation, Plate, percent, relative_deviation
 from granflow.study.paper.residual import TARGET_DURATION, TARGET_RESTITUTION
 from granflow.study.paper.thornton import thornton_restitution
 
@@ -80,7 +79,7 @@ def _compared(columns: Columns, quantity: str, words: str, target: float | None 
 
 def _steps(columns: Columns) -> str:
     steps = columns["steps_per_contact"]
-    return f"One time step for all: {steps.min():.0f} steps per contact for the shortest, {steps.max():.0f} for the longest"
+    return f"One time step for all: {steps.min():.0f} to {steps.max():.0f} steps per contact"
 
 
 def restitution_plate(columns: Columns) -> Plate:
@@ -137,6 +136,8 @@ def draw_duration(figure: Any, columns: Columns) -> None:
     axes.plot([], [], color="0.3", label="Eqs. 13$-$16")
     axes.plot([], [], ":", color="0.3", linewidth=0.9, label="elastic Hertz contact")
     axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", ylabel=r"collision duration $T$ (µs)")
+    axes.set_yticks([20, 50, 100, 200], ["20", "50", "100", "200"])
+    axes.set_yticks([30, 40, 60, 70, 80, 90], [], minor=True)
     axes.legend(loc="lower left")
 
 
@@ -158,11 +159,13 @@ def spring_plate(columns: Columns, estimate: Outcomes, velocities: np.ndarray = 
         "spring_theory": np.concatenate([columns["spring_theory"], springs]),
         "spring_simulated": np.concatenate([columns["spring_simulated"], spring_of(estimate)]),
     }
+    first, second = (each.springs(np.ones(1))[0] for each in PAPER_CASES)
     caption = (
         "Linear spring that stores the energy of the Hertz contact at the same largest overlap, Eq. 19 (lines) and "
         "twice the work done on the simulated contact over the square of its largest overlap (points): (a) the two "
-        "steels, (b) the paper's estimate for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, here two equal spheres with a Poisson "
-        f"ratio of 0.3: {springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in the paper (dashed)."
+        f"steels, which differ by only {percent(abs(second / first - 1.0))}, (b) the paper's estimate for R = 1e-4 m, "
+        "E = 1e8 Pa, 1e3 kg/m³, here two equal spheres with a Poisson ratio of 0.3: "
+        f"{springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in the paper (dashed)."
     )
     deviations = (
         _compared(columns, "spring", "the spring of the steels from Eq. 19"),
@@ -182,15 +185,11 @@ def draw_spring(figure: Any, columns: Columns) -> None:
         v = columns["velocity"][mine]
         fine = np.geomspace(v.min(), v.max(), 100)
         axes.plot(fine, case.springs(fine), color=color)
-        axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **POINTS)
+        size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the steels lie on one another
+        axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **size)
     right.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
     right.set_ylim(1e2, 1e4)
     for axes, title in ((left, "(a) spheres of 25.4 mm"), (right, "(b) the paper's estimate")):
         axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", title=title)
         axes.legend(loc="upper left")
     left.set_ylabel(r"equivalent spring $\alpha$ (N/m)")
-
-
-def duration_in_scales(e: float) -> float:
-    """T/Ts of Eq. 13."""
-    return theory.LOADING_DURATION + theory.unloading_duration(e)
