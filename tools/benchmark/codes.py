@@ -17,7 +17,11 @@ BENCH = Path(__file__).resolve().parent.parent / "bench.py"
 MPI = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
 SKINS = {"bed": {"granflow": 0.2e-3, "liggghts": 0.2e-3, "lammps": 0.2e-3, "yade": 0.25e-3}, "hopper": {}}
 FLOWING_SKIN = 0.5e-3
-"""Neighbour skins [m]: for beds those with which each code was fastest at 50 000 spheres, else FLOWING_SKIN."""
+"""Neighbour skins [m], FLOWING_SKIN where none is named.
+
+Those of LIGGGHTS and LAMMPS were the best of 0.1 to 0.7 mm in one scan of the 50 000 bed on a busy machine; granflow's,
+YADE's and the hopper's have not been scanned on a quiet one. `--skin` tries others.
+"""
 SLOW = {"yade"}
 LARGEST = {"yade": 200_000}
 """Spheres up to which a code is run: beyond, setting up alone takes minutes."""

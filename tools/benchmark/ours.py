@@ -56,10 +56,11 @@ NORMAL = {
 def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
     """The case as a scene; the group stands for number and sizes, the grains come in as arrays."""
     low, high = float(case.diameter.min()), float(case.diameter.max())
+    sizes = f"{{distribution: uniform, min: {low}, max: {high}}}" if low < high else low
     x, y = case.sides
     same = {
         "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
-        "sizes": f"{{distribution: uniform, min: {low}, max: {high}}}" if low < high else low, "precision": precision, "skin": skin,
+        "sizes": sizes, "precision": precision, "skin": skin,
         "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
     }  # fmt: skip
     if case.kind == "bed":

@@ -7,7 +7,7 @@ from typing import Any
 
 COLUMNS = (
     "case", "threads", "code", "M particle-steps/s", "granflow / code", "memory [MB]", "bytes/sphere", "start [s]",
-    "contacts/sphere", "rebuilds/1000 steps", "mass flow [kg/s]",
+    "contacts/sphere", "rebuilds/1000 steps", "skin [mm]", "mass flow [kg/s]",
 )  # fmt: skip
 
 
@@ -85,7 +85,8 @@ def rows(result: dict[str, Any]) -> Iterator[list[str]]:
             group.case, str(group.threads), group.label, rates.text(), compared.text() if compared else "",
             _number(group, "memory", lambda value: f"{value / 1e6:.0f}"), fields,
             _number(group, "start", "{:.1f}".format), _number(group, "contacts", "{:.2f}".format),
-            _number(group, "rebuilds", "{:.1f}".format), _number(group, "mass_flow", "{:.3f}".format),
+            _number(group, "rebuilds", "{:.1f}".format),
+            _number(group, "skin", lambda value: f"{1e3 * value:g}"), _number(group, "mass_flow", "{:.3f}".format),
         ]  # fmt: skip
 
 
