@@ -39,7 +39,7 @@ def known_laws() -> str:
 def _model(kind: LawKind) -> type[LawSettings]:
     fields: dict[str, Any] = {"law": (Literal[kind.name], Field(description="name of the normal law"))}
     for key, setting in kind.settings.items():
-        fields[key] = (_annotation(setting), _field(setting))
+        fields[key] = (_annotation(setting, f"{kind.name}_{key}"), _field(setting))
     return create_model(f"{_camel(kind.name)}Normal", __base__=LawSettings, __doc__=kind.summary, **fields)
 
 
@@ -49,22 +49,23 @@ def _field(setting: Setting) -> Any:
     return Field(setting.default, description=setting.description)
 
 
-def _annotation(setting: Setting) -> Any:
+def _annotation(setting: Setting, name: str) -> Any:
+    """The type of a setting; `name` is unique to it and begins the names of models within it."""
     if isinstance(setting, Amount):
         bounds = (setting.above, setting.at_least, setting.at_most)
         return Annotated[float, Number(setting.dimension, setting.noun, *bounds)]
     if not setting.keyed:
         return Literal[setting.words]
-    models = {key: _keyed(key, amount) for key, amount in setting.keyed.items()}
+    models = {key: _keyed(key, amount, f"{name}_{key}") for key, amount in setting.keyed.items()}
     members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in setting.words]
     members += [Annotated[model, Tag(f"<{key}>")] for key, model in models.items()]
     by = chosen(_tagger(setting.words, models), f"it must be {_either(setting)}")
     return Annotated[Union[tuple(members)], by]  # noqa: UP007
 
 
-def _keyed(key: str, amount: Amount) -> type[Model]:
-    fields: dict[str, Any] = {key: (_annotation(amount), _field(amount))}
-    return create_model(_camel(key), __base__=Model, __doc__=amount.description, **fields)
+def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
+    fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
+    return create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
 
 
 def _either(setting: Choice) -> str:
