@@ -1,4 +1,4 @@
-"""What the paper's figures are made for: two equal spheres of one material, with the closed forms of their collision."""
+"""What the paper's figures are made for: two equal spheres of one material, with the closed forms of a collision."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -82,7 +82,7 @@ PAPER_CASES = (
 
 
 def small_soft_case(poisson_ratio: float = 0.3) -> Case:
-    """Spheres of the paper's estimate below Eq. 19: radius 1e-4 m, E = 1e8 Pa, density 1e3 kg/m3 (Poisson's ratio ours)."""
+    """Spheres of the paper's estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the Poisson ratio is ours."""
     solid = Solid(1e8, poisson_ratio, 1e3)
     material = {"young_modulus": 1e8, "poisson_ratio": poisson_ratio, "density": 1e3}
     return Case("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)

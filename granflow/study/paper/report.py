@@ -30,10 +30,10 @@ TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
 """Restitutions of the table of the model's numbers."""
 
 LEAD = (
-    "Figures and tables of Y. H. Zhou, A theoretical model of collision between soft-spheres with Hertz elastic loading "
-    "and nonlinear plastic unloading, Theor. Appl. Mech. Lett. 1, 041006 (2011), doi 10.1063/2.1104106, reproduced "
-    "with the many-particle kernels: every point is a collision of two of many spheres in one scene. Under each figure "
-    "stands the largest deviation between simulation and theory."
+    "Figures and tables of Y. H. Zhou, A theoretical model of collision between soft-spheres with Hertz elastic "
+    "loading and nonlinear plastic unloading, Theor. Appl. Mech. Lett. 1, 041006 (2011), doi 10.1063/2.1104106, "
+    "reproduced with the many-particle kernels: every point is a collision of two of many spheres in one scene. Under each "
+    "figure stands the largest deviation between simulation and theory."
 )
 
 
@@ -146,23 +146,23 @@ def _laws_section(plate: Plate, comparison: Comparison, spent: dict[str, Cost], 
     heads = ("law", "source", "history numbers", "cost", "given here", "what goes wrong")
     caption = (
         f"The laws of the figure. Cost: time of a step on a compressed lattice of {SIDE**3} grains and "
-        f"{CONTACTS} contacts over that with {BASE}, median and quartiles of {REPEATS} rounds in which all laws take their turn "
-        f"in one process; {spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE}, neighbours' loop and motion "
+        f"{CONTACTS} contacts over that with {BASE}, median and quartiles of {REPEATS} rounds in which all laws "
+        f"take their turn in one process; {spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE}, motion "
         "included, on the machine that wrote this page. Other work on that machine shows as spread."
     )
     intro = (
-        "What Stevens and Hrenya (2005) did for the laws of their day, open and repeatable: each law gets the one number "
-        f"that decides its restitution such that it promises Eq. 12 at {REFERENCE_VELOCITY:g} m/s, and linear springs the "
-        "stiffness of Eq. 19 there. Where the curves part, the law and not the match speaks."
+        "What Stevens and Hrenya (2005) did for the laws of their day, open and repeatable: the one number of each law "
+        f"that decides its restitution is such that it promises Eq. 12 at {REFERENCE_VELOCITY:g} m/s; linear springs "
+        "have the stiffness of Eq. 19 there. Where the curves part, the law and not the match speaks."
     )
     return Section(plate.title, [intro, *_shown(plate, out), Table(caption, heads, rows)])
 
 
 def _numerics_section(backend: Backend) -> Section:
     words = (
-        f"Double precision on {backend.arch}. Pairs stand far apart in one scene and touch first at times spread evenly "
-        "over the phases of a step. A collision begins at first touch, known from the gap, and ends where the force, "
-        "continued from its last three values as a t + b t^1.5, vanishes inside a step; the restitution is the rate of "
+        f"Double precision on {backend.arch}. Pairs stand far apart in one scene and first touch at times spread "
+        "evenly over the phases of a step. A collision begins at first touch, known from the gap, and ends where the "
+        "force, continued from its last three values as a t + b t^1.5, vanishes inside a step; the restitution is the rate of "
         "parting after it over that of approach. In Fig. 1, the loops and the figure of accuracy the diameters are "
         f"chosen such that every collision takes the same number of steps, {STEPS_PER_CONTACT} unless said otherwise."
     )
