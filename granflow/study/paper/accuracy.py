@@ -22,8 +22,7 @@ PHASES = 8
 
 def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
     """All restitutions, steps and phases in one scene: outcomes, restitution (n,) and steps per contact (n,)."""
-    steps, e = (each.ravel() for each in np.meshgrid(STEPS, RESTITUTIONS))
-    e, steps = np.repeat(e, PHASES), np.repeat(steps, PHASES)
+    steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, RESTITUTIONS))
     time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
     pairs = [
         CASE.encounter(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
@@ -60,8 +59,8 @@ def accuracy_plate(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Plat
     caption = (
         "Largest deviation of (a) the restitution and (b) the duration reached by simulated collisions from those "
         f"asked, over {PHASES} phases of first touch within a step, by the number of steps a collision takes. Dotted: "
-        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. Steps bound the unloading tangent: few of them "
-        "cannot carry a small restitution at all (50 steps, e = 0.05)."
+        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. With 50 steps the bound "
+        "on the unloading tangent keeps e = 0.05 out of reach."
     )
     return Plate("accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0)
 

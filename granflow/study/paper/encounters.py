@@ -72,11 +72,11 @@ def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, 
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     overlap, rate, force = _watch(Engine(plan, backend), plan, place)
     velocity = np.array([each.velocity for each in encounters])
-    found = [
-        _measured(*columns, time_step)
-        for columns in zip(overlap.T, rate.T, force.T, velocity, touches, strict=True)
-    ]  # fmt: skip
-    return Outcomes(*np.array(found).T, time_step=time_step, overlap=overlap, force=force)
+    courses = zip(overlap.T, rate.T, force.T, velocity, touches, strict=True)
+    columns = np.array([_measured(*course, time_step) for course in courses]).T
+    names = ("restitution", "duration", "overlap_max", "overlap_residual", "force_max", "stored_energy")
+    reached = dict(zip(names, columns, strict=True))
+    return Outcomes(**reached, time_step=time_step, overlap=overlap, force=force)
 
 
 def _scene_of(

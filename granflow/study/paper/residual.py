@@ -97,10 +97,10 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
 
 def error_plate(e: np.ndarray | None = None) -> Plate:
     """Fig. 2: the relative error of Eq. 9; no collision is involved."""
-    e = np.linspace(0.0, 0.999, 1000) if e is None else e
+    e = np.linspace(0.0, 0.9999, 1000) if e is None else e
     exact = 1.0 - theory.recovery(e)
     closed = theory.residual_closed_form(e)
-    worst = relative_deviation("x by Eq. 9 from the exact root", closed, exact, lambda index: f"e = {e[index]:.3g}")
+    worst = relative_deviation("x by Eq. 9 from the exact root", closed, exact, lambda index: f"e = {e[index]:.4g}")
     columns = {"restitution": e, "error": closed / exact - 1.0}
     caption = "Relative error of the paper's closed form, Eq. 9, against the exact root of Eq. 8."
     return Plate("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)

@@ -87,7 +87,7 @@ def restitution_plate(columns: Columns) -> Plate:
     caption = (
         "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated collisions "
         "(points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 m/s (dashed). "
-        f"{_steps(columns)}. No measured points are drawn: none are at hand in the open."
+        f"{_steps(columns)}. Measured points are left out: their numbers are not at hand."
     )
     names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
     deviation = _compared(columns, "restitution", "the e reached from Eq. 12", TARGET_RESTITUTION)
