@@ -69,8 +69,8 @@ def steps_for(case: Case, slow: bool, scale: float) -> Steps:
     The hopper has a fixed span of simulated time, so that the mass that ran out can be compared.
     """
     if case.kind == "hopper":
-        return Steps(200, 300) if slow else Steps(max(int(2000 * scale), 1), max(int(2000 * scale), 1))
-    work = 2e7 * scale * (0.1 if slow else 1.0)
+        return Steps(80, 120) if slow else Steps(max(int(1500 * scale), 1), max(int(1500 * scale), 1))
+    work = 1.5e7 * scale * (0.1 if slow else 1.0)
     window = min(max(int(work / case.count), 20), 10_000)
     return Steps(max(window // 2, 10), window)
 
