@@ -65,7 +65,7 @@ def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, 
     """Run all encounters in one scene with the many-particle kernels.
 
     `normal` is the scene's `contact.normal`. First touches fall evenly on all phases of a step. Raises SceneError
-    where the law or the step cannot serve them, GranflowError where hundreds are over and some never begin.
+    where the law or the step cannot serve them, GranflowError where some never touch.
     """
     touches = time_step * (GOLDEN * np.arange(len(encounters)) % 1.0)
     scene, place = _scene_of(normal, encounters, touches, time_step, backend.precision)
