@@ -156,11 +156,11 @@ def comparison_plate(comparison: Comparison, velocities: np.ndarray = VELOCITIES
             given = case.fit if isinstance(one.restitutions[number], dict) else one.restitutions[number]
             pair = pair_of(case, given, one.yield_strengths[number])
             promise += [promised(one.law, case, pair, float(v)) for v in velocities]
-        materials = np.repeat([case.name for case in PAPER_CASES], count)
+        materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
         speeds = np.tile(velocities, len(PAPER_CASES))
         laws = np.repeat(name, len(speeds))
         rows.append((laws, materials, speeds, np.array(promise), outcomes.restitution, outcomes.duration))
-        where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, materials, strict=True)]
+        where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
         words = f"the e reached under {name} from what the law promises"
         deviations.append(relative_deviation(words, outcomes.restitution, np.array(promise), where.__getitem__))
     names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")

@@ -156,10 +156,10 @@ def _cost_table(plate: Plate, comparison: Comparison, spent: dict[str, Cost]) ->
         spread = "" if name == BASE else f"{cost.low:.2f}–{cost.high:.2f}"
         history = str(one.law.history_count)
         rows.append((name, history, f"{cost.median:.2f}", spread, percent(deviation.largest), one.words()))
-    heads = ("law", "history numbers", "cost", "quartiles", "e off its promise", "given here (316 and 52100)")
+    heads = ("law", "history numbers", "cost", "quartiles", "e off its promise", "given here, SI (316 and 52100)")
     caption = (
         f"Cost: time of a step on a compressed lattice of {SIDE**3} grains with {CONTACTS} contacts over that with "
-        f"{BASE}, in {REPEATS} rounds in which all laws take their turn in one process, motion included; "
+        f"{BASE} and its damping, in {REPEATS} rounds in which all laws take their turn in one process, motion included; "
         f"{spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the machine that wrote this page. Other "
         "work on that machine shows as spread."
     )
