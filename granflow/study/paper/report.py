@@ -159,9 +159,9 @@ def _cost_table(plate: Plate, comparison: Comparison, spent: dict[str, Cost]) ->
     heads = ("law", "history numbers", "cost", "quartiles", "e off its promise", "given here, SI (316 and 52100)")
     caption = (
         f"Cost: time of a step on a compressed lattice of {SIDE**3} grains with {CONTACTS} contacts over that with "
-        f"{BASE} and its damping, in {REPEATS} rounds in which all laws take their turn in one process, motion included; "
-        f"{spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the machine that wrote this page. Other "
-        "work on that machine shows as spread."
+        f"{BASE} and its damping, in {REPEATS} rounds in which all laws take their turn in one process, motion "
+        f"included; {spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the writing machine. "
+        "Other work on that machine shows as spread."
     )
     return Table(caption, heads, rows)
 
