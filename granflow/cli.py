@@ -181,8 +181,8 @@ def restitution(options: argparse.Namespace) -> int:
     scene = load(options)
     found, step = measure(scene, options.arch)
     heads = ("pair of materials", "velocity m/s", "asked", "reached", "difference %")
-    title = f"{scene.title}: restitution with steps of {step:.4g} s in {scene.run.precision} (* above 1 %)"
-    show_table(title, heads, restitution_rows(found))
+    show_table(scene.title, heads, restitution_rows(found))
+    print(f"With steps of {step:.4g} s in {scene.run.precision}; * differs by more than 1 %.")
     write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
     return 0
 

@@ -160,7 +160,7 @@ def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities
         "gravity": [0, 0, 0],
         "materials": {name: scene.materials[name] for name in used},
         "pairs": {key: pair.model_copy(update=frictionless) for key, pair in met.items()},
-        "contact": {"normal": scene.contact.normal, "tangential": "none", "rolling": "none"},
+        "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
         "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
         "run": {"duration": 1.0, "time_step": plan.time_step, "velocity_max": plan.velocity_max,
                 "precision": scene.run.precision},
