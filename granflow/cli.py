@@ -1,4 +1,4 @@
-"""The command line: `granflow run | check | explain | schema | collide | restitution | fit | paper`.
+"""The command line: `granflow run | check | explain | schema | collide | restitution | fit | paper | cache`.
 
 Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
 """
@@ -211,6 +211,17 @@ def paper(options: argparse.Namespace) -> int:
     return 0
 
 
+def cache(options: argparse.Namespace) -> int:
+    """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
+    from granflow.device.cache import VARIABLE, cache_folder, clear, contents
+
+    held = clear() if options.clear else contents()
+    done = "deleted" if options.clear else "kept"
+    print(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    print(f"{VARIABLE} names another folder.")
+    return 0
+
+
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
     """Write the files of a study; without matplotlib those that need none, and say so."""
     try:
@@ -309,6 +320,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_restitution(verbs)
     add_fit(verbs)
     add_paper(verbs)
+    add_cache(verbs)
     return parser
 
 
@@ -410,6 +422,14 @@ def add_paper(verbs: Any) -> None:
     parser = verbs.add_parser("paper", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out/paper"), help="where it goes (out/paper)")
     parser.set_defaults(verb=paper)
+
+
+def add_cache(verbs: Any) -> None:
+    """`granflow cache` and its argument."""
+    summary = "show where compiled kernels are kept between runs"
+    parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--clear", action="store_true", help="delete them; the next run compiles anew")
+    parser.set_defaults(verb=cache)
 
 
 def quantity(dimension: str) -> Callable[[str], float]:
