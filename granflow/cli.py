@@ -1,4 +1,4 @@
-"""The command line: `granflow run | check | explain | schema | collide`.
+"""The command line: `granflow run | check | explain | schema | collide | restitution | fit | paper | cache`.
 
 Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
 """
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import FileError, GranflowError
 
 if TYPE_CHECKING:
     from granflow.observe import Result
@@ -64,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def refuse(error: GranflowError) -> int:
-    """Show an error of ours without a traceback and give its exit code; problems of a scene are counted."""
-    problems = error.problems if isinstance(error, SceneError) else ()
+    """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
+    problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return complain(str(error), error.exit_code)
     for problem in problems:
@@ -114,10 +114,11 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or Path("out") / scene.path.stem
     make_room(out, options.force)
     from granflow.simulation import Simulation
+    from granflow.study.restitution import warnings as restitution_warnings
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn(simulation.plan.step.warnings)
+        warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
         try:
             result = simulation.run(until=options.until)
         except KeyboardInterrupt as stop:
@@ -164,13 +165,70 @@ def collide(options: argparse.Namespace) -> int:
     from granflow.study.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
-    numerics = ("steps_per_contact", "precision", "arch")
+    numerics = ("settings", "steps_per_contact", "precision", "arch")
     numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
     if options.json:
         print(json.dumps(numbers, indent=2))
     else:
         show_comparison(numbers)
     return 0
+
+
+def restitution(options: argparse.Namespace) -> int:
+    """`granflow restitution`: what every pair of materials is asked and reaches at the scene's own time step."""
+    from granflow.study.restitution import measure, restitution_rows, write_restitution
+
+    scene = load(options)
+    found, step = measure(scene, options.arch)
+    heads = ("pair of materials", "velocity m/s", "asked", "reached", "difference %")
+    show_table(scene.title, heads, restitution_rows(found))
+    print(f"With steps of {step:.4g} s in {scene.run.precision}; * differs by more than 1 %.")
+    write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
+    return 0
+
+
+def fit(options: argparse.Namespace) -> int:
+    """`granflow fit`: sigma and psi of Eq. 12 from measured velocities and restitutions."""
+    from granflow.study.fit import fit as fitted
+    from granflow.study.fit import fit_rows, limit_from_materials, write_fit
+    from granflow.study.measurements import read_measurements
+
+    data = read_measurements(options.data)
+    limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
+    found = fitted(data, limit)
+    show_table(f"Eq. 12 fitted to {len(data)} rows of {options.data}", ("", "value", "error", "unit"), fit_rows(found))
+    print(f"For a pair in a scene:\n  {found.snippet()}")
+    write_study(options.out or Path("out") / options.data.stem, write_fit, data, found)
+    return 0
+
+
+def paper(options: argparse.Namespace) -> int:
+    """`granflow paper`: the figures and tables of Zhou (2011) from simulated collisions, and all laws compared."""
+    from granflow.study.paper import write_paper
+
+    page = write_paper(options.out, lambda words: print(f"{words} ...", flush=True))
+    print(f"Open {page} in a browser; the figures lie beside it as PNG and CSV.")
+    return 0
+
+
+def cache(options: argparse.Namespace) -> int:
+    """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
+    from granflow.device.cache import VARIABLE, cache_folder, clear, contents
+
+    held = clear() if options.clear else contents()
+    done = "deleted" if options.clear else "kept"
+    print(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    print(f"{VARIABLE} names another folder.")
+    return 0
+
+
+def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
+    """Write the files of a study; without matplotlib those that need none, and say so."""
+    try:
+        write(out, *numbers)
+    except GranflowError as error:
+        print(error)
+    print(f"Written to {out}")
 
 
 def load(options: argparse.Namespace) -> "Scene":
@@ -259,6 +317,10 @@ def build_parser() -> argparse.ArgumentParser:
     add_machine(explained)
     verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
     add_collide(verbs)
+    add_restitution(verbs)
+    add_fit(verbs)
+    add_paper(verbs)
+    add_cache(verbs)
     return parser
 
 
@@ -309,6 +371,14 @@ def add_collide(verbs: Any) -> None:
     summary = "run one head-on collision and compare it with the closed forms"
     parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--law", default="zhou", help="contact law (zhou)")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="a setting of the law, such as --law thornton --set yield_ratio=2.8; may be repeated",
+    )
     parser.add_argument("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
     parser.add_argument("--diameter", required=True, type=quantity("length"), help="of the sphere, such as 25.4mm")
     parser.add_argument("--velocity", required=True, type=quantity("velocity"), help="of approach, such as 0.5")
@@ -321,6 +391,45 @@ def add_collide(verbs: Any) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON in SI units")
     add_machine(parser)
     parser.set_defaults(verb=collide)
+
+
+def add_restitution(verbs: Any) -> None:
+    """`granflow restitution` and its arguments."""
+    parser = add_scene_verb(verbs, restitution, "show the restitution that a scene asks for and that it reaches")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the scene's name)")
+    add_machine(parser)
+
+
+def add_fit(verbs: Any) -> None:
+    """`granflow fit` and its arguments."""
+    summary = "fit sigma and psi of Eq. 12 to measured restitutions"
+    parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "data", metavar="DATA.csv", type=Path, help="columns velocity [m/s] and restitution, maybe deviation or weight"
+    )
+    known = parser.add_mutually_exclusive_group(required=True)
+    known.add_argument("--material", metavar="PRESET", help="limit velocity from Eq. 11 for this material")
+    known.add_argument("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
+    known.add_argument("--fit-limit", action="store_true", help="fit the limit velocity, too")
+    parser.add_argument("--material2", metavar="PRESET", help="of the partner, with --material (the same)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the data's name)")
+    parser.set_defaults(verb=fit)
+
+
+def add_paper(verbs: Any) -> None:
+    """`granflow paper` and its arguments."""
+    summary = "reproduce the figures and tables of Zhou (2011), and compare all laws, on one page"
+    parser = verbs.add_parser("paper", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out/paper"), help="where it goes (out/paper)")
+    parser.set_defaults(verb=paper)
+
+
+def add_cache(verbs: Any) -> None:
+    """`granflow cache` and its argument."""
+    summary = "show where compiled kernels are kept between runs"
+    parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--clear", action="store_true", help="delete them; the next run compiles anew")
+    parser.set_defaults(verb=cache)
 
 
 def quantity(dimension: str) -> Callable[[str], float]:

@@ -9,16 +9,20 @@ class GranflowError(Exception):
     exit_code = 2
 
 
-class SceneError(GranflowError):
-    """A scene that cannot be run.
+class FileError(GranflowError):
+    """A file that cannot be used.
 
-    `problems` holds every problem found, in the order of the file, each as `file:line:column: sentence`; the
-    message is all of them, one per line.
+    `problems` holds every problem found, in the order of the file, each as `file:line: sentence`; the message is
+    all of them, one per line.
     """
 
     def __init__(self, problems: Iterable[str] | str) -> None:
         self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
+
+
+class SceneError(FileError):
+    """A scene that cannot be run; its problems stand as `file:line:column: sentence`."""
 
 
 class RunError(GranflowError):

@@ -1,144 +1,135 @@
-"""Particle-steps per second on settled beds, each point in a process of its own.
+"""How fast granflow is: beside other codes, and phase by phase.
 
-    python tools/bench.py BED.data[.gz]:SIDE ... [--threads 1 2] [--law hertz zhou] [--precision f64]
+    python tools/bench.py                                  granflow alone
+    python tools/bench.py --peers liggghts,lammps,yade     side by side on the same work, in turn
+    python tools/bench.py --phases                         where the time goes, against this machine's limits
+    python tools/bench.py --page                           tools/benchmark/README.md from the newest results
 
-A bed is a LAMMPS data file (columns id type diameter density x y z) of spheres at rest in a box of the given side
-[m] with five frictional walls. Material and step are those of the peers' inputs: E 10 MPa, nu 0.25, friction 0.5,
-restitution 0.9, step 1e-5 s.
+Every measurement is a process of its own. Nothing is installed: a peer that is missing is named with its package.
 """
 
 import argparse
-import gzip
 import json
-import resource
-import statistics
-import subprocess
 import sys
 import tempfile
-import time
+from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from benchmark import ours, page, phases, rounds, tables
+from benchmark.cases import SIZES
+from benchmark.codes import PEERS, missing
+from benchmark.machine import machine
 
-SCENE = """
-title: Settled bed
-gravity: [0, 0, -9.81]
-materials: {{m: {{young_modulus: 10 MPa, poisson_ratio: 0.25, density: 2500}}}}
-pairs: {{m-m: {{restitution: 0.9, friction: 0.5}}}}
-contact: {{normal: {law}, tangential: mindlin, rolling: none}}
-walls:
-  floor: {{shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: m}}
-  left: {{shape: plane, point: [0, 0, 0], normal: [1, 0, 0], material: m}}
-  right: {{shape: plane, point: [{side}, 0, 0], normal: [-1, 0, 0], material: m}}
-  front: {{shape: plane, point: [0, 0, 0], normal: [0, 1, 0], material: m}}
-  back: {{shape: plane, point: [0, {side}, 0], normal: [0, -1, 0], material: m}}
-particles:
-  bed: {{material: m, diameter: {diameters}, place: {{kind: list, positions: {positions}}}}}
-domain: {{min: [-0.01, -0.01, -0.01], max: [{high}, {high}, 2], leaving: error}}
-run: {{duration: 1 s, time_step: 1e-5, velocity_max: 0.3 m/s, precision: {precision}}}
-numerics: {{skin: 0.2 mm}}
-output: {{interval: 1 s}}
-"""
-WINDOWS = 5
+RESULTS = Path(__file__).resolve().parent / "benchmark" / "results"
+LAWS = ("hertz", "zhou", "linear")
+QUICK = {"sizes": [1_000, 10_000, 50_000], "laws": ["hertz"], "threads": [2], "rounds": 1, "scale": 0.5}
+CHILDREN: dict[str, Callable[..., Any]] = {
+    "measure": ours.measure,
+    "settle": ours.settle,
+    "phases": phases.measure,
+    "limits": phases.limits,
+}
 
 
 def main() -> None:
-    """Measure every combination and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("beds", nargs="+", metavar="BED:SIDE")
-    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
-    parser.add_argument("--law", nargs="+", default=["hertz", "zhou"])
-    parser.add_argument("--precision", default="f64", choices=("f64", "f32", "mixed"))
-    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.one:
-        print(json.dumps(measure(options.beds[0], options.law[0], options.precision, options.threads[0])))
+    """Do what the command line asks."""
+    if sys.argv[1:2] == ["--child"]:
+        order = json.loads(sys.argv[2])
+        answer = CHILDREN[order.pop("job")](**order)
+        print()
+        print(json.dumps(answer if isinstance(answer, dict) else {}))
         return
-    print("spheres  law    threads  M particle-steps/s (min, max)   contacts/sphere  searches/1000 steps  "
-          "compile [s]  kB/sphere")  # fmt: skip
-    for bed in options.beds:
-        for law in options.law:
-            for threads in options.threads:
-                print(row(child(bed, law, options.precision, threads)), flush=True)
+    options = arguments()
+    if options.page is not None:
+        print(f"Written: {page.write(RESULTS, options.page)}")
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.work or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        (phase_by_phase if options.phases else side_by_side)(options, folder)
 
 
-def child(bed: str, law: str, precision: str, threads: int) -> dict[str, Any]:
-    """Measure one point in a new process: Taichi starts once per process."""
-    command = [sys.executable, __file__, bed, "--law", law, "--precision", precision, "--threads", str(threads)]
-    done = subprocess.run([*command, "--one"], check=True, text=True, stdout=subprocess.PIPE)
-    return json.loads(done.stdout.splitlines()[-1]) | {"law": law, "threads": threads}
+def side_by_side(options: argparse.Namespace, folder: Path) -> None:
+    """granflow and the peers that are there, in turn."""
+    peers = present(options)
+    out = options.out or RESULTS / f"{name_of_today()}.json"
+    result = rounds.measure_all(options, rounds.gather_cases(options, folder), peers, folder, out)
+    print(tables.text(result))
+    print(f"Written: {out}")
 
 
-def row(point: dict[str, Any]) -> str:
-    """One line of the table."""
-    rates = point["rates"]
-    return (
-        f"{point['count']:7d}  {point['law']:<6} {point['threads']:7d}  {statistics.median(rates):8.2f} "
-        f"({min(rates):.2f}, {max(rates):.2f})   {point['contacts']:17.2f}  {point['searches']:19.1f}  "
-        f"{point['compile']:11.2f}  {point['kilobytes']:9.2f}"
-    )
+def phase_by_phase(options: argparse.Namespace, folder: Path) -> None:
+    """Where granflow's time goes."""
+    out = options.out or RESULTS / f"{name_of_today()}-phases.json"
+    result = phases.measure_all(options, rounds.gather_cases(options, folder), folder)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(result, indent=1) + "\n")
+    print(phases.text(result))
+    print(f"Written: {out}")
 
 
-def measure(bed: str, law: str, precision: str, threads: int) -> dict[str, Any]:
-    """Rates of WINDOWS windows after a warm-up."""
-    from granflow.device.backend import start
-    from granflow.device.engine import Engine
-    from granflow.plan import plan_for
-    from granflow.scene import load
-    from granflow.scene.generate import Grains
-
-    path, _, side = bed.rpartition(":")
-    grains = read_bed(Path(path))
-    with tempfile.TemporaryDirectory() as folder:
-        scene_file = Path(folder) / "bed.yaml"
-        scene_file.write_text(scene_text(grains, law, precision, float(side)))
-        plan = plan_for(load(scene_file))
-    backend, count = start("cpu", precision, threads), len(grains)  # type: ignore[arg-type]
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    engine = Engine(plan, backend)
-    still = np.zeros((count, 3))
-    none = np.zeros(count, np.int32)
-    engine.insert(Grains(grains[:, 1:4], still, still, 0.5 * grains[:, 0], none, none))
-    engine.set_walls([True] * 5, [()] * 5)
-    engine.refresh()
-    steps = max(int(4e6 / count), 20)
-    engine.advance(2 * steps)
-    rates = [timed(engine, steps) * count / 1e6 for _ in range(WINDOWS)]
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    return {
-        "count": count,
-        "rates": rates,
-        "contacts": engine.survey.measure()["contact_count"] / count,
-        "searches": 1000.0 * (engine.timing.search_count - 1) / engine.timing.step_count,
-        "compile": engine.timing.compile,
-        "kilobytes": used / count,
-    }
+def present(options: argparse.Namespace) -> list[str]:
+    """Peers that can run; says what is missing, and stops if not one of those asked is there."""
+    sentences = {name: missing(name, options.threads) for name in options.peers}
+    for sentence in filter(None, sentences.values()):
+        print(sentence)
+    if options.peers and all(sentences.values()):
+        raise SystemExit("None of the peers asked for is there. Without --peers, granflow is measured alone.")
+    return [name for name, sentence in sentences.items() if sentence is None]
 
 
-def timed(engine: Any, steps: int) -> float:
-    """Steps per second of one window."""
-    began = time.perf_counter()
-    engine.advance(steps)
-    return steps / (time.perf_counter() - began)
+def name_of_today() -> str:
+    """Date and processor, as a file name."""
+    words = machine()["processor"].lower().replace("(r)", "").replace("(tm)", "").split()
+    return "-".join([date.today().isoformat(), *words[:4]])
 
 
-def read_bed(path: Path) -> np.ndarray:
-    """Diameter and centre (n, 4) [m] of every sphere of a LAMMPS data file."""
-    opened = gzip.open(path, "rt") if path.suffix == ".gz" else open(path)
-    with opened as lines:
-        rows = [line.split() for line in lines]
-    return np.array([[float(row[2]), *map(float, row[4:7])] for row in rows if len(row) == 7])
+def peer_names(text: str) -> list[str]:
+    """A list of peers with commas between."""
+    names = [name.strip().lower() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in PEERS:
+            raise argparse.ArgumentTypeError(f"{name} is not known here; known are {', '.join(PEERS)}.")
+    return names
 
 
-def scene_text(grains: np.ndarray, law: str, precision: str, side: float) -> str:
-    """The bed as a scene; two spheres stand for the sizes, the rest comes in as arrays."""
-    smallest, largest = float(grains[:, 0].min()), float(grains[:, 0].max())
-    sizes = [smallest, largest] + [largest] * (len(grains) - 2)
-    places = [[0.0, 0.0, 0.0]] * len(grains)
-    return SCENE.format(
-        law=law, precision=precision, side=side, high=side + 0.01, diameters=sizes, positions=places
-    )  # fmt: skip
+def skins(text: str) -> dict[str, float]:
+    """`CODE=MILLIMETRES,...` as lengths in metres."""
+    try:
+        pairs = [each.split("=") for each in text.split(",")]
+        return {name.strip(): 1e-3 * float(value) for name, value in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not of the form granflow=0.2,lammps=0.5 (millimetres).") from None
+
+
+def arguments() -> argparse.Namespace:
+    """The command line; --quick sets what is not given."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--peers", type=peer_names, default=[], help="liggghts,lammps,yade or some of them")
+    add("--phases", action="store_true", help="where granflow's time goes")
+    add("--page", nargs="?", const="", metavar="NAME", help="write the page from the results NAME (the newest)")
+    add("--quick", action="store_true", help="about two minutes: up to 50 000 spheres, two threads, one round")
+    add("--sizes", type=int, nargs="*", help=f"spheres in a bed ({' '.join(map(str, SIZES))})")
+    add("--no-hopper", dest="hopper", action="store_false", help="leave out the hopper")
+    add("--laws", nargs="+", choices=LAWS, help="granflow's laws (all); peers run Hertz-Mindlin")
+    add("--threads", type=int, nargs="+", help="threads, or ranks (1 2)")
+    add("--rounds", type=int, help="rounds (3)")
+    add("--precision", choices=("f64", "f32", "mixed"), default="f64", help="granflow's precision (f64)")
+    add("--skin", type=skins, default={}, metavar="CODE=MM,...", help="neighbour skins in place of the fastest known")
+    add("--scale", type=float, help="factor on the number of steps (1)")
+    add("--beds", type=Path, metavar="DIR", help="folder with settled beds bed*.data[.gz]")
+    add("--hopper-data", type=Path, metavar="FILE", help="the hopper's spheres as a LAMMPS data file")
+    add("--work", type=Path, metavar="DIR", help="keep beds and inputs there for the next run")
+    add("--out", type=Path, metavar="FILE", help="where the results go (tools/benchmark/results/DATE-CPU.json)")
+    options = parser.parse_args()
+    usual = {"sizes": list(SIZES), "laws": list(LAWS), "threads": [1, 2], "rounds": 3, "scale": 1.0}
+    for key, value in (usual | (QUICK if options.quick else {})).items():
+        if getattr(options, key) is None:
+            setattr(options, key, value)
+    return options
 
 
 if __name__ == "__main__":

@@ -25,7 +25,12 @@ def build_contact(state: State, with_wall: bool) -> Any:
     features, real = plan.features, state.backend.real
     encounter, effective = build_encounter(state, with_wall), build_effective(state, with_wall)
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
-    respond, read, write, forget = build_respond(plan, False), build_read(state), build_write(state), build_forget(state)
+    respond, read, write, forget = (
+        build_respond(plan, False),
+        build_read(state),
+        build_write(state),
+        build_forget(state),
+    )
 
     @ti.func
     def partner_spin(i, j, pose):

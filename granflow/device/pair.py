@@ -8,6 +8,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.laws.law import whole_force
 from granflow.laws.mindlin import carried_displacement, elastic_plastic_spring, spring_loss
 from granflow.laws.rolling import directional_torque
 from granflow.plan import Plan
@@ -71,7 +72,7 @@ def build_respond(plan: Plan, prepared: bool) -> Any:
     friction, rolling and damping [J].
     """
     law, features = plan.law, plan.features
-    force_of = law.prepared_force if prepared and law.prepared_force is not None else law.force
+    force_of = law.force if prepared else whole_force(law)
     friction_index, rolling_index = plan.friction_index, plan.rolling_index
     roll = _build_roll(plan)
 
@@ -92,12 +93,15 @@ def build_respond(plan: Plan, prepared: bool) -> Any:
         torque, torque_partner, slide_now, angle_now = 0.0 * normal, 0.0 * normal, slide, angle
         friction_loss, rolling_loss = 0.0 * overlap, 0.0 * overlap
         if ti.static(features.rotation):
+            pressing = normal_force
+            if ti.static(law.attracts):
+                pressing += law.attraction(constants, radius_eff, overlap, memory_now)
             stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory_now)
             share = spring_share(overlap, late_rate, dt)
             if ti.static(features.friction):
                 slip = dt * (across - (arm * spin + arm_partner * spin_partner).cross(normal))
                 carried = carried_displacement(slide, normal, middle)
-                cap = constants[friction_index] * normal_force
+                cap = constants[friction_index] * pressing
                 tangential, slide_now = elastic_plastic_spring(stiffness, share, cap, carried, slip)
                 force += tangential
                 moment = normal.cross(tangential)
@@ -106,7 +110,7 @@ def build_respond(plan: Plan, prepared: bool) -> Any:
                     friction_loss = spring_loss(stiffness, share, carried, slip, tangential, slide_now)
             if ti.static(features.rolling != "none"):
                 rolling, angle_now, rolling_loss = roll(
-                    stiffness, share, constants[rolling_index], normal_force, radius_eff, inertia_eff, normal, middle,
+                    stiffness, share, constants[rolling_index], pressing, radius_eff, inertia_eff, normal, middle,
                     spin - spin_partner, angle, dt
                 )  # fmt: skip
                 torque, torque_partner = torque + rolling, torque_partner - rolling

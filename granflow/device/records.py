@@ -8,6 +8,7 @@ import taichi as ti
 from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
 from granflow.device.walls import build_wall_geometry
+from granflow.laws.law import whole_force
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit from which on a contact counts as sliding."""
@@ -80,6 +81,7 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
         build_pair_number(state),
         build_wall_geometry(state),
     )
+    force_of = whole_force(law)
     overlap_out, normal_out, tangential_out, limit_out = (records.numbers[name] for name in RECORDED)
 
     @ti.func
@@ -103,10 +105,13 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
                     memory = ti.Vector.zero(real, memory_size)
                     if ti.static("normal" in contacts.history):
                         memory = contacts.history["normal"][slot]
-                    force, _viscous, _m2 = law.force(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
+                    force, _viscous, _m2 = force_of(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
                     normal_out[slot] = force
                     tangential_out[slot] = 0.0
-                    limit_out[slot] = constants[plan.friction_index] * force
+                    pressing = force
+                    if ti.static(law.attracts):
+                        pressing += law.attraction(constants, radius_eff, overlap, memory)
+                    limit_out[slot] = constants[plan.friction_index] * pressing
                     records.foot[slot] = foot_point(i, j)
                     if ti.static("lateral" in contacts.history):
                         slide = contacts.history["lateral"][slot]

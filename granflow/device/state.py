@@ -251,7 +251,7 @@ class State:
         self.particles = Particles(block, plan, backend)
         self.contacts = Contacts(block, plan, backend, slots_per_chunk)
         batched = backend.on_cpu and plan.chunk_size > 1
-        self.batch = Batch(block, plan, backend, slots_per_chunk) if batched else None
+        self.batch: Any = Batch(block, plan, backend, slots_per_chunk) if batched else None
         self.sorting = Sorting(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
         self.control = Control(block, plan, backend)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import taichi as ti
+from taichi.lang.util import to_numpy_type
 
 from granflow.device.state import State
 
@@ -16,6 +17,7 @@ class Transfer:
         self.state = state
         self._append = _build_append(state)
         self._kick = _build_kick(state)
+        self._copies: dict[tuple[str, ...], Copy] = {}
 
     def append(self, arrays: dict[str, np.ndarray]) -> None:
         """Put n more particles behind those that are there.
@@ -48,12 +50,70 @@ class Transfer:
 
     def taken(self, names: tuple[str, ...], first: int = 0, last: int | None = None) -> dict[str, np.ndarray]:
         """Host copies of particle fields from index `first` to before `last` (the present count)."""
-        end = self.state.count if last is None else last
+        count = (self.state.count if last is None else last) - first
+        if names not in self._copies:
+            self._copies[names] = Copy(self.state, names)
+        return self._copies[names].take(first, count)
+
+
+class Copy:
+    """Some fields of the particles to the host by one kernel, side by side in one table of reals and one of integers.
+
+    Taichi's `to_numpy` compiles a kernel, and copies the whole capacity, for every field.
+    """
+
+    def __init__(self, state: State, names: tuple[str, ...]) -> None:
+        fields = {name: getattr(state.particles, name) for name in names}
+        self._fields = {name: field for name, field in fields.items() if field is not None}
+        self._real = to_numpy_type(state.backend.position_real)
+        self._columns: dict[str, slice] = {}
+        self._widths = {True: 0, False: 0}
+        for name, field in self._fields.items():
+            first = self._widths[_is_whole(field)]
+            self._columns[name] = slice(first, first + _numbers_in(field))
+            self._widths[_is_whole(field)] = first + _numbers_in(field)
+        self._copy = _build_copy(list(self._fields.values()), [part.start for part in self._columns.values()])
+
+    def take(self, first: int, count: int) -> dict[str, np.ndarray]:
+        """Arrays (count,) or (count, 3) by name, from index `first` on."""
+        reals = np.zeros((count, max(self._widths[False], 1)), self._real)
+        wholes = np.zeros((count, max(self._widths[True], 1)), np.int32)
+        if count:
+            self._copy(first, reals, wholes)
         found = {}
-        for name in names:
-            values = getattr(self.state.particles, name)
-            found[name] = None if values is None else values.to_numpy()[first:end]
-        return {name: values for name, values in found.items() if values is not None}
+        for name, field in self._fields.items():
+            part = (wholes if _is_whole(field) else reals)[:, self._columns[name]]
+            shaped = part if _numbers_in(field) > 1 else part[:, 0]
+            found[name] = np.ascontiguousarray(shaped, to_numpy_type(field.dtype))
+        return found
+
+
+def _is_whole(field: Any) -> bool:
+    return bool(field.dtype == ti.i32)
+
+
+def _numbers_in(field: Any) -> int:
+    """Numbers in one entry of a field."""
+    return int(getattr(field, "n", 1))
+
+
+def _build_copy(fields: list[Any], columns: list[int]) -> Callable[..., None]:
+    sizes, wholes_here = [_numbers_in(field) for field in fields], [_is_whole(field) for field in fields]
+    table: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def copy(first: ti.i32, reals: table, wholes: table):
+        for k in range(reals.shape[0]):
+            for f in ti.static(range(len(fields))):
+                if ti.static(wholes_here[f]):
+                    wholes[k, columns[f]] = fields[f][first + k]
+                elif ti.static(sizes[f] == 1):
+                    reals[k, columns[f]] = fields[f][first + k]
+                else:
+                    for axis in ti.static(range(sizes[f])):
+                        reals[k, columns[f] + axis] = fields[f][first + k][axis]
+
+    return copy
 
 
 def _build_append(state: State) -> Callable[..., None]:

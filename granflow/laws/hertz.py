@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw, Touch
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
 
@@ -50,6 +50,7 @@ def build(damped: bool) -> NormalLaw:
     return NormalLaw(
         name="hertz",
         source="Hertz 1882; Tsuji et al. 1992; Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004",
+        limits="one restitution at every velocity, by a viscous force that no solid has: e does not fall with v",
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=damped,
@@ -59,26 +60,24 @@ def build(damped: bool) -> NormalLaw:
         stored_energy=stored_energy,
         lost_energy=lost_energy,
         lateral_stiffness=mindlin_stiffness,
-        reference_force=reference_force,
+        twin=twin,
         phase_durations=phase_durations,
-        unloading_stiffness=unloading_stiffness,
+        unloading_stiffness=theory.hertz_tangent,
+        stable_stiffness=theory.hertz_tangent,
     )
 
 
-def reference_force(
-    constants: np.ndarray,
-    radius_eff: float,
-    mass_eff: float,
-    time_step: float,
-    overlap: float,
-    overlap_rate: float,
-    history: np.ndarray,
-) -> tuple[float, np.ndarray]:
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for."""
+    return build(any(pair.restitution != 1.0 for pair in asked.pairs))
+
+
+def twin(touch: Touch) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`."""
-    k = theory.hertz_stiffness(constants[0], radius_eff)
-    viscous = constants[2] * np.sqrt(mass_eff * k) * overlap**0.25 * overlap_rate
-    elastic = k * overlap**1.5
-    return float(elastic if constants[2] == 0.0 else max(elastic + viscous, 0.0)), history
+    k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
+    viscous = touch.constants[2] * np.sqrt(touch.mass_eff * k) * touch.overlap**0.25 * touch.overlap_rate
+    elastic = k * touch.overlap**1.5
+    return float(elastic if touch.constants[2] == 0.0 else max(elastic + viscous, 0.0)), touch.history
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
@@ -86,9 +85,3 @@ def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velo
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     half = theory.LOADING_DURATION * float(theory.time_scale(k, mass_eff, velocity))
     return half, half
-
-
-def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Hertz tangent at the largest overlap, 1.5 k sqrt(dmax) [N/m]."""
-    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-    return 1.5 * k * float(np.sqrt(theory.overlap_max(k, mass_eff, velocity)))

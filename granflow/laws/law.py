@@ -1,12 +1,40 @@
 """The record that every normal contact law fills in, one law per file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import taichi as ti
 
 from granflow.laws.material import PairMaterial
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a scene asks of its normal law: settings as in `contact.normal`, its pairs, and what bounds the law."""
+
+    settings: Mapping[str, Any]
+    pairs: tuple[PairMaterial, ...]
+    velocity_max: float
+    unloading_angle: float
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One contact at one step, SI: what `force` gets, for its numpy twin. `overlap_rate` > 0 approaching."""
+
+    constants: np.ndarray
+    radius_eff: float
+    mass_eff: float
+    time_step: float
+    overlap: float
+    overlap_rate: float
+    history: np.ndarray
+
+
+Twin = Callable[[Touch], tuple[float, np.ndarray]]
+"""Numpy twin of `force`: normal force [N] and history."""
 
 
 class PhaseDurations(Protocol):
@@ -16,13 +44,35 @@ class PhaseDurations(Protocol):
         """Loading and unloading duration at an approach velocity [m/s]."""
 
 
+class CollisionFigure(Protocol):
+    """One number that a binary collision has."""
+
+    def __call__(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """The number at an approach velocity [m/s]."""
+
+
+class LeastRestitution(Protocol):
+    """Smallest restitution that a time step [s] lets a binary collision reach."""
+
+    def __call__(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
+    ) -> float:
+        """The restitution at an approach velocity [m/s]."""
+
+
+def asked_restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    """Restitution that the pair asks for, where the law promises to reach it."""
+    return pair.restitution_at(velocity)
+
+
 @dataclass(frozen=True)
 class NormalLaw:
     """One normal contact law: what it needs, what it remembers, and its functions.
 
     The device functions take and return values only. `constants` is the vector of this law's pair constants
     in the order of `constant_names`, `history` the vector of what the contact remembers in the order of
-    `history_names` (both at least one long; a law without history gets one unused number).
+    `history_names` (both at least one long; a law without history gets one unused number). The first number of a
+    history is above 0 from the first step of a contact on.
 
     force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
         -> (normal_force, the viscous part of it, history)
@@ -30,10 +80,14 @@ class NormalLaw:
     lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history) -> energy this contact took for good
         that is a function of its history alone (plastic work) [J]
     lateral_stiffness(constants, radius_eff, overlap, history) -> Mindlin's no-slip stiffness [N/m]
+    attraction(constants, radius_eff, overlap, history) -> pulling part of `force` [N] that does not press the surfaces
+        together, so that friction is capped with normal_force + attraction; None where there is none
     """
 
     name: str
     source: str
+    limits: str
+    """What goes wrong with this law, in a sentence."""
     constant_names: tuple[str, ...]
     history_names: tuple[str, ...]
     rate_dependent: bool
@@ -44,21 +98,62 @@ class NormalLaw:
     stored_energy: Any
     lost_energy: Any
     lateral_stiffness: Any
-    reference_force: Callable[..., tuple[float, np.ndarray]]
-    """Numpy twin of `force`, same arguments, written from the source and not from the kernel."""
+    twin: Twin
+    """Numpy twin of `force`, written from the source and not from the kernel."""
     phase_durations: PhaseDurations
-    unloading_stiffness: Callable[[PairMaterial, float, float, float], float]
-    """Steepest tangent [N/m] met in a binary collision: (pair, radius_eff, mass_eff, velocity)."""
-
+    unloading_stiffness: CollisionFigure
+    """Steepest tangent [N/m] met in a binary collision."""
+    stable_stiffness: CollisionFigure
+    """Tangent [N/m] that a grain held between others can feel at the largest overlap; it bounds the time step."""
+    unresolved_unloading: float = 0.0
+    """Unloading faster than this share of loading needs no resolving steps: the law bounds its tangent itself."""
+    restitution: CollisionFigure = asked_restitution
+    """Restitution that the law promises in a binary collision, at a time step that resolves it."""
+    least_restitution: LeastRestitution | None = None
+    """For a law that bounds its unloading by the time step."""
+    attraction: Any = None
     prepare: Any = None
-    """`force` in two parts, for loops over many contacts: (same arguments) -> history, with whatever branches."""
-    prepared_force: Any = None
-    """What is left of `force` after `prepare`: arithmetic that a compiler can do for several contacts at once.
+    """(same arguments as `force`) -> history: the rare work that has branches, such as a contact that opens.
 
-    None in both where `force` itself is that.
+    Done before `force`, which can then be arithmetic that a compiler does for several contacts at once.
     """
+
+    @property
+    def attracts(self) -> bool:
+        """Whether the force can pull."""
+        return self.attraction is not None
 
     @property
     def history_count(self) -> int:
         """How many numbers a contact of this law remembers."""
         return len(self.history_names)
+
+    def reference_force(
+        self,
+        constants: np.ndarray,
+        radius_eff: float,
+        mass_eff: float,
+        time_step: float,
+        overlap: float,
+        overlap_rate: float,
+        history: np.ndarray,
+    ) -> tuple[float, np.ndarray]:
+        """Normal force [N] and history by the numpy twin, with the arguments of `force`."""
+        return self.twin(Touch(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history))
+
+
+def whole_force(law: NormalLaw) -> Any:
+    """Device function with the arguments of `force`: `prepare` and `force` of one contact."""
+    prepare = law.prepare or _keep
+
+    @ti.func
+    def both(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
+        return law.force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
+
+    return both
+
+
+@ti.func
+def _keep(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    return history

@@ -1,13 +1,12 @@
 """Linear spring and dashpot; the spring from Zhou's Eq. 19 (per contact or from one velocity) or a number."""
 
-from collections.abc import Callable
-
 import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw, Touch, Twin
 from granflow.laws.material import PairMaterial
+from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
@@ -19,56 +18,26 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
     return pair.modulus_eff, pair.shear_modulus_eff, theory.damping_ratio_for(pair.restitution)
 
 
-@ti.func
-def equivalent_spring(constants, radius_eff, mass_eff, velocity):
-    """Spring with the Hertz contact's energy at its largest overlap, (4/5) k sqrt(dmax) [N/m] (Zhou 2011, Eq. 19)."""
-    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-    return 0.8 * k * ti.pow(1.25 * mass_eff * velocity * velocity / k, 0.2)
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for."""
+    return build(spring_for(asked, place=0))
 
 
-def build(stiffness: float | None, reference_velocity: float | None, velocity_floor: float) -> NormalLaw:
-    """Linear law with a spring [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
-
-    Per contact the spring comes from that contact's own approach velocity, at least `velocity_floor`: Eq. 19 gives
-    no spring at all to a contact that forms at rest.
-    """
-
-    given, fixed = stiffness is not None, reference_velocity is not None
-
-    @ti.func
-    def spring_at(constants, radius_eff, mass_eff, velocity):
-        value = 0.0 * radius_eff
-        if ti.static(given):
-            value += stiffness
-        elif ti.static(fixed):
-            value += equivalent_spring(constants, radius_eff, mass_eff, reference_velocity)
-        else:
-            value += equivalent_spring(constants, radius_eff, mass_eff, ti.max(velocity, velocity_floor))
-        return value
-
-    @ti.func
-    def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """The spring of a contact that opens."""
-        memory = history
-        if memory[0] == 0.0:
-            memory[0] = spring_at(constants, radius_eff, mass_eff, overlap_rate)
-        return memory
-
-    @ti.func
-    def prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull."""
-        elastic = history[0] * overlap
-        viscous = ti.max(2.0 * constants[2] * ti.sqrt(history[0] * mass_eff) * overlap_rate, -elastic)
-        return elastic + viscous, viscous, history
+def build(spring: Spring) -> NormalLaw:
+    """Linear law with this spring."""
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
-        return prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
+        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens."""
+        memory = history
+        stiffness = spring.held(memory)
+        elastic = stiffness * overlap
+        viscous = ti.max(2.0 * constants[2] * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
+        return elastic + viscous, viscous, memory
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        return 0.5 * history[0] * overlap * overlap
+        return 0.5 * spring.held(history) * overlap * overlap
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -76,57 +45,39 @@ def build(stiffness: float | None, reference_velocity: float | None, velocity_fl
 
     @ti.func
     def lateral_stiffness(constants, radius_eff, overlap, history):
-        """Mindlin's ratio of tangential to normal stiffness, 4 G / E, on the linear spring [N/m]."""
-        return 4.0 * constants[1] / constants[0] * history[0]
-
-    def host_spring(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        if stiffness is not None:
-            return stiffness
-        speed = max(velocity, velocity_floor) if reference_velocity is None else reference_velocity
-        k = theory.hertz_stiffness(pair.modulus_eff, radius_eff)
-        return float(theory.equivalent_spring(k, mass_eff, speed))
+        return lateral_spring(constants, spring.held(history))
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-        quarter = 0.5 * np.pi * float(np.sqrt(mass_eff / host_spring(pair, radius_eff, mass_eff, velocity)))
+        quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, quarter
 
     return NormalLaw(
         name="linear",
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
+        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch",
         constant_names=CONSTANTS,
-        history_names=("spring_stiffness",),
+        history_names=spring.history_names,
         rate_dependent=True,
         lateral_grows=False,
         pair_constants=pair_constants,
         force=force,
-        prepare=prepare,
-        prepared_force=prepared_force,
+        prepare=spring.prepare,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
         lateral_stiffness=lateral_stiffness,
-        reference_force=_twin(host_spring),
+        twin=_twin(spring),
         phase_durations=phase_durations,
-        unloading_stiffness=host_spring,
+        unloading_stiffness=spring.of,
+        stable_stiffness=spring.of,
     )
 
 
-def _twin(host_spring: Callable[..., float]) -> Callable[..., tuple[float, np.ndarray]]:
+def _twin(spring: Spring) -> Twin:
     """Numpy twin of `force`."""
 
-    def reference_force(
-        constants: np.ndarray,
-        radius_eff: float,
-        mass_eff: float,
-        time_step: float,
-        overlap: float,
-        overlap_rate: float,
-        history: np.ndarray,
-    ) -> tuple[float, np.ndarray]:
-        spring = history[0]
-        if spring == 0.0:
-            pair = PairMaterial(constants[0], constants[1], 1.0, 0.0)
-            spring = host_spring(pair, radius_eff, mass_eff, overlap_rate)
-        viscous = 2.0 * constants[2] * np.sqrt(spring * mass_eff) * overlap_rate
-        return float(max(spring * overlap + viscous, 0.0)), np.array([spring])
+    def twin(touch: Touch) -> tuple[float, np.ndarray]:
+        stiffness, kept = spring.touched(touch)
+        viscous = 2.0 * touch.constants[2] * np.sqrt(stiffness * touch.mass_eff) * touch.overlap_rate
+        return float(max(stiffness * touch.overlap + viscous, 0.0)), np.array(kept or touch.history)
 
-    return reference_force
+    return twin

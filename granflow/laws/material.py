@@ -48,12 +48,18 @@ class PairMaterial:
 
     modulus_eff: float
     shear_modulus_eff: float
-    restitution: float | VelocityRestitution
+    restitution: float | VelocityRestitution | None
+    """None where the pair asks for none: the law has it from the material."""
     friction: float
     rolling_friction: float = 0.0
+    yield_strength: float | None = None
+    """Of the softer material [Pa]; None where neither is known to yield."""
+    cohesion_energy_density: float = 0.0
 
     def restitution_at(self, velocity: float) -> float:
-        """Restitution coefficient asked for at an approach velocity [m/s]."""
+        """Restitution coefficient asked for at an approach velocity [m/s]. Raises ValueError where none is."""
+        if self.restitution is None:
+            raise ValueError("this pair asks for no restitution coefficient")
         if isinstance(self.restitution, VelocityRestitution):
             return float(self.restitution(velocity))
         return self.restitution
@@ -68,6 +74,11 @@ def modulus_eff(a: Solid, b: Solid) -> float:
 def shear_modulus_eff(a: Solid, b: Solid) -> float:
     """Effective shear modulus [Pa]: 1/G = (2 - nu1)/G1 + (2 - nu2)/G2 (Mindlin 1949)."""
     return 1.0 / ((2.0 - a.poisson_ratio) / a.shear_modulus + (2.0 - b.poisson_ratio) / b.shear_modulus)
+
+
+def yield_strength(a: Solid, b: Solid) -> float | None:
+    """Yield strength [Pa] of the softer of two materials; one that is not given never yields."""
+    return min((solid.yield_strength for solid in (a, b) if solid.yield_strength is not None), default=None)
 
 
 def limit_velocity(a: Solid, b: Solid) -> float:

@@ -5,14 +5,13 @@ the unloading curve up to the largest overlap so far, where Hertz loading takes 
 continuous everywhere: F = min(k d^1.5, unloading curve frozen at dmax).
 """
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw, Touch, Twin
 from granflow.laws.material import PairMaterial, VelocityRestitution
 from granflow.laws.mindlin import mindlin_stiffness
 
@@ -20,6 +19,8 @@ RestitutionFrom = Literal["onset", "peak", "constant"]
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
 HISTORY = ("overlap_max", "restitution", "recovery")
+LEAST_RESOLVED = 0.1
+"""Unloading faster than at this restitution is left to the bound on the unloading tangent."""
 NEWTON_STEPS = 5
 """From y = (4/5) e^2 as many reach machine precision in float64 for every e; four leave 25 ulps at e = 1."""
 
@@ -30,7 +31,7 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
     if isinstance(pair.restitution, VelocityRestitution):
         law = pair.restitution
         return (*shared, 0.0, law.sigma, law.psi, law.limit_velocity)
-    return (*shared, pair.restitution, 0.0, 1.0, 0.0)
+    return (*shared, pair.restitution_at(0.0), 0.0, 1.0, 0.0)
 
 
 @ti.func
@@ -132,7 +133,7 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         return memory
 
     @ti.func
-    def prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         stiffness = 4.0 / 3.0 * constants[0]
         contact_radius = ti.sqrt(radius_eff * overlap)
         overlap_max, e, recovery = history[0], history[1], history[2]
@@ -148,11 +149,6 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         return normal_force + viscous, viscous, memory
 
     @ti.func
-    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
-        return prepared_force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
-
-    @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e, y = resolve(constants, radius_eff, mass_eff, time_step, history)
@@ -165,9 +161,18 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         put_in = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
         return put_in - unloading_energy(k, history[0], e, y, history[0])
 
+    def least_restitution_reached(
+        pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
+    ) -> float:
+        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        largest = theory.overlap_max(k, mass_eff, velocity)
+        return float(min(theory.least_restitution(k, mass_eff, largest, time_step, unloading_angle), 1.0))
+
     return NormalLaw(
         name="zhou",
         source="Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12",
+        limits="as e goes to 0 unloading becomes a jump, which the time step bounds: e_eff > 0; sigma and psi must "
+        "be measured",
         constant_names=CONSTANTS,
         history_names=HISTORY,
         rate_dependent=damped,
@@ -175,13 +180,15 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         pair_constants=pair_constants,
         force=force,
         prepare=prepare,
-        prepared_force=prepared_force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
         lateral_stiffness=mindlin_stiffness,
-        reference_force=_twin(restitution_from, unloading_angle, damping_ratio),
+        twin=_twin(restitution_from, unloading_angle, damping_ratio),
         phase_durations=phase_durations,
         unloading_stiffness=unloading_stiffness,
+        stable_stiffness=theory.hertz_tangent,
+        unresolved_unloading=theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION,
+        least_restitution=least_restitution_reached,
     )
 
 
@@ -200,9 +207,14 @@ def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, 
     return k * np.sqrt(largest) * float(theory.unloading_tangent(pair.restitution_at(velocity)))
 
 
-def _twin(
-    restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float
-) -> Callable[..., tuple[float, np.ndarray]]:
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for; a number in every pair makes the restitution constant."""
+    fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in asked.pairs)
+    source: RestitutionFrom = asked.settings["restitution"] if fitted else "constant"
+    return build(source, asked.unloading_angle, asked.settings["damping_ratio"])
+
+
+def _twin(restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float) -> Twin:
     """Numpy twin of the law, one contact at a time in plain float64."""
 
     def restitution(constants: np.ndarray, velocity: float) -> float:
@@ -210,26 +222,19 @@ def _twin(
             return float(constants[2])
         return float(VelocityRestitution(*constants[3:6])(max(velocity, 0.0)))
 
-    def reference_force(
-        constants: np.ndarray,
-        radius_eff: float,
-        mass_eff: float,
-        time_step: float,
-        overlap: float,
-        overlap_rate: float,
-        history: np.ndarray,
-    ) -> tuple[float, np.ndarray]:
-        k = theory.hertz_stiffness(constants[0], radius_eff)
-        largest, e, y = history
+    def twin(touch: Touch) -> tuple[float, np.ndarray]:
+        overlap, mass = touch.overlap, touch.mass_eff
+        k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
+        largest, e, y = touch.history
         if restitution_from != "peak" and largest == 0.0:
-            e = restitution(constants, overlap_rate)
+            e = restitution(touch.constants, touch.overlap_rate)
         if overlap >= largest:
             elastic, memory = k * overlap**1.5, np.array([overlap, e, 0.0])
         else:
             if y == 0.0:
                 if restitution_from == "peak":
-                    e = restitution(constants, np.sqrt(0.8 * k * largest**2.5 / mass_eff))
-                bound = theory.least_restitution(k, mass_eff, largest, time_step, unloading_angle)
+                    e = restitution(touch.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
+                bound = theory.least_restitution(k, mass, largest, touch.time_step, unloading_angle)
                 e = min(max(e, bound), 1.0)
                 y = float(theory.recovery(e))
             above = max(overlap - largest * (1.0 - y), 0.0)
@@ -237,7 +242,7 @@ def _twin(
             elastic, memory = lam * above + e**3 * k * above**1.5, np.array([largest, e, y])
         if elastic > 0.0 and damping_ratio > 0.0:
             tangent = 1.5 * k * np.sqrt(overlap)
-            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(tangent * mass_eff) * overlap_rate, 0.0)
+            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(tangent * mass) * touch.overlap_rate, 0.0)
         return float(elastic), memory
 
-    return reference_force
+    return twin

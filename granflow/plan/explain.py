@@ -59,7 +59,7 @@ def _time_step_rows(plan: Plan) -> Iterator[Row]:
     yield Row("stable below", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {approach.value:.3g} m/s")
     yield Row("Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it")
     yield Row("velocity max", f"{approach.value:.4g} m/s", approach.source)
-    if plan.law.name == "zhou":
+    if plan.law.least_restitution is not None:
         yield Row("restitution", f"{step.least_restitution:.3g}", f"least it can reach at {approach.value:.3g} m/s")
     for sentence in step.warnings:
         yield Row("WARNING", "", sentence)

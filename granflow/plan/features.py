@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from granflow.scene import Scene
-from granflow.scene.schema import ZhouNormal
 
 
 @dataclass(frozen=True)
@@ -15,6 +14,7 @@ class Features:
     rolling: Literal["none", "epsd", "cdt"]
     rotation: bool
     rate_dependent: bool
+    adhesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
     one_material: bool
@@ -41,11 +41,17 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         rolling=rolling,
         rotation=friction or rolling != "none",
         rate_dependent=law_is_damped,
+        adhesion=adhesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
     )
+
+
+def adhesion_of(scene: Scene) -> Literal["none", "sjkr"]:
+    """The adhesion of the scene; none where no pair has a cohesion energy density above 0."""
+    return scene.contact.adhesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
@@ -55,6 +61,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "rolling": _rolling_reason(scene, features),
         "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
         "rate_dependent": _rate_reason(scene, features),
+        "adhesion": _adhesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
@@ -82,12 +89,19 @@ def _rolling_reason(scene: Scene, features: Features) -> str:
     return _first_pair(scene, "rolling_friction", features.rolling != "none")
 
 
+def _adhesion_reason(scene: Scene, features: Features) -> str:
+    if scene.contact.adhesion == "none":
+        return "contact.adhesion is none"
+    return _first_pair(scene, "cohesion_energy_density", features.adhesion != "none")
+
+
 def _rate_reason(scene: Scene, features: Features) -> str:
     normal = scene.contact.normal
     if not features.rate_dependent:
         return f"the {normal.law} law as set here has no viscous term"
-    if isinstance(normal, ZhouNormal):
-        return f"contact.normal.damping_ratio is {normal.damping_ratio:g} ({scene.where('contact', 'normal')})"
+    damping_ratio = normal.settings().get("damping_ratio")
+    if damping_ratio is not None:
+        return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
     return f"the {normal.law} law reaches a restitution below 1 by damping ({scene.where('contact', 'normal')})"
 
 

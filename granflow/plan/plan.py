@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import NormalLaw
+from granflow.laws.adhesion import ADHESIONS
+from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import (
     PairMaterial,
     Solid,
@@ -16,14 +16,24 @@ from granflow.laws.material import (
     limit_velocity,
     modulus_eff,
     shear_modulus_eff,
+    yield_strength,
 )
 from granflow.plan.approach import fastest_approach
-from granflow.plan.features import Features, Reason, features_of, reasons_for
+from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
-from granflow.scene.schema import GivenStiffness, Group, LinearNormal, ReferenceVelocity, RestitutionFit, ZhouNormal
+from granflow.scene.schema import Group, RestitutionFit
+
+FEW_PARTICLES = 64
+"""Up to so many particles each is a chunk of its own: what that costs in time it saves in compiling, twice over."""
+
+CHUNK_COUNT = 32
+"""Chunks to share out among the threads, unless they would be smaller or larger than these bounds."""
+
+CHUNK_BOUNDS = (512, 2048)
+"""Smaller chunks have more pairs that cross their border and are done twice; larger ones leave the cache."""
 
 SLOTS_PER_PARTICLE = 7
 """First guess of the near partners in a row; rows grow when it is too small."""
@@ -32,9 +42,6 @@ CELLS_PER_PARTICLE = 8
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
 LEAST_CELLS = 8192
-
-SLOWEST_SPRING = 0.01
-"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
 
 SKIN_STEPS = 60
 """A particle at the largest velocity should cross half the skin in no fewer steps than this."""
@@ -144,20 +151,22 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     velocity = fastest_approach(scene).value
     law = build_law(scene, velocity)
     features = features_of(scene, law.rate_dependent)
+    table = _pair_table(scene, law, materials)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
+    particle_count = sum(group.count for group in scene.particles.values())
     return Plan(
         scene=scene,
         features=features,
         reasons=reasons_for(scene, features),
         law=law,
         materials=materials,
-        pair_constants=_pair_table(scene, law, materials),
-        particle_capacity=sum(group.count for group in scene.particles.values()),
+        pair_constants=table,
+        particle_capacity=particle_count,
         radius_min=radius_min,
         radius_max=radius_max,
-        chunk_size=1 if on_gpu else scene.numerics.chunk_size,
+        chunk_size=1 if on_gpu else _chunk_size(scene, particle_count),
         skin=_skin(scene, radius_min, velocity, step.value),
         step=step,
         velocity_max=velocity,
@@ -167,19 +176,12 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The scene's normal law with its settings."""
+    """The scene's normal law with its settings; `velocity` is the fastest approach expected [m/s]."""
     normal = scene.contact.normal
-    build = NORMAL_LAWS[normal.law]
-    numbers_only = not any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if isinstance(normal, ZhouNormal):
-        source = "constant" if numbers_only else normal.restitution
-        return build(source, scene.numerics.unloading_angle, normal.damping_ratio)
-    if isinstance(normal, LinearNormal):
-        given = normal.stiffness
-        value = given.value if isinstance(given, GivenStiffness) else None
-        reference = given.reference_velocity if isinstance(given, ReferenceVelocity) else None
-        return build(value, reference, SLOWEST_SPRING * velocity)
-    return build(any(pair.restitution != 1.0 for pair in scene.pairs.values()))
+    pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
+    law = normal.kind.build(Asked(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
+    adhesion = adhesion_of(scene)
+    return law if adhesion == "none" else ADHESIONS[adhesion](law)
 
 
 def solid(scene: Scene, material: str) -> Solid:
@@ -192,13 +194,16 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     """Mixed constants of two materials. Raises KeyError where the scene has no such pair."""
     pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
     given = pair.restitution
-    restitution: float | VelocityRestitution
+    restitution: float | VelocityRestitution | None
     if isinstance(given, RestitutionFit):
         restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
     else:
         restitution = given
     rolling = pair.rolling_friction or 0.0
-    return PairMaterial(modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling)
+    cohesion = pair.cohesion_energy_density or 0.0
+    return PairMaterial(
+        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b), cohesion
+    )
 
 
 def _used_materials(scene: Scene) -> Iterator[str]:
@@ -214,8 +219,21 @@ def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.
         for j, second in enumerate(materials):
             if scene.pair_key(first, second) in scene.pairs:
                 pair = pair_material(scene, first, second)
-                table[i * count + j] = (*law.pair_constants(pair), pair.friction, pair.rolling_friction)
+                table[i * count + j] = (
+                    *_law_constants(scene, law, first, second),
+                    pair.friction,
+                    pair.rolling_friction,
+                )
     return table
+
+
+def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
+    try:
+        return law.pair_constants(pair_material(scene, first, second))
+    except ValueError as error:
+        key = scene.pair_key(first, second)
+        place = scene.place("pairs", key, "restitution")
+        raise SceneError(f"{place}: pairs.{key}.restitution cannot be met: {error}.") from None
 
 
 def meetings_of(scene: Scene) -> list[Meeting]:
@@ -266,7 +284,7 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -
     try:
         step = choose_time_step(
             given, meetings, law, velocity,
-            numerics.time_step_safety, numerics.rayleigh_fraction, numerics.unloading_angle,
+            numerics.time_step_safety, numerics.rayleigh_fraction,
         )  # fmt: skip
     except ValueError as error:
         raise SceneError(f"{scene.place('run', 'time_step')}: run.time_step {error}") from None
@@ -274,6 +292,16 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     reach = farthest if precision == "f32" else diameter
     return replace(step, warnings=step.warnings + resolution_warning(meetings, velocity, precision, reach))
+
+
+def _chunk_size(scene: Scene, particle_count: int) -> int:
+    """Particles in a chunk, a power of two; it follows from the scene alone, since sums go chunk by chunk."""
+    if scene.numerics.chunk_size != "auto":
+        return int(scene.numerics.chunk_size)
+    if particle_count <= FEW_PARTICLES:
+        return 1
+    least, most = CHUNK_BOUNDS
+    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), least, most))
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:

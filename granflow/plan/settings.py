@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from granflow.scene import Scene
-from granflow.scene.schema import ZhouNormal
+from granflow.scene.normal import LawSettings
 
 KeyPath = tuple[str | int, ...]
 _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
@@ -74,7 +74,7 @@ def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
 def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
     if _is_preset(scene, model, path):
         return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
-    if isinstance(model, ZhouNormal) and path[-1] == "restitution" and model.restitution == "constant":
+    if isinstance(model, LawSettings) and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1])):
         return "every pair gives a number"
     return _REASONS.get(path[-1], "default")
 

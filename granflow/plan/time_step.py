@@ -9,9 +9,6 @@ from granflow.laws import theory
 from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial, Solid
 
-LEAST_RESOLVED_RESTITUTION = 0.1
-"""Unloading faster than at this restitution is left to the bound on the unloading tangent."""
-
 STEPS_OF_RESOLUTION = 1000
 """An overlap should be this many times what the precision resolves, so that its force is good to 0.15 %."""
 
@@ -48,7 +45,6 @@ def choose_time_step(
     velocity: float,
     safety: float,
     rayleigh_fraction: float,
-    angle: float,
 ) -> TimeStep:
     """Pick the step, or check the one given [s]; `velocity` is the fastest approach expected [m/s].
 
@@ -68,7 +64,7 @@ def choose_time_step(
             f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
             f"Lower it to {min(resolved, rayleigh):.2g} s or leave it out."
         )
-    least, warnings = _restitution_reached(value, meetings, law, velocity, angle)
+    least, warnings = _restitution_reached(value, meetings, law, velocity)
     return TimeStep(value, limited, stable, stable_name, least, warnings)
 
 
@@ -97,21 +93,12 @@ def resolution_warning(meetings: Sequence[Meeting], velocity: float, precision: 
 def shortest_phase(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
     """Shorter of loading and unloading [s] at an approach velocity, unloading no faster than resolved."""
     loading, unloading = law.phase_durations(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-    scale = loading / theory.LOADING_DURATION
-    floor = theory.unloading_duration(LEAST_RESOLVED_RESTITUTION) * scale
-    return min(loading, max(unloading, floor))
+    return min(loading, max(unloading, law.unresolved_unloading * loading))
 
 
 def stable_step(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
-    """Step [s] above which a grain held between others gains energy: half of 2 sqrt(M/K) on the loading tangent.
-
-    The unloading tangent of the zhou law never exceeds its own bound, so loading counts there.
-    """
-    if law.name == "linear":
-        stiffness = law.unloading_stiffness(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-    else:
-        k = float(theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff))
-        stiffness = 1.5 * k * float(np.sqrt(theory.overlap_max(k, meeting.mass_eff, velocity)))
+    """Step [s] above which a grain held between others gains energy: half of 2 sqrt(M/K) on the law's tangent."""
+    stiffness = law.stable_stiffness(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
     return float(np.sqrt(meeting.mass_eff / stiffness))
 
 
@@ -127,17 +114,15 @@ def _remedy(step: float) -> str:
 
 
 def _restitution_reached(
-    step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float, angle: float
+    step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
     """Smallest restitution that the step can carry, and a sentence for each meeting that asks for less."""
-    if law.name != "zhou":
+    if law.least_restitution is None:
         return 0.0, ()
     least, warnings = 0.0, []
     for meeting in meetings:
-        k = float(theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff))
-        largest = theory.overlap_max(k, meeting.mass_eff, velocity)
-        bound = float(min(theory.least_restitution(k, meeting.mass_eff, largest, step, angle), 1.0))
-        asked = meeting.pair.restitution_at(velocity)
+        bodies = (meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
+        bound, asked = law.least_restitution(*bodies, step), law.restitution(*bodies)
         least = max(least, bound)
         if asked < bound:
             warnings.append(

@@ -9,7 +9,7 @@ from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
 from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
-from granflow.scene.matter import HertzNormal, LinearNormal, RestitutionFit
+from granflow.scene.matter import RestitutionFit
 from granflow.scene.schema import Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
@@ -114,23 +114,56 @@ def _friction(draft: Draft) -> Iterator[Finding]:
             yield rolling, Fault((), "contact.rolling is none; leave it out, or choose epsd or cdt")
 
 
+def _cohesion(draft: Draft) -> Iterator[Finding]:
+    """A cohesion energy density in every pair where there is adhesion, and only there."""
+    adhesion = draft.scene.contact.adhesion
+    for key, pair in draft.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "cohesion_energy_density")
+        if adhesion == "none" and pair.cohesion_energy_density is not None:
+            yield path, Fault((), "contact.adhesion is none; leave it out, or choose sjkr")
+        if adhesion != "none" and pair.cohesion_energy_density is None:
+            reason = f"is missing: contact.adhesion is {adhesion}; give it in J/m3, 0 for none"
+            yield path, Fault((), reason, whole=True)
+
+
 def _restitution(draft: Draft) -> Iterator[Finding]:
-    """A restitution that the normal law can give."""
+    """A restitution that the normal law can give, or none where it follows from the materials."""
     normal = draft.scene.contact.normal
     for key, pair in draft.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
-        if isinstance(normal, HertzNormal | LinearNormal):
-            if isinstance(pair.restitution, RestitutionFit):
-                yield path, Fault((), f"the law {normal.law} needs a number, above 0 and at most 1")
-            elif pair.restitution == 0:
-                yield path, Fault((), f"the law {normal.law} needs a number above 0 and at most 1")
-        elif normal.restitution == "constant" and isinstance(pair.restitution, RestitutionFit):
-            yield (
-                path,
-                Fault((), "contact.normal.restitution is constant, which needs a number; or write onset or peak"),
-            )
+        if normal.kind.restitution == "nothing":
+            if pair.restitution is not None:
+                yield path, Fault((), f"the law {normal.law} has it from the materials; leave it out")
+            elif not _yielding(draft, key):
+                names = " or ".join(dict.fromkeys(key.split("-")))
+                reason = f"needs a yield strength for the law {normal.law}: give the yield_strength of {names}"
+                yield ("pairs", key), Fault((), reason, whole=True)
+        elif pair.restitution is None:
+            yield path, Fault((), "is missing: restitution coefficient, a number in [0, 1]", whole=True)
         elif isinstance(pair.restitution, RestitutionFit):
-            yield from _limit_velocity(draft, key, pair.restitution)
+            yield from _fit(draft, key, pair.restitution)
+        elif pair.restitution == 0 and normal.kind.restitution == "positive number":
+            yield path, Fault((), f"the law {normal.law} needs a number above 0 and at most 1")
+
+
+def _yielding(draft: Draft, key: str) -> bool:
+    """Whether one of the materials of a pair has a yield strength; True where one is not sound itself."""
+    materials = draft.scene.materials
+    return any(name not in materials or materials[name].yield_strength for name in key.split("-"))
+
+
+def _fit(draft: Draft, key: str, fit: RestitutionFit) -> Iterator[Finding]:
+    """Restitution by Eq. 12 where the law takes it."""
+    normal, path = draft.scene.contact.normal, ("pairs", key, "restitution")
+    settings = normal.settings()
+    fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
+    if normal.kind.restitution != "number or fit":
+        yield path, Fault((), f"the law {normal.law} needs a number, above 0 and at most 1")
+    elif fixed:
+        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which needs a number; or write onset or peak"
+        yield path, Fault((), reason)
+    else:
+        yield from _limit_velocity(draft, key, fit)
 
 
 def _limit_velocity(draft: Draft, key: str, fit: RestitutionFit) -> Iterator[Finding]:
@@ -234,6 +267,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _pair_names),
     (("particles",), _missing_pairs),
     (("contact",), _friction),
+    (("contact",), _cohesion),
     (("contact",), _restitution),
     (("stages",), _stage_names),
     (("stages", "run"), _duration),

@@ -1,4 +1,4 @@
-"""Schema of materials, pairs of materials, and the contact law."""
+"""Schema of materials, pairs of materials, and the contact laws."""
 
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -6,21 +6,18 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, Tag, model_validator
 
 from granflow.scene.fields import (
-    AlsoWritten,
     Density,
     Model,
     Number,
     Positive,
     Speed,
-    Stiffness,
     Text,
     but,
-    choice,
     chosen,
     couple,
     required_unless,
-    shorthand,
 )
+from granflow.scene.normal import Normal, known_laws
 from granflow.scene.presets import PRESETS
 from granflow.scene.suggest import known_or_meant
 
@@ -28,8 +25,8 @@ YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
-DampingRatio = Annotated[float, Number(noun="a damping ratio", at_least=0, at_most=1)]
 
 
 def _preset_in(given: Any, known: Iterable[str], kind: str) -> str | None:
@@ -96,11 +93,15 @@ class RestitutionFit(Model):
 
 
 def _restitution_tag(value: Any) -> str:
+    if value is None:
+        return "<none>"
     return "<fit>" if isinstance(value, dict | RestitutionFit) else "<number>"
 
 
 Restitution = Annotated[
-    Annotated[RestitutionNumber, Tag("<number>")] | Annotated[RestitutionFit, Tag("<fit>")],
+    Annotated[RestitutionNumber, Tag("<number>")]
+    | Annotated[RestitutionFit, Tag("<fit>")]
+    | Annotated[None, Tag("<none>")],
     chosen(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is asked here"),
 ]
 
@@ -109,88 +110,27 @@ class Pair(Model):
     """What happens where two materials touch."""
 
     restitution: Restitution = Field(
-        description="restitution coefficient, a number in [0, 1], or sigma and psi of Eq. 12"
+        None,
+        description="restitution coefficient, a number in [0, 1], or sigma and psi of Eq. 12; "
+        "needed unless the normal law has it from the materials",
     )
     friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 states that there is none")
     rolling_friction: FrictionNumber | None = Field(
         None, description="rolling friction coefficient; needed unless contact.rolling is none"
     )
-
-
-class ZhouNormal(Model):
-    """Hertz loading, nonlinear plastic unloading (Zhou 2011)."""
-
-    law: Literal["zhou"] = Field(description="name of the normal law")
-    restitution: Literal["onset", "peak", "constant"] = Field(
-        "onset",
-        description="which velocity gives e: that at first touch, that which Eq. 5 gives for the largest overlap, "
-        "or none; a number in every pair makes it constant",
+    cohesion_energy_density: CohesionEnergyDensity | None = Field(
+        None, description="cohesion energy density [J/m3]; needed with contact.adhesion sjkr"
     )
-    damping_ratio: DampingRatio = Field(
-        0.0, description="viscous damping on the elastic branch, over the critical damping"
-    )
-
-
-class HertzNormal(Model):
-    """Hertz spring; viscous damping that gives each pair's restitution number, 1 being elastic."""
-
-    law: Literal["hertz"] = Field(description="name of the normal law")
-
-
-class ReferenceVelocity(Model):
-    """One linear spring per pair, from Eq. 19 at this approach velocity."""
-
-    reference_velocity: Speed = Field(description="approach velocity at which the spring stores what Hertz does [m/s]")
-
-
-class GivenStiffness(Model):
-    """One linear spring for all contacts."""
-
-    value: Stiffness = Field(description="stiffness of the spring [N/m]")
-
-
-def _stiffness_tag(value: Any) -> str | None:
-    if value == "onset":
-        return "<onset>"
-    for tag, model in (("value", GivenStiffness), ("reference_velocity", ReferenceVelocity)):
-        if isinstance(value, model) or (isinstance(value, dict) and tag in value):
-            return f"<{tag}>"
-    return None
-
-
-LinearStiffness = Annotated[
-    Annotated[Literal["onset"], Tag("<onset>")]
-    | Annotated[ReferenceVelocity, Tag("<reference_velocity>")]
-    | Annotated[GivenStiffness, Tag("<value>")],
-    chosen(_stiffness_tag, "it must be onset, {reference_velocity: 1 m/s} or {value: 1e4 N/m}"),
-]
-
-
-class LinearNormal(Model):
-    """Linear spring and dashpot."""
-
-    law: Literal["linear"] = Field(description="name of the normal law")
-    stiffness: LinearStiffness = Field(
-        description="onset (Eq. 19 per contact, from its own first velocity), {reference_velocity: 1 m/s} "
-        "or {value: 1e4 N/m}"
-    )
-
-
-Normal = Annotated[
-    Annotated[ZhouNormal, Tag("<zhou>")]
-    | Annotated[HertzNormal, Tag("<hertz>")]
-    | Annotated[LinearNormal, Tag("<linear>")],
-    choice("law"),
-    shorthand("law"),
-    AlsoWritten(("zhou", "hertz")),
-]
 
 
 class Contact(Model):
     """The laws of contact, the same for every pair."""
 
-    normal: Normal = Field(description="zhou, hertz or linear, or a mapping with `law` and its settings")
+    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its settings")
     tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb cap) or none")
     rolling: Literal["none", "epsd", "cdt"] = Field(
         description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
+    )
+    adhesion: Literal["none", "sjkr"] = Field(
+        "none", description="none or sjkr (cohesion energy density times contact area, while in contact), with any law"
     )

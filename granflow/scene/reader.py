@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -12,7 +11,7 @@ from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.draft import Draft, draft_of
-from granflow.scene.matter import RestitutionFit, ZhouNormal
+from granflow.scene.matter import RestitutionFit
 from granflow.scene.schema import Scene
 from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
@@ -27,7 +26,13 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     Each override, "key.path=value", replaces or adds a value before the scene is validated; the value is YAML.
     Raises `SceneError` with every problem at once, in the order of the file.
     """
-    document = _document(Path(path))
+    scene = scene_in(_document(Path(path)), overrides)
+    scene._path = Path(path)
+    return scene
+
+
+def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:
+    """Make the scene of a document that is read already. Raises as `load` does."""
     problems = list(document.problems)
     for override in overrides:
         problems += overriding.apply(document, override)
@@ -36,7 +41,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     if scene is None or problems:
         ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
         raise SceneError(str(problem) for problem in ordered)
-    scene._path, scene._document = Path(path), document
+    scene._document = document
     return scene
 
 
@@ -101,10 +106,10 @@ def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
 
 
 def _settled(scene: Scene) -> Scene:
-    """With a restitution number in every pair, the Zhou law has no velocity to look at: it is constant."""
-    normal: Any = scene.contact.normal
+    """With a restitution number in every pair, a law may have nothing left to choose: zhou's is constant."""
+    normal = scene.contact.normal
     fitted = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if not isinstance(normal, ZhouNormal) or fitted:
+    if fitted or not normal.fixed_by_numbers():
         return scene
-    constant = normal.model_copy(update={"restitution": "constant"})
-    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": constant})})
+    fixed = normal.model_copy(update=normal.fixed_by_numbers())
+    return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})

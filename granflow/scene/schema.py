@@ -53,14 +53,9 @@ from granflow.scene.groups import (
 )
 from granflow.scene.matter import (
     Contact,
-    GivenStiffness,
-    HertzNormal,
-    LinearNormal,
     Material,
     Pair,
-    ReferenceVelocity,
     RestitutionFit,
-    ZhouNormal,
 )
 from granflow.scene.shapes import (
     AnyWall,
@@ -88,11 +83,8 @@ __all__ = [
     "Disc",
     "Domain",
     "Expectation",
-    "GivenStiffness",
     "Group",
-    "HertzNormal",
     "Lattice",
-    "LinearNormal",
     "Listed",
     "LogNormalSizes",
     "Material",
@@ -105,7 +97,6 @@ __all__ = [
     "Plane",
     "Rain",
     "Rectangle",
-    "ReferenceVelocity",
     "RestitutionFit",
     "Rotation",
     "Run",
@@ -117,12 +108,12 @@ __all__ = [
     "UniformSizes",
     "Vibration",
     "Wall",
-    "ZhouNormal",
 ]
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 AutoTime = Annotated[float | Auto, Number("time", above=0, words=("auto",))]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True, words=("auto",))]
 
 
 class Domain(Box):
@@ -174,7 +165,7 @@ class Numerics(Model):
     time_step_safety: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: AutoLength = Field("auto", description="how much further than contact neighbours are listed [m], or auto")
-    chunk_size: Count = Field(512, description="particles per chunk of the contact list")
+    chunk_size: AutoCount = Field("auto", description="particles per chunk of the contact list, or auto")
     overlap_limit: Fraction = Field(0.1, description="overlap over radius at which the guard stops the run")
     unloading_angle: Positive = Field(
         0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"

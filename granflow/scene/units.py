@@ -55,6 +55,9 @@ DIMENSIONS: dict[str, Dimension] = {
         "a density", "2500 kg/m3", _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3")
     ),
     "energy": Dimension("an energy", "1 nJ", _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12")),
+    "energy_density": Dimension(
+        "an energy density", "1e4 J/m3", _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6")
+    ),
     "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
     "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),

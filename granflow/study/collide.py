@@ -1,6 +1,7 @@
 """One head-on collision with the many-particle kernels, beside its closed forms."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +19,14 @@ from granflow.plan.plan import build_law, pair_material
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
 from granflow.scene.presets import PRESETS
+from granflow.scene.reader import scene_in
 from granflow.scene.suggest import known_or_meant
+from granflow.scene.writer import to_yaml
+from granflow.scene.yaml12 import parse
 
 WALL = "wall"
+HALVINGS = 60
+"""As many leave an overlap exact in float64."""
 LONGEST = 20.0
 """A collision not over after this many durations is given up."""
 
@@ -47,8 +53,12 @@ def collide(
     steps_per_contact: float | None = None,
     precision: str | None = None,
     arch: str = "cpu",
+    settings: Sequence[str] = (),
 ) -> dict[str, float]:
     """Collide two spheres, or a sphere and a wall, head on; all in SI.
+
+    `settings` are those of the law as "key=value", such as "yield_ratio=2.8"; what is left out is as the catalogue's
+    example has it.
 
     Returns `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N] as reached, the
     same with `_asked` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError where the
@@ -57,17 +67,18 @@ def collide(
     sizes = (diameter, diameter2 or diameter)
     materials = (material, material2 or material)
     _refuse_unknown(law, materials)
-    _refuse_unphysical(law, sizes, velocity, restitution, steps_per_contact)
+    _refuse_unphysical(sizes, velocity, steps_per_contact)
+    _refuse_restitution(law, materials, restitution)
     backend = start(arch, precision or "f64")  # type: ignore[arg-type]
     described = _scene_of(law, materials, sizes, velocity, wall, restitution)
-    scene = Scene.model_validate(described)
+    scene = _read(described, settings)
     impact = _impact(scene, sizes, velocity, wall)
-    expected = _expected(build_law(scene, velocity), law, impact)
+    expected = _expected(build_law(scene, velocity), impact)
     if steps_per_contact is not None:
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
     described["run"]["precision"] = backend.precision
     try:
-        plan = plan_for(Scene.model_validate(described), on_gpu=not backend.on_cpu)
+        plan = plan_for(_read(described, settings), on_gpu=not backend.on_cpu)
     except SceneError:
         raise GranflowError(f"A contact of {steps_per_contact:g} steps is not stable: give it more steps.") from None
     for warning in plan.step.warnings:
@@ -87,16 +98,31 @@ def _sentence(remedy: str) -> str:
     return remedy if remedy.endswith("?") else f"{remedy}."
 
 
-def _refuse_unphysical(
-    law: str, sizes: tuple[float, float], velocity: float, restitution: float | None, steps_per_contact: float | None
-) -> None:
+def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_contact: float | None) -> None:
     for name, value in (("diameter", min(sizes)), ("velocity", velocity), ("steps_per_contact", steps_per_contact)):
         if value is not None and not value > 0.0:
             raise GranflowError(f"{name} is {value:g}, but must be above 0.")
+
+
+def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:
+    """A restitution that the law cannot give, or none where it needs one."""
+    kind = NORMAL_LAWS[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
         raise GranflowError(f"restitution is {restitution:g}, but lies in [0, 1].")
-    if restitution == 0.0 and law != "zhou":
+    if kind.restitution == "nothing":
+        if restitution is not None:
+            raise GranflowError(f"The {law} law has the restitution from the materials: leave --restitution out.")
+        if all(PRESETS[name].yield_strength is None for name in materials):
+            raise GranflowError(f"The {law} law needs a yield strength, which {' and '.join(set(materials))} has not.")
+    if kind.restitution == "positive number" and restitution is None:
+        raise GranflowError(f"The {law} law needs a number as restitution. Give it with --restitution.")
+    if kind.restitution == "positive number" and restitution == 0.0:
         raise GranflowError(f"The {law} law reaches any restitution above 0, but not 0 itself.")
+
+
+def _read(described: dict[str, Any], settings: Sequence[str]) -> Scene:
+    """The described scene with settings of its law; they are refused in the words of a scene file."""
+    return scene_in(parse(to_yaml(described), "collide"), [f"contact.normal.{each}" for each in settings])
 
 
 def _scene_of(
@@ -109,7 +135,7 @@ def _scene_of(
 ) -> dict[str, Any]:
     """The scene of the collision, as a file would say it."""
     first, second = ("first", "second")
-    pair = {"restitution": _asked(materials, restitution), "friction": 0}
+    pair = {"friction": 0} | _asked(law, materials, restitution)
     share = 1.0 if wall else 0.5
     ball = {
         "material": first,
@@ -123,7 +149,7 @@ def _scene_of(
         "gravity": [0, 0, 0],
         "materials": {first: {"preset": materials[0]}, second: {"preset": materials[1]}},
         "pairs": {"first-first": pair, "first-second": pair, "second-second": pair},
-        "contact": {"normal": _normal(law), "tangential": "none", "rolling": "none"},
+        "contact": {"normal": {"law": law, **NORMAL_LAWS[law].example}, "tangential": "none", "rolling": "none"},
         "particles": {"ball": ball},
         "domain": {"min": [-reach] * 3, "max": [reach] * 3, "leaving": "error"},
         "run": {"duration": 1.0, "velocity_max": velocity},
@@ -141,15 +167,14 @@ def _scene_of(
     return scene
 
 
-def _normal(law: str) -> Any:
-    return {"law": "linear", "stiffness": "onset"} if law == "linear" else law
-
-
-def _asked(materials: tuple[str, str], restitution: float | None) -> Any:
+def _asked(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
+    """The restitution of the pair, as a scene says it; nothing where the law has it from the materials."""
+    if NORMAL_LAWS[law].restitution == "nothing":
+        return {}
     if restitution is not None:
-        return restitution
+        return {"restitution": restitution}
     if materials[0] == materials[1] and PRESETS[materials[0]].restitution_fit is not None:
-        return {"preset": materials[0]}
+        return {"restitution": {"preset": materials[0]}}
     raise GranflowError(
         f"The restitution of {materials[0]} on {materials[1]} is not known. Give it with --restitution."
     )
@@ -165,22 +190,47 @@ def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: boo
     return Impact(pair, float(radii.prod() / radii.sum()), float(masses.prod() / masses.sum()), velocity)
 
 
-def _expected(law: NormalLaw, name: str, impact: Impact) -> dict[str, float]:
-    """Closed forms: the Zhou law's own; Hertz's and the linear law's by integrating one equation finely."""
+def _expected(law: NormalLaw, impact: Impact) -> dict[str, float]:
+    """Closed forms of the law; what a dashpot has none for by integrating one equation finely."""
     k = float(theory.hertz_stiffness(impact.pair.modulus_eff, impact.radius_eff))
     mass, velocity = impact.mass_eff, impact.velocity
-    asked = impact.pair.restitution_at(velocity)
+    promised = law.restitution(impact.pair, impact.radius_eff, mass, velocity)
     spring = float(theory.equivalent_spring(k, mass, velocity))
-    shared = {"velocity": velocity, "restitution_asked": asked, "spring_equation19": spring}
-    if name == "zhou":
-        largest = float(theory.overlap_max(k, mass, velocity))
-        return shared | {
-            "duration_theory": float(theory.duration(asked, k, mass, velocity)),
-            "overlap_max_theory": largest,
-            "overlap_residual_theory": largest * (1.0 - float(theory.recovery(asked))),
-            "force_max_theory": k * largest**1.5,
-        }
-    return shared | _integrated(law, impact)
+    shared = {"velocity": velocity, "restitution_asked": promised, "spring_equation19": spring}
+    return shared | (_integrated(law, impact) if law.rate_dependent else _closed(law, impact))
+
+
+def _closed(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, float]:
+    """The law's own duration; largest overlap and force where the work of loading has used up the energy."""
+    bodies = (impact.radius_eff, impact.mass_eff)
+    loading, unloading = law.phase_durations(impact.pair, *bodies, impact.velocity)
+    constants, memory = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
+    moment = loading / steps
+    step = impact.velocity * moment
+    overlap, force, before, energy = 0.0, 0.0, 0.0, 0.5 * impact.mass_eff * impact.velocity**2
+    while energy > 0.0:
+        before, overlap = force, overlap + step
+        force, memory = law.reference_force(constants, *bodies, moment, overlap, impact.velocity, memory)
+        energy -= 0.5 * (before + force) * step
+    # the work of the last step was too much by -energy
+    largest, strongest = overlap + energy / force, force + (force - before) * energy / force / step
+    return {
+        "duration_theory": loading + unloading,
+        "overlap_max_theory": largest,
+        "overlap_residual_theory": _freed_at(law, impact, moment, largest, memory),
+        "force_max_theory": strongest,
+    }
+
+
+def _freed_at(law: NormalLaw, impact: Impact, time_step: float, overlap: float, memory: np.ndarray) -> float:
+    """Overlap [m] at which the elastic force of a contact with this history has gone, by halving; 0 if it pulls."""
+    constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
+    for _ in range(HALVINGS if not law.attracts else 0):
+        middle = 0.5 * (low + high)
+        bodies = (impact.radius_eff, impact.mass_eff)
+        force, _memory = law.reference_force(constants, *bodies, time_step, middle, 0.0, memory)
+        low, high = (low, middle) if force > 0.0 else (middle, high)
+    return low
 
 
 def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, float]:
@@ -205,6 +255,7 @@ def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, 
         k3 = slope(state + 0.5 * step * k2)
         state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(state + step * k3))
         time += step
+        _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, state[0], state[1], memory)
         largest, strongest = max(largest, state[0]), max(strongest, force(*state))
     return {"duration_theory": time, "overlap_max_theory": largest, "force_max_theory": strongest}
 
@@ -223,11 +274,13 @@ def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
         now = _look(engine, plan)
         largest, strongest = max(largest, now.overlap), max(strongest, now.force)
         if now.force == 0.0 and last.force > 0.0:
-            residual = max(last.residual(plan), 0.0)
+            residual = _freed_at(plan.law, impact, plan.time_step, last.overlap, last.memory)
             duration = engine.time - plan.time_step + _remaining(before, last, residual, plan)
             break
         before, last = last, now
     engine.free()
+    if duration == 0.0 and plan.law.attracts:
+        raise GranflowError("The collision did not end: the attraction holds the spheres together.")
     if duration == 0.0:
         raise GranflowError("The collision did not end: give more --steps-per-contact.")
     return {
@@ -258,13 +311,6 @@ class _Look:
     rate: float
     force: float
     memory: np.ndarray
-
-    def residual(self, plan: Plan) -> float:
-        """Residual overlap of the unloading branch [m]; 0 for laws without one."""
-        names = plan.law.history_names
-        if "recovery" not in names:
-            return 0.0
-        return float(self.memory[names.index("overlap_max")] * (1.0 - self.memory[names.index("recovery")]))
 
 
 def _look(engine: Engine, plan: Plan) -> _Look:

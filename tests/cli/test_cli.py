@@ -189,7 +189,7 @@ def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
 
 
 def test_collide_as_json(stand_ins, capsys):
-    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --json"
+    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
     assert main(arguments.split()) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
     assert stand_ins.collide == {
@@ -201,6 +201,7 @@ def test_collide_as_json(stand_ins, capsys):
         "material2": None,
         "wall": True,
         "restitution": 0.7,
+        "settings": ["damping_ratio=0"],
         "steps_per_contact": None,
         "precision": None,
         "arch": "cpu",

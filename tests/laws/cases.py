@@ -1,14 +1,15 @@
 """The laws of the catalogue with their settings, and walks of many contacts along given overlaps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import taichi as ti
 
+from granflow.laws.adhesion import with_sjkr
 from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import NormalLaw
+from granflow.laws.law import Asked, NormalLaw, whole_force
 from granflow.laws.material import PairMaterial, VelocityRestitution
 
 
@@ -37,6 +38,10 @@ SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
 RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
 """A soft centimetre sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
+YIELD_STRENGTH = 1e6
+"""With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometres."""
+COHESION = 5e4
+"""A pull of 3.1 kN/m times the overlap, less than a sixth of the spring of 20 kN/m."""
 ANGLE = 0.5
 
 
@@ -48,21 +53,36 @@ def number(e):
     return lambda units: e
 
 
+def nothing(units):
+    """The material decides."""
+
+
+def pair_of(restitution, units):
+    yield_strength = YIELD_STRENGTH * units.pascal if restitution is nothing else None
+    elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
+    cohesion = COHESION * units.pascal
+    return PairMaterial(
+        *elastic, restitution(units), 0.0, yield_strength=yield_strength, cohesion_energy_density=cohesion
+    )
+
+
 @dataclass(frozen=True)
 class Case:
     """One law with its settings, in any units."""
 
     name: str
     build: Callable[[Units], NormalLaw]
-    restitution: Callable[[Units], float | VelocityRestitution]
+    restitution: Callable[[Units], float | VelocityRestitution | None]
     plastic: bool = False
     """Whether unloading differs from loading."""
+    adhesive: bool = False
+    """Whether an attraction was added, which the law's own closed forms do not know."""
 
     def __str__(self) -> str:
         return self.name
 
     def pair(self, units=SI):
-        return PairMaterial(MODULUS * units.pascal, SHEAR_MODULUS * units.pascal, self.restitution(units), 0.0)
+        return pair_of(self.restitution, units)
 
     def law(self, units=SI):
         return law_of(self, units)
@@ -73,33 +93,88 @@ def law_of(case, units):
     return case.build(units)
 
 
-def linear(stiffness, reference_velocity):
+def asked(name, restitution, settings=lambda units: {}):
+    """Builds the law of that name as a scene would ask for it."""
+
     def build(units):
-        value = None if stiffness is None else stiffness * units.newton / units.metre
-        velocity = None if reference_velocity is None else reference_velocity * units.velocity
-        return NORMAL_LAWS["linear"](value, velocity, 0.01 * units.velocity)
+        given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
+        pair = pair_of(restitution, units)
+        return NORMAL_LAWS[name].build(Asked(given, (pair,), units.velocity, ANGLE))
 
     return build
 
 
+def spring(number=None, velocity=None):
+    """A linear spring as a scene gives it: a number [N/m], a reference velocity [m/s], or per contact."""
+    if number is not None:
+        return lambda units: {"stiffness": {"value": number * units.newton / units.metre}}
+    if velocity is not None:
+        return lambda units: {"stiffness": {"reference_velocity": velocity * units.velocity}}
+    return lambda units: {"stiffness": "onset"}
+
+
+def bilinear(stiffness, velocity=None):
+    """Settings of walton_braun; a velocity [m/s] makes its restitution fall."""
+
+    def settings(units):
+        unloading = "constant" if velocity is None else {"reference_velocity": velocity * units.velocity}
+        return stiffness(units) | {"unloading": unloading}
+
+    return settings
+
+
+def plastic_to(depth, tension=0.0):
+    """Settings of luding: the limit is at 2 R depth / (1 - e^2)."""
+    return lambda units: spring(2e4)(units) | {"plasticity_depth": depth, "tension": tension}
+
+
+def reference_velocity(velocity):
+    return lambda units: {"reference_velocity": velocity * units.velocity}
+
+
+def case(name, law, restitution, settings=lambda units: {}, **marks):
+    """A case of the law `law`."""
+    return Case(name, asked(law, restitution, settings), restitution, **marks)
+
+
+def adhesive(plain):
+    """The same law with adhesion."""
+    return replace(plain, name=f"sjkr_{plain.name}", build=lambda units: with_sjkr(plain.build(units)), adhesive=True)
+
+
 def zhou(source, damping_ratio=0.0):
-    return lambda units: NORMAL_LAWS["zhou"](source, ANGLE, damping_ratio)
+    return lambda units: {"restitution": source, "damping_ratio": damping_ratio}
 
 
-CASES = (
-    Case("zhou_onset", zhou("onset"), fit, plastic=True),
-    Case("zhou_peak", zhou("peak"), fit, plastic=True),
-    Case("zhou_constant", zhou("constant"), number(0.6), plastic=True),
-    Case("zhou_without_rebound", zhou("constant"), number(0.0), plastic=True),
-    Case("zhou_elastic", zhou("constant"), number(1.0)),
-    Case("zhou_damped", zhou("onset", 0.2), fit, plastic=True),
-    Case("hertz_elastic", lambda units: NORMAL_LAWS["hertz"](False), number(1.0)),
-    Case("hertz_damped", lambda units: NORMAL_LAWS["hertz"](True), number(0.6)),
-    Case("linear_onset", linear(None, None), number(0.6)),
-    Case("linear_reference", linear(None, 0.7), number(0.6)),
-    Case("linear_number", linear(2e4, None), number(0.6)),
-    Case("linear_elastic", linear(2e4, None), number(1.0)),
+PLAIN = (
+    case("zhou_onset", "zhou", fit, zhou("onset"), plastic=True),
+    case("zhou_peak", "zhou", fit, zhou("peak"), plastic=True),
+    case("zhou_constant", "zhou", number(0.6), plastic=True),
+    case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
+    case("zhou_elastic", "zhou", number(1.0)),
+    case("zhou_damped", "zhou", fit, zhou("onset", 0.2), plastic=True),
+    case("hertz_elastic", "hertz", number(1.0)),
+    case("hertz_damped", "hertz", number(0.6)),
+    case("linear_onset", "linear", number(0.6), spring()),
+    case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
+    case("linear_number", "linear", number(0.6), spring(2e4)),
+    case("linear_elastic", "linear", number(1.0), spring(2e4)),
+    case("thornton", "thornton", nothing, lambda units: {"yield_ratio": 1.0}, plastic=True),
+    case("thornton_elastic", "thornton", nothing, lambda units: {"yield_ratio": 10.0}),
+    case("walton_braun_onset", "walton_braun", number(0.6), bilinear(spring()), plastic=True),
+    case("walton_braun_reference", "walton_braun", number(0.6), bilinear(spring(velocity=0.7)), plastic=True),
+    case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),
+    case("walton_braun_falling", "walton_braun", number(0.6), bilinear(spring(), 0.7), plastic=True),
+    case("walton_braun_elastic", "walton_braun", number(1.0), bilinear(spring(2e4))),
+    case("luding_growing", "luding", number(0.6), plastic_to(0.05), plastic=True),
+    case("luding_limit", "luding", number(0.6), plastic_to(0.0064), plastic=True),
+    case("luding_tension", "luding", number(0.6), plastic_to(0.0128, 0.5), plastic=True),
+    case("luding_elastic", "luding", number(1.0), plastic_to(0.05)),
+    case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
+    case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
+STICKY = ("zhou_onset", "hertz_elastic", "linear_number", "thornton", "walton_braun_number", "luding_tension")
+CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*STICKY, "kuwabara_kono")))
 
 
 @dataclass(frozen=True)
@@ -108,6 +183,8 @@ class Walk:
 
     force: np.ndarray
     viscous: np.ndarray
+    pressing: np.ndarray
+    """Force without attraction: what friction is capped with."""
     stored: np.ndarray
     lost: np.ndarray
     history: np.ndarray
@@ -121,7 +198,7 @@ def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS):
     """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets."""
     law = case.law(units)
     shape = overlap.shape
-    found = [np.zeros(shape) for _ in range(4)]
+    found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(law.history_count, 1)))
     constants = np.array(law.pair_constants(case.pair(units)))
     bodies = (radius * units.metre, mass * units.kilogram, TIME_STEP * units.second)
@@ -133,13 +210,13 @@ def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS):
 @cache
 def kernel_for(law, constant_count):
     """A kernel that leads contacts along their overlaps."""
-    memory_size = max(law.history_count, 1)
+    memory_size, force_of = max(law.history_count, 1), whole_force(law)
     table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
 
     @ti.kernel
     def lead(
         numbers: ti.types.ndarray(ti.f64, 1), radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
-        force: table, viscous: table, stored: table, lost: table, history: cube
+        force: table, viscous: table, pressing: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
             constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
@@ -147,8 +224,10 @@ def kernel_for(law, constant_count):
             for s in range(overlap.shape[1]):
                 d = overlap[i, s]
                 if d > 0.0:
-                    f, v, memory = law.force(constants, radius, mass, dt, d, rate[i, s], memory)
-                    force[i, s], viscous[i, s] = f, v
+                    f, v, memory = force_of(constants, radius, mass, dt, d, rate[i, s], memory)
+                    force[i, s], viscous[i, s], pressing[i, s] = f, v, f
+                    if ti.static(law.attracts):
+                        pressing[i, s] = f + law.attraction(constants, radius, d, memory)
                     stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, memory)
                     lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, memory)
                 else:

@@ -59,7 +59,7 @@ def test_a_restitution_out_of_reach_is_said_beside_the_step(plan, rows):
 
 
 def test_settings_say_what_was_filled_in_and_what_was_given(rows):
-    assert rows["numerics.chunk_size"].split()[1:] == ["512", "default"]
+    assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
     assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
     assert "every pair gives a number" in rows["contact.normal.restitution"]
     assert "default: output.interval" in rows["output.timeseries_interval"]

@@ -39,6 +39,7 @@ def test_every_feature_has_its_reason(tmp_path):
         ((), "ledger", "off", "output.energy is off", "output:"),
         ((), "one_material", "on", "all particles are of glass", None),
         ((), "rate_dependent", "off", "the zhou law as set here has no viscous term", None),
+        ((), "adhesion", "off", "contact.adhesion is none", None),
         (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
         (("friction: 0,", "friction: 0.4,"), "rotation", "on", "friction or rolling turns the particles", None),
         (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),
@@ -67,6 +68,15 @@ def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
     assert found["rolling"][0] == "cdt"
     assert found["rolling"][1].endswith(f"beads.yaml:{line_of('glass-glass')})")
     assert found["rotation"][0] == "on"
+
+
+@pytest.mark.parametrize(("density", "setting"), [("0", "off"), ("5 kJ/m3", "sjkr")])
+def test_adhesion_is_left_out_where_no_pair_coheres(tmp_path, density, setting):
+    text = TEXT.replace("rolling: none", "rolling: none\n  adhesion: sjkr")
+    text = text.replace("rolling_friction: 0}", f"rolling_friction: 0, cohesion_energy_density: {density}}}")
+    plan = plan_for(scene_of(tmp_path, text=text))
+    assert {reason.feature: reason.setting for reason in plan.reasons}["adhesion"] == setting
+    assert plan.law.attracts == (setting == "sjkr")
 
 
 def test_materials_that_nothing_is_made_of_are_left_out(tmp_path):

@@ -47,7 +47,7 @@ def test_what_is_left_out_is_filled_in(scene):
     assert scene.output.timeseries_interval == scene.output.interval == 0.01
     assert scene.particles["pair"].count == 2
     assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution == "onset"
-    assert scene.numerics.chunk_size == 512
+    assert scene.numerics.chunk_size == "auto"
     assert scene.run.time_step == "auto"
 
 

@@ -1,0 +1,168 @@
+"""Viscoelastic spheres (Kuwabara & Kono 1987): a Hertz spring with the damping that its solid would have.
+
+The dissipative force goes with the square root of the overlap, and e falls with velocity as 1 - C v^(1/5). Its one
+parameter comes from each pair's restitution at a reference velocity.
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws import theory
+from granflow.laws.law import Asked, NormalLaw, Touch
+from granflow.laws.material import PairMaterial
+from granflow.laws.mindlin import mindlin_stiffness
+
+CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
+EXPONENT = 0.2
+"""The dissipation of a collision goes with this power of its velocity."""
+STEPS = 500
+"""Steps of the fourth-order integration of a collision; e is then good to 1e-8."""
+LARGEST_DISSIPATION = 64.0
+"""Where e is 0.0013."""
+
+
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for."""
+    return build(asked.settings["reference_velocity"])
+
+
+def build(reference_velocity: float) -> NormalLaw:
+    """Kuwabara and Kono's law; each pair's restitution is that at the reference velocity [m/s], for all sizes."""
+    scale = reference_velocity**-EXPONENT
+
+    def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
+        if not isinstance(pair.restitution, float):
+            raise ValueError("the kuwabara_kono law takes one number as restitution coefficient")
+        dissipation = scale * dissipation_for(pair.restitution)
+        return pair.modulus_eff, pair.shear_modulus_eff, dissipation
+
+    def rebound(pair: PairMaterial, velocity: float) -> tuple[float, float, float]:
+        return rebound_of(pair_constants(pair)[2] * velocity**EXPONENT)
+
+    def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        return rebound(pair, velocity)[0]
+
+    def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        unit = (mass_eff**2 / (k**2 * velocity)) ** EXPONENT
+        _, loading, unloading = rebound(pair, velocity)
+        return unit * loading, unit * unloading
+
+    return NormalLaw(
+        name="kuwabara_kono",
+        source="Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, "
+        "doi 10.1103/PhysRevE.53.5382",
+        limits="made for slow viscoelastic impacts: 1 - e grows as v^(1/5), whatever the material; its power of "
+        "the mass costs time in every contact and step",
+        constant_names=CONSTANTS,
+        history_names=(),
+        rate_dependent=True,
+        lateral_grows=True,
+        pair_constants=pair_constants,
+        force=force,
+        stored_energy=stored_energy,
+        lost_energy=lost_energy,
+        lateral_stiffness=mindlin_stiffness,
+        twin=twin,
+        phase_durations=phase_durations,
+        unloading_stiffness=theory.hertz_tangent,
+        stable_stiffness=theory.hertz_tangent,
+        restitution=restitution,
+    )
+
+
+@ti.func
+def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    """F = k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', cut where it would pull; g = dissipation at 1 m/s."""
+    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+    root = ti.sqrt(overlap)
+    elastic = k * root * overlap
+    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * root * overlap_rate
+    viscous = ti.max(viscous, -elastic)
+    return elastic + viscous, viscous, history
+
+
+@ti.func
+def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Work of the Hertz spring, (2/5) k d^2.5."""
+    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+    return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
+
+
+@ti.func
+def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Nothing: all loss is viscous."""
+    return 0.0 * overlap
+
+
+def twin(touch: Touch) -> tuple[float, np.ndarray]:
+    """Numpy twin of `force`."""
+    k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
+    damping = touch.constants[2] * k**0.6 * touch.mass_eff**0.4
+    dissipative = damping * np.sqrt(touch.overlap) * touch.overlap_rate
+    return float(max(k * touch.overlap**1.5 + dissipative, 0.0)), touch.history
+
+
+@cache
+def dissipation_for(e: float) -> float:
+    """The dissipation g at which spheres rebound with e. Raises ValueError for e outside (0, 1]."""
+    if not 0.0 < e <= 1.0:
+        raise ValueError("a viscous contact reaches any restitution in (0, 1], not 0")
+    low, high = 0.0, 1.0
+    while rebound_of(high)[0] > e:
+        low, high = high, 2.0 * high
+        if high > LARGEST_DISSIPATION:
+            raise ValueError(f"the kuwabara_kono law takes no restitution as small as {e:g}")
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if rebound_of(middle)[0] > e else (low, middle)
+    return 0.5 * (low + high) if e < 1.0 else 0.0
+
+
+@cache
+def rebound_of(dissipation: float) -> tuple[float, float, float]:
+    """Restitution, loading and unloading duration of a collision in its own units.
+
+        x'' + g x^(1/2) x' + x^(3/2) = 0,   x(0) = 0, x'(0) = 1,   until the force is 0
+
+    Overlaps are in (M v^2 / k)^(2/5) and times in that over v; s = t^(1/2) makes the start smooth.
+    """
+    state, s, turn = (0.0, 1.0), 0.0, 0.0
+    step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
+    while True:
+        after = _step(state, s, step, dissipation)
+        if turn == 0.0 and after[1] <= 0.0:
+            turn = (s + step * state[1] / (state[1] - after[1])) ** 2
+        if after[1] < 0.0 and after[0] + dissipation * after[1] <= 0.0:
+            break
+        state, s = after, s + step
+    low, high = 0.0, step
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        x, w = _step(state, s, middle, dissipation)
+        low, high = (middle, high) if x + dissipation * w > 0.0 else (low, middle)
+    end = (s + low) ** 2
+    return -_step(state, s, low, dissipation)[1], turn, end - turn
+
+
+def _step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
+    """One step of the classical Runge-Kutta method over s."""
+
+    def slope(s: float, x: float, w: float) -> tuple[float, float]:
+        root = max(x, 0.0) ** 0.5
+        return 2.0 * s * w, -2.0 * s * root * (x + g * w)
+
+    x, w = state
+    half = 0.5 * step
+    a = slope(s, x, w)
+    b = slope(s + half, x + half * a[0], w + half * a[1])
+    c = slope(s + half, x + half * b[0], w + half * b[1])
+    d = slope(s + step, x + step * c[0], w + step * c[1])
+    sixth = step / 6.0
+    return (
+        x + sixth * (a[0] + 2.0 * (b[0] + c[0]) + d[0]),
+        w + sixth * (a[1] + 2.0 * (b[1] + c[1]) + d[1]),
+    )

@@ -1,0 +1,108 @@
+"""The linear spring of the laws that have one: a number, or Zhou's Eq. 19 at one velocity or per contact."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws import theory
+from granflow.laws.law import Asked, Touch
+from granflow.laws.material import PairMaterial
+
+SLOWEST_SHARE = 0.01
+"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A spring stiffness [N/m] that a contact keeps from first touch on."""
+
+    history_names: tuple[str, ...]
+    """What a contact must remember of it: nothing where the stiffness is a number."""
+    prepare: Any
+    """Device function for NormalLaw.prepare: the spring of a contact that opens, where constants[0] is the effective
+    modulus. None where the stiffness is a number."""
+    held: Any
+    """Device function (history) -> stiffness."""
+    at_host: Callable[[float, float, float, float], float]
+    """Stiffness of (modulus_eff, radius_eff, mass_eff, velocity)."""
+    place: int
+    """Where the stiffness stands in the law's history."""
+
+    def of(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Stiffness [N/m] in a collision of this pair."""
+        return self.at_host(pair.modulus_eff, radius_eff, mass_eff, velocity)
+
+    def touched(self, touch: Touch) -> tuple[float, list[float]]:
+        """Numpy twin of `prepare` and `held`: stiffness, and what the history holds of it."""
+        held = touch.history[self.place] if self.history_names else 0.0
+        fresh = self.at_host(touch.constants[0], touch.radius_eff, touch.mass_eff, touch.overlap_rate)
+        stiffness = float(held) if held > 0.0 else fresh
+        return stiffness, [stiffness] if self.history_names else []
+
+
+@ti.func
+def equivalent_spring(constants, radius_eff, mass_eff, velocity):
+    """Spring with the Hertz contact's energy at its largest overlap, (4/5) k sqrt(dmax) [N/m] (Zhou 2011, Eq. 19)."""
+    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+    return 0.8 * k * ti.pow(1.25 * mass_eff * velocity * velocity / k, 0.2)
+
+
+@ti.func
+def lateral_spring(constants, stiffness):
+    """Mindlin's ratio of tangential to normal stiffness, 4 G / E, on a linear spring [N/m]; constants E, G first."""
+    return 4.0 * constants[1] / constants[0] * stiffness
+
+
+def build_spring(
+    stiffness: float | None, reference_velocity: float | None, velocity_floor: float, place: int
+) -> Spring:
+    """A spring [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
+
+    Per contact the spring comes from that contact's own approach velocity, at least `velocity_floor`: Eq. 19 gives
+    no spring at all to a contact that forms at rest. `place` is its place in the law's history.
+    """
+    given, fixed = stiffness is not None, reference_velocity is not None
+
+    @ti.func
+    def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        memory = history
+        if memory[place] == 0.0:
+            velocity = ti.max(overlap_rate, velocity_floor)
+            if ti.static(fixed):
+                velocity = 0.0 * overlap_rate + reference_velocity
+            memory[place] = equivalent_spring(constants, radius_eff, mass_eff, velocity)
+        return memory
+
+    @ti.func
+    def held(history):
+        value = 0.0 * history[0]
+        if ti.static(given):
+            value += stiffness
+        else:
+            value += history[place]
+        return value
+
+    def at_host(modulus: float, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        if stiffness is not None:
+            return stiffness
+        speed = max(velocity, velocity_floor) if reference_velocity is None else reference_velocity
+        return float(theory.equivalent_spring(theory.hertz_stiffness(modulus, radius_eff), mass_eff, speed))
+
+    names = () if given else ("spring_stiffness",)
+    return Spring(names, None if given else prepare, held, at_host, place)
+
+
+def spring_for(asked: Asked, place: int) -> Spring:
+    """The spring that a scene asks for under `stiffness`; `place` is its place in the law's history."""
+    given: str | Mapping[str, float] = asked.settings["stiffness"]
+    keyed: Mapping[str, float] = {} if isinstance(given, str) else given
+    floor = SLOWEST_SHARE * asked.velocity_max
+    return build_spring(keyed.get("value"), keyed.get("reference_velocity"), floor, place)
+
+
+def quarter_period(stiffness: float, mass_eff: float) -> float:
+    """Time [s] from first touch to the largest overlap on a linear spring."""
+    return 0.5 * np.pi * float(np.sqrt(mass_eff / stiffness))

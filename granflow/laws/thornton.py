@@ -1,0 +1,233 @@
+"""Elastic, perfectly plastic spheres (Thornton 1997): the contact pressure stops at a limit, unloading is Hertz again.
+
+The material decides the restitution; nothing is asked for it. A flattened contact unloads, and reloads up to its
+largest overlap so far, as an elastic sphere of a larger radius.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+from numpy.polynomial.legendre import leggauss
+
+from granflow.laws import theory
+from granflow.laws.law import Asked, NormalLaw, Touch
+from granflow.laws.material import PairMaterial
+from granflow.laws.mindlin import mindlin_stiffness
+
+CONSTANTS = ("modulus_eff", "shear_modulus_eff", "yield_pressure")
+
+
+@ti.func
+def yield_point(constants, radius_eff):
+    """Overlap [m] and force [N] at first yield: d_y = R (pi p / (2 E))^2, F_y = k d_y^1.5 (Thornton 1997)."""
+    slope = 0.5 * math.pi * constants[2] / constants[0]
+    overlap = radius_eff * slope * slope
+    return overlap, 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
+
+
+@ti.func
+def loading_force(constants, radius_eff, overlap):
+    """Force on the loading branch [N]: k d^1.5 up to first yield, then F_y + pi p R (d - d_y)."""
+    force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
+    overlap_yield, force_yield = yield_point(constants, radius_eff)
+    if overlap > overlap_yield:
+        force = force_yield + math.pi * constants[2] * radius_eff * (overlap - overlap_yield)
+    return force
+
+
+@ti.func
+def flattened(constants, radius_eff, overlap_max):
+    """Unloading stiffness [N/m^1.5] and residual overlap [m]: R_p F* = R F_e*, where F_e* = k d*^1.5."""
+    hertz = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap_max) * overlap_max
+    ratio = hertz / loading_force(constants, radius_eff, overlap_max)
+    return 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * ratio), overlap_max - overlap_max / ratio
+
+
+@ti.func
+def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    """Loading branch beyond the largest overlap so far, Hertz on the flattened contact below it."""
+    memory = history
+    normal_force = 0.0 * overlap
+    if overlap >= memory[0]:
+        memory[0] = overlap
+        normal_force = loading_force(constants, radius_eff, overlap)
+    else:
+        stiffness, residual = flattened(constants, radius_eff, memory[0])
+        above = ti.max(overlap - residual, 0.0)
+        normal_force = stiffness * above * ti.sqrt(above)
+    return normal_force, 0.0 * normal_force, memory
+
+
+@ti.func
+def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Work that unloading gives back, (2/5) of force times overlap above the residual one."""
+    stiffness, residual = flattened(constants, radius_eff, history[0])
+    above = ti.max(overlap - residual, 0.0)
+    return 0.4 * stiffness * above * above * ti.sqrt(above)
+
+
+@ti.func
+def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Work of loading to the largest overlap, less what unloading gives back."""
+    largest = history[0]
+    overlap_yield, force_yield = yield_point(constants, radius_eff)
+    lost = 0.0 * largest
+    if largest > overlap_yield:
+        beyond = largest - overlap_yield
+        put_in = 0.4 * force_yield * overlap_yield
+        put_in += beyond * (force_yield + 0.5 * math.pi * constants[2] * radius_eff * beyond)
+        stiffness, residual = flattened(constants, radius_eff, largest)
+        above = largest - residual
+        lost = put_in - 0.4 * stiffness * above * above * ti.sqrt(above)
+    return lost
+
+
+@dataclass(frozen=True)
+class Collision:
+    """A binary collision of elastic, perfectly plastic spheres in closed form; SI."""
+
+    hertz: float
+    radius_eff: float
+    mass_eff: float
+    velocity: float
+    pressure: float
+    overlap_yield: float
+
+    @property
+    def force_yield(self) -> float:
+        """Force at first yield [N]."""
+        return self.hertz * self.overlap_yield**1.5
+
+    @property
+    def yield_velocity(self) -> float:
+        """Approach velocity that just yields [m/s]: M v_y^2 / 2 = (2/5) F_y d_y."""
+        return math.sqrt(0.8 * self.force_yield * self.overlap_yield / self.mass_eff)
+
+    @property
+    def plastic_slope(self) -> float:
+        """Tangent of plastic loading [N/m], pi p R."""
+        return math.pi * self.pressure * self.radius_eff
+
+    @property
+    def overlap_max(self) -> float:
+        """Largest overlap [m], from the energy."""
+        if self.velocity <= self.yield_velocity:
+            return float(theory.overlap_max(self.hertz, self.mass_eff, self.velocity))
+        energy = self.mass_eff * (self.velocity**2 - self.yield_velocity**2)
+        root = math.sqrt(self.force_yield**2 + self.plastic_slope * energy)
+        return self.overlap_yield + (root - self.force_yield) / self.plastic_slope
+
+    @property
+    def flattening(self) -> float:
+        """Radius of the flattened contact over the sphere's, R_p / R."""
+        largest = self.overlap_max
+        if largest <= self.overlap_yield:
+            return 1.0
+        force = self.force_yield + self.plastic_slope * (largest - self.overlap_yield)
+        return self.hertz * largest**1.5 / force
+
+    @property
+    def restitution(self) -> float:
+        """Restitution coefficient (Thornton 1997).
+
+        e^2 = (6 sqrt(3) / 5) (1 - w^2 / 6) (w / (w + 2 sqrt((6 - w^2) / 5)))^(1/2),   w = v_y / v <= 1
+        """
+        w = self.yield_velocity / self.velocity
+        if w >= 1.0:
+            return 1.0
+        share = w / (w + 2.0 * math.sqrt((6.0 - w * w) / 5.0))
+        return math.sqrt(6.0 * math.sqrt(3.0) / 5.0 * (1.0 - w * w / 6.0)) * share**0.25
+
+    @property
+    def unloading_tangent(self) -> float:
+        """Tangent at the start of unloading [N/m]."""
+        return 1.5 * self.hertz * math.sqrt(self.overlap_max)
+
+    def durations(self) -> tuple[float, float]:
+        """Loading and unloading duration [s]."""
+        scale = float(theory.time_scale(self.hertz, self.mass_eff, self.velocity))
+        rebound = self.overlap_max / self.flattening
+        unloading = theory.LOADING_DURATION * rebound / (self.restitution * self.velocity)
+        if self.velocity <= self.yield_velocity:
+            return theory.LOADING_DURATION * scale, unloading
+        elastic = scale * _hertz_time(self.overlap_yield * self.velocity**-1 / scale)
+        left = math.sqrt(self.velocity**2 - self.yield_velocity**2)
+        omega = math.sqrt(self.plastic_slope / self.mass_eff)
+        plastic = math.atan2(left * omega * self.mass_eff, self.force_yield) / omega
+        return elastic + plastic, unloading
+
+
+def _hertz_time(share: float) -> float:
+    """Time over T_s that Hertz loading takes to a share of its largest overlap: int_0^share du / sqrt(1 - u^2.5)."""
+    nodes, weights = leggauss(60)
+    end = math.asin(share)
+    angle = 0.5 * end * (nodes + 1.0)
+    integrand = np.cos(angle) / np.sqrt(1.0 - np.sin(angle) ** 2.5)
+    return float(0.5 * end * np.sum(weights * integrand))
+
+
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for."""
+    return build(asked.settings["yield_ratio"])
+
+
+def build(yield_ratio: float) -> NormalLaw:
+    """Thornton's law; the contact pressure stops at `yield_ratio` times the yield strength of the softer material."""
+
+    def pressure(pair: PairMaterial) -> float:
+        if pair.yield_strength is None:
+            raise ValueError("the thornton law needs a yield strength of at least one of the two materials")
+        return yield_ratio * pair.yield_strength
+
+    def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
+        return pair.modulus_eff, pair.shear_modulus_eff, pressure(pair)
+
+    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> Collision:
+        hertz = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        overlap_yield = radius_eff * (0.5 * math.pi * pressure(pair) / pair.modulus_eff) ** 2
+        return Collision(hertz, radius_eff, mass_eff, velocity, pressure(pair), overlap_yield)
+
+    def tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        return collision(pair, radius_eff, mass_eff, velocity).unloading_tangent
+
+    return NormalLaw(
+        name="thornton",
+        source="Thornton 1997, J. Appl. Mech. 64:383, doi 10.1115/1.2787319",
+        limits="no hardening and no rate: e is 1 below the yield velocity and falls as v^(-1/4) far above it, whatever "
+        "the material; the pressure at which a contact yields is uncertain by a factor of 2",
+        constant_names=CONSTANTS,
+        history_names=("overlap_max",),
+        rate_dependent=False,
+        lateral_grows=True,
+        pair_constants=pair_constants,
+        force=force,
+        stored_energy=stored_energy,
+        lost_energy=lost_energy,
+        lateral_stiffness=mindlin_stiffness,
+        twin=twin,
+        phase_durations=lambda *bodies: collision(*bodies).durations(),
+        unloading_stiffness=tangent,
+        stable_stiffness=tangent,
+        restitution=lambda *bodies: collision(*bodies).restitution,
+    )
+
+
+def twin(touch: Touch) -> tuple[float, np.ndarray]:
+    """Numpy twin of `force`, by contact radii as in the paper: a^2 = R d and a^2 = R_p (d - d_p)."""
+    modulus, _, pressure = touch.constants
+    radius, largest = touch.radius_eff, max(touch.overlap, touch.history[0])
+    yield_radius = math.pi * pressure * radius / (2.0 * modulus)
+
+    def loaded(overlap: float) -> float:
+        contact_radius = math.sqrt(radius * overlap)
+        elastic = 4.0 * modulus * min(contact_radius, yield_radius) ** 3 / (3.0 * radius)
+        return elastic + math.pi * pressure * max(contact_radius**2 - yield_radius**2, 0.0)
+
+    if touch.overlap >= touch.history[0]:
+        return loaded(touch.overlap), np.array([touch.overlap])
+    equivalent = 4.0 * modulus * (radius * largest) ** 1.5 / (3.0 * radius)
+    flat_radius = radius * equivalent / loaded(largest)
+    above = max(touch.overlap - (largest - radius * largest / flat_radius), 0.0)
+    return 4.0 / 3.0 * modulus * math.sqrt(flat_radius) * above**1.5, np.array([largest])

@@ -1,0 +1,124 @@
+"""Two straight lines: loading with k1, unloading and reloading with the steeper k2 (Walton & Braun 1986)."""
+
+import math
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.material import PairMaterial
+from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
+
+CONSTANTS = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
+
+
+def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
+    """Numbers of CONSTANTS; the loss ratio is 1/e^2 - 1. Raises ValueError where the restitution is 0 or falls."""
+    if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
+        raise ValueError("the walton_braun law takes one number above 0 as restitution coefficient")
+    return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
+
+
+def law_for(asked: Asked) -> NormalLaw:
+    """The law that a scene asks for."""
+    given = asked.settings["unloading"]
+    return build(spring_for(asked, place=1), None if given == "constant" else given["reference_velocity"])
+
+
+def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
+    """Bilinear law with this loading spring k1.
+
+    k2 = k1 / e^2 without a reference velocity, so that e holds at every velocity; else k2 = k1 (1 + S F_max) with the
+    slope S that gives e at that velocity [m/s], and a restitution that falls with velocity.
+    """
+    grows = reference_velocity is not None
+
+    @ti.func
+    def unloading_stiffness(constants, mass_eff, stiffness, overlap_max):
+        """Slope k2 [N/m]: k1 / e^2, or k1 (1 + (1/e^2 - 1) dmax sqrt(k1/M) / v_ref)."""
+        excess = constants[2]
+        if ti.static(grows):
+            excess *= overlap_max * ti.sqrt(stiffness / mass_eff) / reference_velocity
+        return stiffness * (1.0 + excess)
+
+    @ti.func
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """F = k1 d beyond the largest overlap so far, k2 (d - d0) below it, never below 0."""
+        memory = history
+        stiffness = spring.held(memory)
+        normal_force = stiffness * overlap
+        if overlap >= memory[0]:
+            memory[0] = overlap
+        else:
+            steep = unloading_stiffness(constants, mass_eff, stiffness, memory[0])
+            normal_force = ti.max(stiffness * memory[0] - steep * (memory[0] - overlap), 0.0)
+        return normal_force, 0.0 * normal_force, memory
+
+    @ti.func
+    def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        stiffness = spring.held(history)
+        steep = unloading_stiffness(constants, mass_eff, stiffness, history[0])
+        held = ti.max(stiffness * history[0] - steep * (history[0] - overlap), 0.0)
+        return 0.5 * held * held / steep
+
+    @ti.func
+    def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        stiffness = spring.held(history)
+        steep = unloading_stiffness(constants, mass_eff, stiffness, history[0])
+        return 0.5 * stiffness * history[0] * history[0] * (1.0 - stiffness / steep)
+
+    @ti.func
+    def lateral_stiffness(constants, radius_eff, overlap, history):
+        return lateral_spring(constants, spring.held(history))
+
+    def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """e(v) = 1 / sqrt(1 + (1/e^2 - 1) v / v_ref), or e (Walton & Braun 1986)."""
+        share = 1.0 if reference_velocity is None else velocity / reference_velocity
+        return 1.0 / math.sqrt(1.0 + pair_constants(pair)[2] * share)
+
+    def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
+        return quarter, restitution(pair, radius_eff, mass_eff, velocity) * quarter
+
+    def steepest(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        stiffness = spring.of(pair, radius_eff, mass_eff, velocity)
+        return stiffness / restitution(pair, radius_eff, mass_eff, velocity) ** 2
+
+    return NormalLaw(
+        name="walton_braun",
+        source="Walton & Braun 1986, J. Rheol. 30:949, doi 10.1122/1.549893; spring: Zhou 2011, Eq. 19",
+        limits="unloading is 1/e^2 times as stiff as loading, so that steps shrink as e; a spring that is a number "
+        "gives one duration, and a constant k2 one restitution, at every velocity",
+        constant_names=CONSTANTS,
+        history_names=("overlap_max", *spring.history_names),
+        rate_dependent=False,
+        lateral_grows=False,
+        pair_constants=pair_constants,
+        force=force,
+        prepare=spring.prepare,
+        stored_energy=stored_energy,
+        lost_energy=lost_energy,
+        lateral_stiffness=lateral_stiffness,
+        twin=_twin(spring, reference_velocity),
+        phase_durations=phase_durations,
+        unloading_stiffness=steepest,
+        stable_stiffness=steepest,
+        restitution=restitution,
+    )
+
+
+def _twin(spring: Spring, reference_velocity: float | None) -> Twin:
+    """Numpy twin of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as Walton & Braun have it."""
+
+    def twin(touch: Touch) -> tuple[float, np.ndarray]:
+        (stiffness, kept), largest = spring.touched(touch), touch.history[0]
+        memory = np.array([max(largest, touch.overlap), *kept])
+        if touch.overlap >= largest:
+            return stiffness * touch.overlap, memory
+        steep = stiffness * (1.0 + touch.constants[2])
+        if reference_velocity is not None:
+            slope = touch.constants[2] / (reference_velocity * math.sqrt(stiffness * touch.mass_eff))
+            steep = stiffness * (1.0 + slope * stiffness * largest)
+        return max(steep * (touch.overlap - largest * (1.0 - stiffness / steep)), 0.0), memory
+
+    return twin

@@ -1,0 +1,102 @@
+"""Schema of `contact.normal`, made from what the catalogue of laws says of each law's settings."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+
+from pydantic import Field, Tag, create_model
+
+from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.kind import Amount, Choice, LawKind, Setting
+from granflow.scene.fields import AlsoWritten, Model, Number, choice, chosen, shorthand
+
+
+class LawSettings(Model):
+    """A normal law and its settings; each law of the catalogue has a model of its own."""
+
+    law: str
+
+    @property
+    def kind(self) -> LawKind:
+        """The catalogue's entry."""
+        return NORMAL_LAWS[self.law]
+
+    def settings(self) -> dict[str, Any]:
+        """The settings by key, without the name of the law."""
+        return self.model_dump(exclude={"law"})
+
+    def fixed_by_numbers(self) -> dict[str, str]:
+        """Settings with the word that each becomes where every pair gives a number as restitution."""
+        choices = {key: each for key, each in self.kind.settings.items() if isinstance(each, Choice)}
+        return {key: each.with_numbers for key, each in choices.items() if each.with_numbers is not None}
+
+
+def known_laws() -> str:
+    """The names of all laws as a sentence lists them."""
+    *first, last = NORMAL_LAWS
+    return f"{', '.join(first)} or {last}"
+
+
+def _model(kind: LawKind) -> type[LawSettings]:
+    fields: dict[str, Any] = {"law": (Literal[kind.name], Field(description="name of the normal law"))}
+    for key, setting in kind.settings.items():
+        fields[key] = (_annotation(setting, f"{kind.name}_{key}"), _field(setting))
+    return create_model(f"{_camel(kind.name)}Normal", __base__=LawSettings, __doc__=kind.summary, **fields)
+
+
+def _field(setting: Setting) -> Any:
+    if setting.default is None:
+        return Field(description=setting.description)
+    return Field(setting.default, description=setting.description)
+
+
+def _annotation(setting: Setting, name: str) -> Any:
+    """The type of a setting; `name` is unique to it and begins the names of models within it."""
+    if isinstance(setting, Amount):
+        bounds = (setting.above, setting.at_least, setting.at_most)
+        return Annotated[float, Number(setting.dimension, setting.noun, *bounds)]
+    if not setting.keyed:
+        return Literal[setting.words]
+    models = {key: _keyed(key, amount, f"{name}_{key}") for key, amount in setting.keyed.items()}
+    members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in setting.words]
+    members += [Annotated[model, Tag(f"<{key}>")] for key, model in models.items()]
+    by = chosen(_tagger(setting.words, models), f"it must be {_either(setting)}")
+    return Annotated[Union[tuple(members)], by]  # noqa: UP007
+
+
+def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
+    fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
+    return create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
+
+
+def _either(setting: Choice) -> str:
+    *first, last = [*setting.words, *(f"{{{key}: {amount.example}}}" for key, amount in setting.keyed.items())]
+    return f"{', '.join(first)} or {last}"
+
+
+def _tagger(words: tuple[str, ...], models: dict[str, type[Model]]) -> Callable[[Any], str | None]:
+    def tag(value: Any) -> str | None:
+        if isinstance(value, str):
+            return f"<{value}>" if value in words else None
+        for key, model in models.items():
+            if isinstance(value, model) or (isinstance(value, dict) and key in value):
+                return f"<{key}>"
+        return None
+
+    return tag
+
+
+def _camel(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+MODELS: dict[str, type[LawSettings]] = {name: _model(kind) for name, kind in NORMAL_LAWS.items()}
+
+if TYPE_CHECKING:
+    Normal = LawSettings
+else:
+    Normal = Annotated[
+        Union[tuple(Annotated[model, Tag(f"<{name}>")] for name, model in MODELS.items())],  # noqa: UP007
+        choice("law"),
+        shorthand("law"),
+        AlsoWritten(tuple(name for name, kind in NORMAL_LAWS.items() if not kind.needs_settings)),
+    ]

@@ -1,0 +1,80 @@
+"""How figures of all studies look, and how they and their numbers are written; needs the extra `plot`."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
+"""Told apart by the colour-blind and in grey (Okabe & Ito 2008, two more for many laws)."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
+POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}
+"""Simulated points: open markers, without a line."""
+
+WIDTH = 6.7
+"""Width of a figure [inch]: two columns of a journal."""
+
+RESOLUTION = 300
+
+STYLE: dict[str, Any] = {
+    "font.family": "serif",
+    "font.serif": ["STIXGeneral", "Times New Roman", "DejaVu Serif"],
+    "mathtext.fontset": "stix",
+    "font.size": 9.0,
+    "axes.linewidth": 0.6,
+    "axes.labelsize": 9.5,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 2.2,
+    "lines.linewidth": 1.1,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "xtick.minor.visible": True,
+    "ytick.minor.visible": True,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "savefig.bbox": "tight",
+    "savefig.pad_inches": 0.04,
+}
+
+
+def require_plotting() -> None:
+    """Raise GranflowError where matplotlib is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise GranflowError("Figures need matplotlib, which is not installed: pip install granflow[plot]") from None
+
+
+def draw_to(path: Path, draw: Any, height: float) -> None:
+    """Draw into a PNG: `draw` gets an empty matplotlib figure of WIDTH by `height` [inch] in our style.
+
+    Raises GranflowError where matplotlib is not installed.
+    """
+    require_plotting()
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        figure.savefig(path, dpi=RESOLUTION)
+
+
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length as CSV with their names in the first line, numbers in full precision."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))

@@ -1,0 +1,236 @@
+"""sigma and psi of Eq. 12 from measured restitution, by least squares.
+
+    e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
+
+Three parameters at most and derivatives in closed form: Levenberg-Marquardt in numpy, so that nobody needs scipy.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.laws.material import Solid, VelocityRestitution, limit_velocity
+from granflow.scene.presets import PRESETS
+from granflow.scene.suggest import known_or_meant
+from granflow.study.figures import COLORS, POINTS, draw_to, write_columns
+from granflow.study.measurements import Measurements
+
+NAMES = ("sigma", "psi", "limit_velocity")
+ITERATIONS = 500
+SMALLEST_STEP = 1e-10
+"""Relative to the parameters; the search ends there."""
+START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)
+"""Limit velocities to start from: this far above the largest velocity measured, relative to it."""
+FLATTEST = 0.05
+"""Smallest psi to start from: scattered data may seem to rise."""
+HEIGHT = 4.2
+"""Of the figure [inch]."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters of Eq. 12 with their standard errors; a limit velocity that was given has the error 0."""
+
+    curve: VelocityRestitution
+    errors: VelocityRestitution
+    correlation: float
+    """Between measured and fitted restitution; nan where all measured are equal."""
+    r_squared: float
+    """Share of the scatter of the measured restitution that the curve explains."""
+    residual: np.ndarray
+    """Measured minus fitted restitution (n,)."""
+
+    def snippet(self) -> str:
+        """The curve as a pair of materials says it in a scene."""
+        values = ", ".join(f"{name}: {getattr(self.curve, name):.6g}" for name in NAMES)
+        return f"restitution: {{{values} m/s}}"
+
+
+def fit(data: Measurements, limit: float | None = None) -> Fit:
+    """Fit Eq. 12; the limit velocity [m/s] is fitted, too, where none is given.
+
+    Standard errors come from the scatter about the curve, or from the deviations measured where the file has them.
+    Raises GranflowError where the data do not determine the parameters.
+    """
+    _refuse_undetermined(data, limit)
+    starts = _starts(data, limit)
+    found = min((_minimize(data, start, limit) for start in starts), key=lambda each: each[1])
+    curve = VelocityRestitution(*found[0].tolist())
+    errors = _standard_errors(data, found[0], limit)
+    predicted = curve(data.velocity)
+    weights = 1.0 / data.spread**2
+    residual = data.restitution - predicted
+    scatter = data.restitution - np.average(data.restitution, weights=weights)
+    total = float(weights @ scatter**2)
+    return Fit(
+        curve=curve,
+        errors=VelocityRestitution(*errors.tolist()),
+        correlation=_correlation(data.restitution, predicted, weights),
+        r_squared=1.0 - float(weights @ residual**2) / total if total > 0.0 else float("nan"),
+        residual=residual,
+    )
+
+
+def _refuse_undetermined(data: Measurements, limit: float | None) -> None:
+    fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
+    count = 2 if limit else 3
+    if len(data) <= count:
+        raise GranflowError(f"{len(data)} rows are too few for {fitted} and their errors: give {count + 1} or more.")
+    if limit and np.any((data.velocity >= limit) & (data.restitution > 0.0)):
+        fastest = data.velocity[data.restitution > 0.0].max()
+        raise GranflowError(
+            f"The spheres rebound at {fastest:g} m/s, but a limit velocity of {limit:g} m/s is given, "
+            "from which on Eq. 12 says that they do not: give a higher one, or let --fit-limit find it."
+        )
+    telling = (data.restitution > 0.0) & (data.restitution < 1.0)
+    velocities = len(np.unique(data.velocity[telling]))
+    if velocities < count:
+        raise GranflowError(
+            f"Restitutions between 0 and 1 at {velocities} different velocities are too few for {fitted}: "
+            f"give {count} or more."
+        )
+
+
+def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
+    """Parameters to start from: ln(-ln e) = ln sigma + psi ln(v / (vlim - v)) is a straight line."""
+    telling = (data.restitution > 0.0) & (data.restitution < 1.0)
+    velocity = data.velocity[telling]
+    height = np.log(-np.log(data.restitution[telling]))
+    found = []
+    for each in [limit] if limit else velocity.max() * (1.0 + np.array(START_MARGINS)):
+        slope, level = np.polyfit(np.log(velocity / (each - velocity)), height, 1)
+        found.append(np.array([np.exp(level), max(slope, FLATTEST), each]))
+    return found
+
+
+def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
+    """Parameters and sum of squares, by Levenberg-Marquardt in their logarithms: they stay above 0.
+
+    The limit velocity moves as its margin above the fastest rebound.
+    """
+    fastest = 0.0 if limit else float(data.velocity[data.restitution > 0.0].max())
+    free = 2 if limit else 3
+    floor = np.array([0.0, 0.0, fastest])
+    point, damping = start, 1e-3
+    residual, slopes = _linearized(data, point)
+    cost = float(residual @ residual)
+    for _ in range(ITERATIONS):
+        jacobian = (slopes * (point - floor))[:, :free]
+        normal = jacobian.T @ jacobian
+        step = np.zeros(3)
+        step[:free] = np.linalg.lstsq(
+            normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual, rcond=None
+        )[0].clip(-1.0, 1.0)  # fmt: skip
+        trial = floor + (point - floor) * np.exp(step)
+        new_residual, new_slopes = _linearized(data, trial)
+        new_cost = float(new_residual @ new_residual)
+        if new_cost <= cost:
+            point, residual, slopes, cost, damping = trial, new_residual, new_slopes, new_cost, 0.3 * damping
+        else:
+            damping *= 4.0
+        if np.abs(step).max() < SMALLEST_STEP:
+            break
+    return point, cost
+
+
+def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Measured minus fitted restitution (n,) and its slopes (n, 3) by the parameters, both over the spread.
+
+    With u = v/(vlim - v) and e = exp(-sigma u^psi):  de/dsigma = -u^psi e,  de/dpsi = -sigma u^psi ln(u) e,
+    de/dvlim = sigma psi u^psi e / (vlim - v); all 0 from the limit velocity on.
+    """
+    sigma, psi, limit = parameters
+    e = VelocityRestitution(sigma, psi, limit)(data.velocity)
+    below = np.where(data.velocity < limit, data.velocity, 0.5 * limit)
+    ratio = below / (limit - below)
+    power_e = ratio**psi * e
+    slopes = np.stack([-power_e, -sigma * power_e * np.log(ratio), sigma * psi * power_e / (limit - below)], axis=1)
+    return (data.restitution - e) / data.spread, slopes / data.spread[:, None]
+
+
+def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
+    """Square roots of the diagonal of (J^T J)^-1, times the scatter about the curve unless deviations are known."""
+    free = 2 if limit else 3
+    residual, slopes = _linearized(data, parameters)
+    jacobian = slopes[:, :free] * parameters[:free]
+    errors = np.zeros(3)
+    _, stretch, directions = np.linalg.svd(jacobian, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        errors[:free] = np.linalg.norm(directions / stretch[:, None], axis=0) * parameters[:free]
+    if not data.absolute:
+        errors *= np.sqrt(residual @ residual / (len(data) - free))
+    if not errors[2] < parameters[2]:
+        raise GranflowError(
+            "These data do not determine the limit velocity: all velocities are far below it. "
+            "Give it with --limit-velocity, or --material for Eq. 11."
+        )
+    return errors
+
+
+def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarray) -> float:
+    """Weighted correlation coefficient."""
+    a = measured - np.average(measured, weights=weights)
+    b = predicted - np.average(predicted, weights=weights)
+    size = float(np.sqrt((weights @ a**2) * (weights @ b**2)))
+    return float(weights @ (a * b)) / size if size > 0.0 else float("nan")
+
+
+def write_fit(out: Path, data: Measurements, result: Fit) -> None:
+    """Write `fit.csv`, then `fit.png`. Raises GranflowError where matplotlib is not installed."""
+    out.mkdir(parents=True, exist_ok=True)
+    table = {"velocity": data.velocity, "measured": data.restitution, "fitted": result.curve(data.velocity)}
+    write_columns(out / "fit.csv", table | {"residual": result.residual})
+    draw_to(out / "fit.png", lambda figure: _draw(figure, data, result), HEIGHT)
+
+
+def _draw(figure: Any, data: Measurements, result: Fit) -> None:
+    axes = figure.subplots()
+    low, high = data.velocity.min() / 1.5, min(data.velocity.max() * 1.5, result.curve.limit_velocity)
+    velocity = np.geomspace(low, high, 300)
+    axes.semilogx(velocity, result.curve(velocity), color=COLORS[0], label=_legend(result))
+    bars = data.spread if data.absolute else None
+    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS)
+    axes.set(xlabel="approach velocity $v$ [m/s]", ylabel="restitution coefficient $e$", ylim=(0.0, 1.05))
+    axes.set_xlim(low, high)
+    axes.legend(loc="lower left")
+
+
+def _legend(result: Fit) -> str:
+    curve, errors = result.curve, result.errors
+    values = rf"$\sigma$ = {curve.sigma:.4g} ± {errors.sigma:.2g}, $\psi$ = {curve.psi:.4g} ± {errors.psi:.2g}"
+    return f"Eq. 12: {values},\n$v_{{lim}}$ = {curve.limit_velocity:.4g} m/s, $r$ = {result.correlation:.5f}"
+
+
+def fit_rows(result: Fit) -> list[tuple[str, str, str, str]]:
+    """The table of a fit: name, value, standard error, unit."""
+    units = {"sigma": "", "psi": "", "limit_velocity": "m/s"}
+    found = []
+    for name in NAMES:
+        error = getattr(result.errors, name)
+        shown = f"{error:.2g}" if error or name != "limit_velocity" else "given"
+        found.append((name.replace("_", " "), f"{getattr(result.curve, name):.6g}", shown, units[name]))
+    found.append(("correlation coefficient r", f"{result.correlation:.6f}", "", ""))
+    found.append(("r squared", f"{result.r_squared:.6f}", "", ""))
+    return found
+
+
+def limit_from_materials(first: str, second: str | None = None) -> float:
+    """Limit velocity of Eq. 11 [m/s] for two known materials, or one on itself.
+
+    Raises GranflowError for a name not known, and where neither has a yield strength.
+    """
+    solids = []
+    for name in (first, second or first):
+        if name not in PRESETS:
+            raise GranflowError(f"There is no preset {name}: {known_or_meant(name, PRESETS, 'presets')}")
+        preset = PRESETS[name]
+        solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
+    try:
+        return limit_velocity(*solids)
+    except ValueError:
+        raise GranflowError(
+            f"The preset {first} has no yield strength, which Eq. 11 needs: give --limit-velocity, or --fit-limit."
+        ) from None

@@ -1,0 +1,83 @@
+"""How restitution and duration reached differ from those asked, by the steps that a collision takes."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.study.figures import COLORS, MARKERS, POINTS
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.study.paper.encounters import Outcomes, collide_all
+from granflow.study.paper.plate import Plate, relative_deviation
+from granflow.study.paper.residual import RESOLVED, TARGET_DURATION, TARGET_RESTITUTION
+
+CASE = PAPER_CASES[0]
+VELOCITY = 1.0
+RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+STEPS = np.array([50, 100, 200, 400])
+PHASES = 8
+"""Collisions of each kind, first touching at different times within a step: the worst is shown."""
+
+
+def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
+    """All restitutions, steps and phases in one scene: outcomes, restitution (n,) and steps per contact (n,)."""
+    steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, RESTITUTIONS))
+    time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
+    pairs = [
+        CASE.encounter(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
+        for a, count in zip(e, steps, strict=True)
+    ]
+    return collide_all("zhou", pairs, time_step, backend), e, steps
+
+
+def accuracy_plate(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Plate:
+    """Worst of the phases for every restitution and every number of steps."""
+    reached = np.abs(outcomes.restitution / e - 1.0)
+    lasted = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
+    shape = (-1, PHASES)
+    columns = {
+        "restitution": e.reshape(shape)[:, 0],
+        "steps_per_contact": steps.reshape(shape)[:, 0],
+        "restitution_deviation": reached.reshape(shape).max(axis=1),
+        "duration_deviation": lasted.reshape(shape).max(axis=1),
+    }
+    chosen = (columns["steps_per_contact"] == STEPS_PER_CONTACT) & (columns["restitution"] >= RESOLVED)
+    e_there = columns["restitution"][chosen]
+
+    def worst(name: str, words: str, target: float) -> Any:
+        values = 1.0 + columns[name][chosen]
+        return relative_deviation(
+            f"{words} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
+            values, np.ones_like(values), lambda index: f"e = {e_there[index]:g}", target,
+        )  # fmt: skip
+
+    deviations = (
+        worst("restitution_deviation", "e", TARGET_RESTITUTION),
+        worst("duration_deviation", "T", TARGET_DURATION),
+    )
+    caption = (
+        "Largest deviation of (a) the restitution and (b) the duration reached by simulated collisions from those "
+        f"asked, over {PHASES} phases of first touch within a step, by the number of steps a collision takes. Dotted: "
+        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. With 50 steps the bound "
+        "on the unloading tangent keeps e = 0.05 out of reach."
+    )
+    return Plate("accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0)
+
+
+def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """A panel for e, one for T; a line for each number of steps."""
+    panels = figure.subplots(1, 2)
+    shown = (("restitution_deviation", TARGET_RESTITUTION, "$e$"), ("duration_deviation", TARGET_DURATION, "$T$"))
+    for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):
+        for steps, color, marker in zip(STEPS, COLORS, MARKERS, strict=False):
+            mine = columns["steps_per_contact"] == steps
+            axes.plot(
+                columns["restitution"][mine], 100.0 * columns[name][mine], marker=marker, color=color,
+                label=f"{steps} steps", **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
+            )  # fmt: skip
+        axes.axhline(100.0 * target, linestyle=":", color="0.4", linewidth=0.9)
+        axes.set(xlabel="restitution coefficient $e$", yscale="log", xlim=(0, 1.02))
+        axes.set(title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}")
+        axes.set_ylabel(f"largest deviation of {symbol} (%)")
+    panels[0].legend(loc="upper right")

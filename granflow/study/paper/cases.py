@@ -1,0 +1,88 @@
+"""What the paper's figures are made for: two equal spheres of one material, with the closed forms of a collision."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from granflow.laws import theory
+from granflow.laws.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
+from granflow.scene.presets import PRESETS
+from granflow.study.paper.encounters import Encounter
+
+DIAMETER = 25.4e-3
+"""Of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
+
+STEPS_PER_CONTACT = 200
+"""Duration over time step at which the deviations are stated."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two equal spheres of one solid. `material` as a scene writes it; `yield_velocity` [m/s] for Thornton's e(v)."""
+
+    name: str
+    title: str
+    solid: Solid
+    material: Mapping[str, Any]
+    fit: VelocityRestitution | None = None
+    yield_velocity: float | None = None
+    diameter: float = DIAMETER
+
+    @cached_property
+    def modulus_eff(self) -> float:
+        """Effective modulus of the two [Pa]."""
+        return modulus_eff(self.solid, self.solid)
+
+    def mass_eff(self, diameter: float | None = None) -> float:
+        """Effective mass [kg] of two equal spheres: half of one."""
+        return 0.5 * np.pi / 6.0 * (diameter or self.diameter) ** 3 * self.solid.density
+
+    def stiffness(self, diameter: float | None = None) -> float:
+        """Hertz stiffness k [N/m^1.5]; the effective radius is a quarter of the diameter."""
+        return float(theory.hertz_stiffness(self.modulus_eff, 0.25 * (diameter or self.diameter)))
+
+    def duration(self, e: float, velocity: float, diameter: float | None = None) -> float:
+        """Collision duration [s] (Zhou 2011, Eq. 13)."""
+        return float(theory.duration(e, self.stiffness(diameter), self.mass_eff(diameter), velocity))
+
+    def durations(self, e: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Collision durations [s] at the case's diameter, for arrays of restitution and velocity."""
+        return np.array([self.duration(float(a), float(v)) for a, v in zip(e, velocity, strict=True)])
+
+    def springs(self, velocity: np.ndarray) -> np.ndarray:
+        """Linear spring of the same energy [N/m] (Zhou 2011, Eq. 19)."""
+        return np.asarray(theory.equivalent_spring(self.stiffness(), self.mass_eff(), velocity))
+
+    def diameter_lasting(self, duration: float, e: float, velocity: float) -> float:
+        """Diameter [m] of the spheres whose collision takes that long: durations go with the diameter."""
+        return self.diameter * duration / self.duration(e, velocity)
+
+    def encounter(self, restitution: Any, velocity: float, diameter: float | None = None) -> Encounter:
+        """The case meeting at a velocity [m/s]; `restitution` as a scene writes it."""
+        return Encounter(self.material, restitution, diameter or self.diameter, velocity)
+
+
+def paper_case(preset: str, title: str, yield_velocity: float) -> Case:
+    """One of the materials of Figs. 3 and 4."""
+    known = PRESETS[preset]
+    solid = Solid(known.young_modulus, known.poisson_ratio, known.density, known.yield_strength)
+    sigma, psi = known.restitution_fit or (0.0, 1.0)
+    fit = VelocityRestitution(sigma, psi, limit_velocity(solid, solid))
+    return Case(preset, title, solid, {"preset": preset}, fit, yield_velocity)
+
+
+PAPER_CASES = (
+    paper_case("stainless_316", "stainless steel 316", 0.0082),
+    paper_case("chrome_52100", "chrome steel 52100", 0.9090),
+)
+"""Yield velocities [m/s] as the paper takes them from Stevens & Hrenya (2005)."""
+
+
+def small_soft_case(poisson_ratio: float = 0.3) -> Case:
+    """Spheres of the paper's estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the Poisson ratio is ours."""
+    solid = Solid(1e8, poisson_ratio, 1e3)
+    material = {"young_modulus": 1e8, "poisson_ratio": poisson_ratio, "density": 1e3}
+    return Case("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)

@@ -1,0 +1,202 @@
+"""Every law of the catalogue on the paper's two materials, matched at one velocity: e(v) and T(v) from collisions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.errors import SceneError
+from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.law import Asked, NormalLaw
+from granflow.laws.material import PairMaterial, shear_modulus_eff
+from granflow.scene.schema import Numerics
+from granflow.study.figures import COLORS, MARKERS
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, Case
+from granflow.study.paper.encounters import Outcomes, collide_all
+from granflow.study.paper.plate import Plate, relative_deviation
+from granflow.study.paper.velocity import restitution_of
+
+VELOCITIES = np.geomspace(0.01, 10.0, 19)
+REFERENCE_VELOCITY = 1.0
+"""Approach velocity at which every law is given the restitution of Eq. 12 [m/s]."""
+
+_AT_REFERENCE = {"reference_velocity": REFERENCE_VELOCITY}
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "linear": {"stiffness": _AT_REFERENCE},
+    "walton_braun": {"stiffness": _AT_REFERENCE, "unloading": _AT_REFERENCE},
+    "luding": {"stiffness": _AT_REFERENCE, "plasticity_depth": 0.01, "tension": 0.0},
+    "kuwabara_kono": _AT_REFERENCE,
+}
+"""In place of a law's example, where the comparison is better served."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A law with its settings, and for each material what is matched: `restitution` of the pair, yield strength."""
+
+    name: str
+    settings: Mapping[str, Any]
+    law: NormalLaw
+    restitutions: tuple[Any, ...]
+    yield_strengths: tuple[float | None, ...]
+
+    @property
+    def normal(self) -> dict[str, Any]:
+        """As `contact.normal` of a scene."""
+        return {"law": self.name, **self.settings}
+
+    def words(self) -> str:
+        """Settings and what was matched, for a table."""
+        said = [f"{key} {_said(value)}" for key, value in self.settings.items()]
+        if any(isinstance(value, float) for value in self.restitutions):
+            said.append("restitution " + " and ".join(f"{value:.4g}" for value in self.restitutions))
+        elif self.restitutions[0] is not None:
+            said.append("Eq. 12 with the paper's sigma and psi")
+        if any(self.yield_strengths):
+            said.append(
+                "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
+            )
+        return "; ".join(said)
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return " ".join(f"{key} {_said(inner)}" for key, inner in value.items()).replace("_", " ")
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def contender(name: str) -> Contender:
+    """The law matched to Eq. 12 at the reference velocity on both materials, by the one number it has for that."""
+    kind = NORMAL_LAWS[name]
+    settings = SETTINGS.get(name, kind.example)
+    wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
+    pairs = [pair_of(case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+    asked = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
+    law = kind.build(Asked(asked | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle))
+    if kind.restitution == "number or fit":
+        return Contender(name, settings, law, tuple({"preset": case.name} for case in PAPER_CASES), (None, None))
+    if kind.restitution == "nothing":
+        found = [_matched_strength(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+        return Contender(name, settings, law, (None, None), tuple(found))
+    numbers = [_matched_number(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+    return Contender(name, settings, law, tuple(numbers), (None, None))
+
+
+def pair_of(case: Case, restitution: Any, strength: float | None = None) -> PairMaterial:
+    """The case's pair as laws see it, without friction."""
+    shear = shear_modulus_eff(case.solid, case.solid)
+    yields = strength or case.solid.yield_strength
+    return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
+
+
+def promised(law: NormalLaw, case: Case, pair: PairMaterial, velocity: float) -> float:
+    """Restitution that a law promises to the case at a velocity [m/s]."""
+    return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
+
+
+def _matched_number(law: NormalLaw, case: Case, e: float) -> float:
+    """The pair's restitution number with which the law promises e at the reference velocity."""
+    return _root(lambda number: promised(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0)
+
+
+def _matched_strength(law: NormalLaw, case: Case, e: float) -> float:
+    """The yield strength [Pa] with which the law promises e at the reference velocity."""
+    low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
+    return _root(lambda y: promised(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high)
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where an increasing function is zero between two numbers, by halving."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) < 0.0 else (low, middle)
+    return high if abs(function(high)) <= abs(function(low)) else low
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Contenders with what their collisions reached; laws that could not run, with the reason."""
+
+    ran: dict[str, tuple[Contender, Outcomes]] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Comparison:
+    """Collide both materials at all velocities under every law of the catalogue."""
+    comparison = Comparison()
+    shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
+    for name in NORMAL_LAWS:
+        try:
+            one = contender(name)
+            outcomes = collide_all(one.normal, _pairs(one, velocities), shortest / STEPS_PER_CONTACT, backend)
+        except (SceneError, ValueError) as error:
+            comparison.refused[name] = str(error)
+            continue
+        comparison.ran[name] = (one, outcomes)
+    return comparison
+
+
+def _pairs(one: Contender, velocities: np.ndarray) -> list[Any]:
+    found = []
+    for case, e, strength in zip(PAPER_CASES, one.restitutions, one.yield_strengths, strict=True):
+        material = case.material if strength is None else {**case.material, "yield_strength": strength}
+        made = replace(case, material=material)
+        found += [made.encounter(e, float(v)) for v in velocities]
+    return found
+
+
+def comparison_plate(comparison: Comparison, velocities: np.ndarray = VELOCITIES) -> Plate:
+    """e(v) and T(v) of all laws, with the deviation of each e from what its law promises."""
+    count, rows, deviations = len(velocities), [], []
+    for name, (one, outcomes) in comparison.ran.items():
+        promise = []
+        for number, case in enumerate(PAPER_CASES):
+            given = case.fit if isinstance(one.restitutions[number], dict) else one.restitutions[number]
+            pair = pair_of(case, given, one.yield_strengths[number])
+            promise += [promised(one.law, case, pair, float(v)) for v in velocities]
+        materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
+        speeds = np.tile(velocities, len(PAPER_CASES))
+        laws = np.repeat(name, len(speeds))
+        rows.append((laws, materials, speeds, np.array(promise), outcomes.restitution, outcomes.duration))
+        where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
+        words = f"the e reached under {name} from what the law promises"
+        deviations.append(relative_deviation(words, outcomes.restitution, np.array(promise), where.__getitem__))
+    names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")
+    columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
+    caption = (
+        "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
+        "25.4 mm under every law of the catalogue, against approach velocity. Each law has the restitution of Eq. 12 "
+        f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
+    )
+    title = "All laws on the same two materials"
+    return Plate("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
+
+
+def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """Restitution above duration, a column for each material."""
+    panels = figure.subplots(2, len(PAPER_CASES), sharex=True, sharey="row")
+    laws = list(dict.fromkeys(columns["law"].tolist()))
+    for column, case in enumerate(PAPER_CASES):
+        for number, law in enumerate(laws):
+            mine = (columns["law"] == law) & (columns["material"] == case.name)
+            look = {
+                "color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": law,
+                "markersize": 6.0 - 0.5 * number, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
+            }  # fmt: skip
+            velocity = columns["velocity"][mine]
+            panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **look)
+            panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **look)
+        for axes in panels[:, column]:
+            axes.axvline(REFERENCE_VELOCITY, linestyle=":", color="0.5", linewidth=0.8)
+        letter = "ab"[column]
+        panels[0, column].set(xscale="log", title=f"({letter}) {case.title}")
+        panels[1, column].set(xlabel="approach velocity (m/s)", yscale="log")
+    panels[0, 0].set_ylabel("restitution coefficient $e$")
+    panels[0, 0].set_ylim(top=1.02)
+    panels[1, 0].set_ylabel(r"collision duration $T$ (µs)")
+    panels[1, 0].set_yticks([50, 100, 200], ["50", "100", "200"])
+    panels[1, 0].set_yticks([40, 60, 70, 80, 90], [], minor=True)
+    handles, names = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=4)

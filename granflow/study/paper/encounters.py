@@ -1,0 +1,218 @@
+"""Many head-on collisions side by side in one scene, watched step by step: each pair far from all others."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.device.engine import Engine
+from granflow.errors import GranflowError
+from granflow.plan import Plan, plan_for
+from granflow.plan.plan import meetings_of
+from granflow.scene import Scene
+from granflow.scene.generate import initial_grains
+
+LONGEST = 40.0
+"""Collisions not over after this many of the durations expected are given up."""
+
+SPACING = 4.0
+"""Distance of neighbouring pairs over the largest diameter."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Its multiples, modulo 1, fill the unit interval evenly."""
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """Two equal spheres that meet head on; `material` and `restitution` as a scene writes them, the rest in SI."""
+
+    material: Mapping[str, Any]
+    restitution: Any
+    diameter: float
+    velocity: float
+
+    @property
+    def group(self) -> str:
+        """The same for all encounters that can share one group of particles."""
+        return json.dumps([dict(self.material), self.restitution], sort_keys=True)
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What n collisions reached (n,), and their course at all times (steps, n), in the order of the encounters.
+
+    A collision begins at first touch and ends when the force vanishes; both are found inside their steps. Spheres
+    that do not part have restitution 0 and no duration (nan).
+    """
+
+    restitution: np.ndarray
+    duration: np.ndarray
+    overlap_max: np.ndarray
+    overlap_residual: np.ndarray
+    """Overlap at which the force vanishes [m]."""
+    force_max: np.ndarray
+    stored_energy: np.ndarray
+    """Work done on the contact up to the largest overlap [J]."""
+    time_step: float
+    overlap: np.ndarray
+    force: np.ndarray
+
+
+def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, backend: Backend) -> Outcomes:
+    """Run all encounters in one scene with the many-particle kernels.
+
+    `normal` is the scene's `contact.normal`. First touches fall evenly on all phases of a step. Raises SceneError
+    where the law or the step cannot serve them, GranflowError where some never touch.
+    """
+    touches = time_step * (GOLDEN * np.arange(len(encounters)) % 1.0)
+    scene, place = _scene_of(normal, encounters, touches, time_step, backend.precision)
+    plan = plan_for(scene, on_gpu=not backend.on_cpu)
+    overlap, rate, force = _watch(Engine(plan, backend), plan, place)
+    velocity = np.array([each.velocity for each in encounters])
+    courses = zip(overlap.T, rate.T, force.T, velocity, touches, strict=True)
+    columns = np.array([_measured(*course, time_step) for course in courses]).T
+    names = ("restitution", "duration", "overlap_max", "overlap_residual", "force_max", "stored_energy")
+    reached = dict(zip(names, columns, strict=True))
+    return Outcomes(**reached, time_step=time_step, overlap=overlap, force=force)
+
+
+def _scene_of(
+    normal: Any, encounters: Sequence[Encounter], touches: np.ndarray, time_step: float, precision: str
+) -> tuple[Scene, np.ndarray]:
+    """The scene, and for each encounter the ids of its left and right sphere (n, 2)."""
+    spacing = SPACING * max(each.diameter for each in encounters)
+    side = int(np.ceil(np.sqrt(len(encounters))))
+    groups: dict[str, list[int]] = {}
+    for index, each in enumerate(encounters):
+        groups.setdefault(each.group, []).append(index)
+    materials, pairs, particles, first_ids = {}, {}, {}, np.zeros(len(encounters), dtype=int)
+    placed = 0
+    for number, members in enumerate(groups.values()):
+        name = f"m{number}"
+        materials[name] = dict(encounters[members[0]].material)
+        pairs[f"{name}-{name}"] = {"restitution": encounters[members[0]].restitution, "friction": 0}
+        particles[name] = {"material": name, **_spheres(members, encounters, touches, spacing, side)}
+        first_ids[members] = placed + 2 * np.arange(len(members))
+        placed += 2 * len(members)
+    reach = spacing * (side + 1)
+    scene = Scene.model_validate({
+        "title": "Head-on collisions side by side",
+        "gravity": [0, 0, 0],
+        "materials": materials,
+        "pairs": pairs,
+        "contact": {"normal": normal, "tangential": "none", "rolling": "none"},
+        "particles": particles,
+        "domain": {"min": [-reach, -spacing, -spacing], "max": [reach] * 3, "leaving": "error"},
+        "run": {
+            "duration": 1.0, "time_step": time_step, "precision": precision,
+            "velocity_max": max(each.velocity for each in encounters),
+        },
+        "numerics": {"overlap_limit": 1.0},
+        "output": {"interval": 1.0},
+    })  # fmt: skip
+    return scene, np.stack([first_ids, first_ids + 1], axis=1)
+
+
+def _spheres(
+    members: Sequence[int], encounters: Sequence[Encounter], touches: np.ndarray, spacing: float, side: int
+) -> dict[str, Any]:
+    """Diameters, velocities and places of the spheres of one group, left and right in turn."""
+    diameters, velocities, positions = [], [], []
+    for index in members:
+        each = encounters[index]
+        half = 0.5 * (each.diameter + each.velocity * touches[index])
+        row, column = divmod(index, side)
+        for sign in (-1.0, 1.0):
+            diameters.append(each.diameter)
+            velocities.append([-0.5 * sign * each.velocity, 0.0, 0.0])
+            positions.append([sign * half, spacing * row, spacing * column])
+    return {
+        "diameter": diameters, "velocity": velocities, "place": {"kind": "list", "positions": positions}
+    }  # fmt: skip
+
+
+def _watch(engine: Engine, plan: Plan, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Step until every pair has parted: overlap [m], its rate [m/s] and repulsion [N], each (steps, n)."""
+    engine.insert(initial_grains(plan.scene))
+    engine.set_walls([], [])
+    engine.refresh()
+    courses = [_look(engine, place)]
+    met = np.zeros(len(place), dtype=bool)
+    limit = _most_steps(plan)
+    while len(courses) < limit:
+        engine.advance(1)
+        courses.append(_look(engine, place))
+        now = courses[-1]
+        met |= now[2] != 0.0
+        if np.all(met & (now[2] == 0.0) & (now[1] < 0.0)):
+            break
+    engine.free()
+    if not met.all():
+        raise GranflowError(f"{np.sum(~met)} of {len(met)} pairs have not touched within {limit} steps.")
+    overlap, rate, force = np.moveaxis(np.array(courses), 1, 0)
+    return overlap, rate, force
+
+
+def _most_steps(plan: Plan) -> int:
+    """Steps of the slowest collision there can be, many times over."""
+    slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in plan.scene.particles.values())
+    largest = max(plan.radius_max / meeting.radius for meeting in meetings_of(plan.scene))
+    longest = max(
+        sum(plan.law.phase_durations(meeting.pair, meeting.radius_eff, meeting.mass_eff, 2.0 * slowest))
+        for meeting in meetings_of(plan.scene)
+    )
+    return int(LONGEST * largest * longest / plan.time_step)
+
+
+def _look(engine: Engine, place: np.ndarray) -> np.ndarray:
+    """Overlap [m], its rate [m/s] and repulsion [N] of every pair now, (3, n)."""
+    arrays = engine.synchronized(("id", "position", "velocity", "force", "mass", "radius"))
+    where = np.argsort(arrays["id"])
+    left, right = where[place[:, 0]], where[place[:, 1]]
+    position, velocity, force = (arrays[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
+    radius = arrays["radius"].astype(float)
+    overlap = radius[left] + radius[right] - (position[right] - position[left])
+    return np.array([overlap, velocity[left] - velocity[right], force[right]])
+
+
+def _measured(
+    overlap: np.ndarray, rate: np.ndarray, force: np.ndarray, velocity: float, touch: float, time_step: float
+) -> tuple[float, ...]:
+    """The numbers of `Outcomes` for one pair, from its course."""
+    peak = int(np.argmax(overlap))
+    work = 0.5 * float((force[1 : peak + 1] + force[:peak]) @ np.diff(overlap[: peak + 1]))
+    shared = (float(overlap[peak]), float(force.max()), work)
+    acting = np.flatnonzero(force)
+    last = int(acting[-1])
+    if last + 1 == len(force):
+        return 0.0, np.nan, shared[0], float(overlap[last]), *shared[1:]
+    share = _share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
+    duration = (last + share) * time_step - touch
+    residual = overlap[last] + share * (overlap[last + 1] - overlap[last])
+    return float(-rate[last + 1] / velocity), duration, shared[0], residual, *shared[1:]
+
+
+def _share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
+    """Share s of a step from the last force to the moment it vanishes.
+
+    From the last three forces, F = a t + b t^1.5 at the times t = s, s + 1, s + 2 before the end: a straight spring, a
+    Hertz contact, and any sum of them. A contact that ends under tension ends where the overlap does.
+    """
+    if force[-1] < 0.0:
+        return float(np.clip(overlap[0] / (overlap[0] - overlap[1]), 0.0, 1.0))
+    if not force[0] > force[1] > force[2]:
+        return 0.5
+
+    def mismatch(share: float) -> float:
+        times = share + np.array([2.0, 1.0, 0.0])
+        return float(np.linalg.det(np.stack([force, times, times**1.5])))
+
+    low, high = 0.0, 1.0
+    before = np.sign(mismatch(low))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.sign(mismatch(middle)) == before else (low, middle)
+    return 0.5 * (low + high)

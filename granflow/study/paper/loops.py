@@ -1,0 +1,123 @@
+"""Force against overlap in one collision, for restitutions from 0 to 1."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.laws import theory
+from granflow.scene.schema import Numerics
+from granflow.study.figures import COLORS, MARKERS, POINTS
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.study.paper.encounters import Outcomes, collide_all
+from granflow.study.paper.plate import Deviation, Plate
+
+CASE = PAPER_CASES[0]
+VELOCITY = 1.0
+RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+UNLOADING_ANGLE = Numerics().unloading_angle
+"""Bound on sqrt(K/M) dt of the unloading tangent that scenes have by default."""
+
+DRAWN_EVERY = 6
+"""Of the simulated steps."""
+
+
+def loop_run(backend: Backend) -> Outcomes:
+    """A pair per restitution, its diameter such that each collision takes 200 steps."""
+    duration = CASE.duration(1.0, VELOCITY)
+    pairs = [
+        CASE.encounter(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in RESTITUTIONS
+    ]
+    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
+
+
+def _diameter(outcomes: Outcomes, index: int) -> float:
+    duration = STEPS_PER_CONTACT * outcomes.time_step
+    return CASE.diameter_lasting(duration, float(RESTITUTIONS[index]), VELOCITY)
+
+
+def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
+    """The restitutions asked for, or the least that the time step can carry where that is more."""
+    least = []
+    for index in range(len(RESTITUTIONS)):
+        k, mass = CASE.stiffness(_diameter(outcomes, index)), CASE.mass_eff(_diameter(outcomes, index))
+        largest = theory.overlap_max(k, mass, VELOCITY)
+        least.append(float(theory.least_restitution(k, mass, largest, outcomes.time_step, UNLOADING_ANGLE)))
+    return np.maximum(RESTITUTIONS, least)
+
+
+def loop_force(share: np.ndarray, e: float) -> np.ndarray:
+    """Unloading force over the largest, at an overlap over the largest (Zhou 2011, Eq. 4)."""
+    above = np.maximum(share - 1.0 + float(theory.recovery(e)), 0.0)
+    return float(theory.unloading_slope(e)) * above + e**3 * above**1.5
+
+
+def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
+    """Restitution asked, overlap and force over the largest in theory, theory's force there; steps with a force (m, 4).
+
+    `e` is the restitution that the step carries.
+    """
+    diameter = _diameter(outcomes, index)
+    k = CASE.stiffness(diameter)
+    largest = float(theory.overlap_max(k, CASE.mass_eff(diameter), VELOCITY))
+    force = outcomes.force[:, index]
+    acting = np.flatnonzero(force)
+    share = outcomes.overlap[acting, index] / largest
+    loading = acting <= np.argmax(outcomes.overlap[:, index])
+    expected = np.where(loading, np.abs(share) ** 1.5, loop_force(share, e))
+    asked = np.full_like(share, RESTITUTIONS[index])
+    return np.stack([asked, share, force[acting] / (k * largest**1.5), expected], axis=1)
+
+
+def enclosed_share(rows: np.ndarray) -> float:
+    """Area inside a loop over the area under its loading branch: the share of energy lost, 1 - e^2."""
+    share, force = np.pad(rows[:, 1], 1), np.pad(rows[:, 2], 1)
+    share[-1] = rows[-1, 1]  # straight down from the last force: there the overlap changes no more than a step
+    work = 0.5 * (force[1:] + force[:-1]) * np.diff(share)
+    return float(work.sum() / work[work > 0.0].sum())
+
+
+def loop_plate(outcomes: Outcomes) -> Plate:
+    """The loops as rows of all steps with a force."""
+    carried = restitutions_carried(outcomes)
+    loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(carried)]
+    off = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
+    lost = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
+    remark = (
+        f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps carry no less than "
+        f"e = {carried[0]:.3f}, the bound that the step sets itself and theory is taken with."
+    )
+    deviations = (
+        Deviation("the force from Eq. 4, in shares of the largest force", max(off), f"e = {_worst(off)}"),
+        Deviation("the share of energy lost from 1 − e²", max(lost), f"e = {_worst(lost)}", None, remark),
+    )
+    caption = (
+        "Force against overlap in one collision, both over their largest values, for restitution coefficients from 0 "
+        f"to 1: Eq. 4 (lines) and every {DRAWN_EVERY}th of {STEPS_PER_CONTACT} simulated steps (points)."
+    )
+    names = ("restitution", "overlap_over_max", "force_over_max", "force_over_max_theory")
+    columns = dict(zip(names, np.concatenate(loops).T, strict=True))
+    return Plate("loops", "Force-overlap loops", caption, columns, deviations, draw_loops, 3.6)
+
+
+def _worst(values: list[float]) -> str:
+    return f"{RESTITUTIONS[int(np.argmax(values))]:g}"
+
+
+def draw_loops(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """Common loading branch, unloading branches from vertical to elastic."""
+    axes = figure.subplots()
+    fine = np.linspace(0.0, 1.0, 1001)
+    axes.plot(fine, fine**1.5, color="0.3")
+    for e, color, marker in zip(RESTITUTIONS, COLORS, MARKERS, strict=False):
+        mine = columns["restitution"] == e
+        if e > 0.0:
+            back = np.linspace(1.0 - float(theory.recovery(float(e))), 1.0, 400)
+            axes.plot(back, loop_force(back, float(e)), color=color)
+        else:
+            axes.plot([1.0, 1.0], [0.0, 1.0], color=color)
+        share, force = (columns[name][mine][::DRAWN_EVERY] for name in ("overlap_over_max", "force_over_max"))
+        axes.plot(share, force, marker, color=color, label=f"$e$ = {e:g}", **POINTS)
+    axes.set(xlabel=r"overlap $\delta/\delta_{\max}$", ylabel=r"force $F/F_{\max}$", xlim=(0, 1.04), ylim=(0, 1.06))
+    axes.legend(loc="upper left", title="unloading with")

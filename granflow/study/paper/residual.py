@@ -1,0 +1,114 @@
+"""Figs. 1 and 2: the residual overlap against the restitution coefficient, exact, closed form and simulated."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.laws import theory
+from granflow.study.figures import COLORS, POINTS
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.study.paper.encounters import Outcomes, collide_all
+from granflow.study.paper.plate import Plate, relative_deviation
+
+CASE = PAPER_CASES[0]
+"""x(e) and T/Ts depend on the restitution alone: any material shows them."""
+
+VELOCITY = 1.0
+RESTITUTIONS = np.linspace(0.025, 1.0, 40)
+RESOLVED = 0.1
+"""From this restitution on, unloading takes enough of the 200 steps for the accuracy aimed at."""
+
+TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
+
+
+def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
+    """One scene with a pair per restitution, its diameter such that each collision takes exactly 200 steps."""
+    duration = CASE.duration(1.0, VELOCITY)
+    pairs = [
+        CASE.encounter(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
+    ]
+    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
+
+
+def residual_plate(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> Plate:
+    """Fig. 1: x(e), its exact root, Eq. 9, and what the collisions leave; with T and e reached."""
+    exact = 1.0 - theory.recovery(e)
+    simulated = outcomes.overlap_residual / outcomes.overlap_max
+    whole = np.full_like(e, STEPS_PER_CONTACT * outcomes.time_step)
+    plain, clear = slice(None), e >= RESOLVED - 1e-9
+
+    def at(chosen: Any) -> Any:
+        return lambda index: f"e = {e[chosen][index]:.3g}"
+
+    deviations = (
+        relative_deviation("x from Eq. 8, in shares of δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)),
+        relative_deviation("T from Eq. 13", outcomes.duration, whole, at(plain), TARGET_DURATION),
+        relative_deviation(
+            f"the e reached from that asked, from e = {RESOLVED:g} on",
+            outcomes.restitution[clear], e[clear], at(clear), TARGET_RESTITUTION,
+        ),
+        relative_deviation(
+            "the e reached, over all e", outcomes.restitution, e, at(plain), TARGET_RESTITUTION, _few_steps()
+        ),
+    )  # fmt: skip
+    columns = {
+        "restitution": e,
+        "residual_exact": exact,
+        "residual_equation9": theory.residual_closed_form(e),
+        "residual_simulated": simulated,
+        "restitution_simulated": outcomes.restitution,
+        "duration_over_ts_theory": np.array([theory.LOADING_DURATION + theory.unloading_duration(float(a)) for a in e]),
+        "duration_simulated_over_theory": outcomes.duration / whole,
+    }
+    caption = (
+        "Residual overlap over largest overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
+        "(line), the paper's Eq. 9 (dashed), and simulated collisions of 200 time steps each (circles)."
+    )
+    return Plate("figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4)
+
+
+def _few_steps() -> str:
+    steps = [unloading_steps(e) for e in (RESOLVED, 0.5 * RESOLVED)]
+    return (
+        f"Below e = {RESOLVED:g} unloading takes fewer than {steps[0]:.0f} of the {STEPS_PER_CONTACT} steps "
+        f"({steps[1]:.0f} at e = {0.5 * RESOLVED:g}), too few to follow it that closely."
+    )
+
+
+def unloading_steps(e: float) -> float:
+    """Steps that unloading takes of the STEPS_PER_CONTACT of a collision."""
+    unloading = theory.unloading_duration(e)
+    return STEPS_PER_CONTACT * unloading / (theory.LOADING_DURATION + unloading)
+
+
+def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """Lines of theory from end to end, simulated points."""
+    e = np.linspace(0.0, 1.0, 401)
+    axes = figure.subplots()
+    axes.plot(e, 1.0 - theory.recovery(e), color=COLORS[0], label="exact (Eq. 8)")
+    axes.plot(e, theory.residual_closed_form(e), "--", color=COLORS[1], label="closed form (Eq. 9)")
+    axes.plot(columns["restitution"], columns["residual_simulated"], "o", color=COLORS[6], label="simulated", **POINTS)
+    axes.set(xlabel="restitution coefficient $e$", ylabel=r"residual overlap $x = \delta^{*}\!/\delta_{\max}$")
+    axes.set(xlim=(0, 1.01), ylim=(-0.01, 1.02))
+    axes.legend(loc="lower left")
+
+
+def error_plate(e: np.ndarray | None = None) -> Plate:
+    """Fig. 2: the relative error of Eq. 9; no collision is involved."""
+    e = np.linspace(0.0, 0.9999, 1000) if e is None else e
+    exact = 1.0 - theory.recovery(e)
+    closed = theory.residual_closed_form(e)
+    worst = relative_deviation("x by Eq. 9 from the exact root", closed, exact, lambda index: f"e = {e[index]:.4g}")
+    columns = {"restitution": e, "error": closed / exact - 1.0}
+    caption = "Relative error of the paper's closed form, Eq. 9, against the exact root of Eq. 8."
+    return Plate("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)
+
+
+def draw_error(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """One line and its zero."""
+    axes = figure.subplots()
+    axes.axhline(0.0, color="0.6", linewidth=0.6)
+    axes.plot(columns["restitution"], 100.0 * columns["error"], color=COLORS[1])
+    axes.set(xlabel="restitution coefficient $e$", ylabel="error of $x$ by Eq. 9 (%)", xlim=(0, 1))

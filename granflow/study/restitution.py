@@ -1,0 +1,362 @@
+"""Restitution asked and reached: every pair of materials of a scene, at its own time step and precision.
+
+`measure` lets the pairs collide on the device, side by side in one run; `warnings` follows the numpy twin of the law
+through a few collisions instead, which takes a tenth of a second and compiles nothing.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import start
+from granflow.device.engine import Engine
+from granflow.laws.material import PairMaterial
+from granflow.plan import Plan, plan_for
+from granflow.plan.plan import pair_material
+from granflow.plan.sizes import diameter_range
+from granflow.scene import Scene
+from granflow.scene.generate import initial_grains
+from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
+
+VELOCITIES_PER_DECADE = 4
+DECADES = 3
+"""Measured are velocities from the largest expected down to a thousandth of it."""
+PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Where within a step the spheres first touch."""
+SPACING = 2.5
+"""Distance of neighbouring collisions over the largest diameter."""
+LONGEST = 20.0
+"""A collision not over after this many durations is given up: the spheres stick."""
+
+HEIGHT = 5.2
+"""Of the figure [inch]."""
+
+TOLERANCE = 0.01
+"""Relative difference from which on a run warns."""
+QUICK_VELOCITIES = (1.0, 0.3, 0.1)
+"""Over the largest velocity, in the order in which the warning looks at them."""
+QUICK_PHASES = (0.25, 0.75)
+QUICK_STEPS = 8000
+"""The warning looks no further than this many steps of the twin."""
+HALVINGS = 6
+"""A remedy is looked for among steps down to 1/64."""
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Two materials that can meet: their smallest spheres, or a sphere and a wall (no second radius) [m]."""
+
+    first: str
+    second: str
+    radius: float
+    other_radius: float | None
+
+    @property
+    def name(self) -> str:
+        """The two materials, with "wall" where the second is that of a wall."""
+        return f"{self.first}-{self.second}" + (" wall" if self.other_radius is None else "")
+
+    def reduced(self, scene: Scene) -> tuple[float, float]:
+        """Effective radius [m] and mass [kg]."""
+        mass = _mass(self.radius, scene.materials[self.first].density)
+        if self.other_radius is None:
+            return self.radius, mass
+        other = _mass(self.other_radius, scene.materials[self.second].density)
+        radius_eff = self.radius * self.other_radius / (self.radius + self.other_radius)
+        return radius_eff, mass * other / (mass + other)
+
+
+def _mass(radius: float, density: float) -> float:
+    return 4.0 / 3.0 * np.pi * radius**3 * density
+
+
+def pairings(scene: Scene) -> list[Pairing]:
+    """Every pair of materials that can meet in a scene, spheres first; of each the smallest sizes there are."""
+    smallest: dict[str, float] = {}
+    for group in scene.particles.values():
+        radius = 0.5 * diameter_range(group)[0]
+        smallest[group.material] = min(radius, smallest.get(group.material, radius))
+    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
+    spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]
+    met = [*spheres, *((a, b, None) for a in smallest for b in walls)]
+    return [Pairing(a, b, smallest[a], other) for a, b, other in met if scene.pair_key(a, b) in scene.pairs]
+
+
+# ---------------------------------------------------------------- on the device
+
+
+@dataclass(frozen=True)
+class Row:
+    """One pair at one velocity [m/s]: restitution asked, and the smallest and largest reached over the phases."""
+
+    pair: str
+    velocity: float
+    asked: float
+    least: float
+    most: float
+
+    @property
+    def reached(self) -> float:
+        """Whichever of least and most is farther from what is asked."""
+        return max(self.least, self.most, key=lambda e: abs(e - self.asked))
+
+    @property
+    def difference(self) -> float:
+        """Reached minus asked, relative to asked; infinite where 0 is asked and not reached."""
+        if self.asked == 0.0:
+            return 0.0 if self.reached == 0.0 else np.inf
+        return self.reached / self.asked - 1.0
+
+
+def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], float]:
+    """Collide every pair of materials of a scene head on at velocities up to the largest expected.
+
+    All collisions stand side by side at the far side of the scene's domain, where single precision is coarsest; each
+    begins at several phases of a step. Also returns the time step [s].
+    """
+    backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
+    plan = plan_for(scene, on_gpu=not backend.on_cpu)
+    pairs = pairings(scene)
+    count = DECADES * VELOCITIES_PER_DECADE + 1
+    velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
+    collisions = plan_for(_side_by_side(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
+    rebound = _collide(Engine(collisions, backend), collisions, _longest(plan, pairs, velocities[0]))
+    reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
+    rows = []
+    for pair, per_velocity in zip(pairs, reached, strict=True):
+        material = pair_material(scene, pair.first, pair.second)
+        for velocity, found in zip(velocities, per_velocity, strict=True):
+            asked = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
+            rows.append(Row(pair.name, float(velocity), asked, float(found.min()), float(found.max())))
+    return rows, plan.time_step
+
+
+def _longest(plan: Plan, pairs: Sequence[Pairing], velocity: float) -> int:
+    """Steps after which the slowest collision is given up."""
+    longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
+    return int(LONGEST * longest / plan.time_step) + 10
+
+
+def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities: np.ndarray) -> Scene:
+    """The scene of all collisions: along x, one lane after the other in y, one row for each pair in z."""
+    radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
+    spacing = SPACING * 2.0 * max(radii)
+    touch = float(np.abs([scene.domain.min, scene.domain.max]).max())
+    described: dict[str, Any] = {"particles": {}, "walls": {}}
+    for row, pair in enumerate(pairs):
+        _add_row(described, pair, row, touch, spacing, velocities, plan.time_step)
+    reach = [touch + spacing, spacing * (len(velocities) * len(PHASES) + 1), spacing * (len(pairs) + 1)]
+    one = next(iter(scene.pairs.values()))
+    used = dict.fromkeys(material for pair in pairs for material in (pair.first, pair.second))
+    met = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), one)
+           for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
+    frictionless = {"friction": 0.0, "rolling_friction": None}
+    return Scene.model_validate(described | {
+        "title": "Restitution asked and reached",
+        "gravity": [0, 0, 0],
+        "materials": {name: scene.materials[name] for name in used},
+        "pairs": {key: pair.model_copy(update=frictionless) for key, pair in met.items()},
+        "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
+        "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
+        "run": {"duration": 1.0, "time_step": plan.time_step, "velocity_max": plan.velocity_max,
+                "precision": scene.run.precision},
+        "numerics": scene.numerics.model_copy(update={"overlap_limit": 1.0}),
+        "output": {"interval": 1.0},
+    })  # fmt: skip
+
+
+def _add_row(
+    described: Mapping[str, dict[str, Any]], pair: Pairing, row: int, touch: float, spacing: float,
+    velocities: np.ndarray, step: float,
+) -> None:  # fmt: skip
+    """Spheres of one pair, one collision for each velocity and phase; they would touch at x = `touch` [m]."""
+    speed = np.repeat(velocities, len(PHASES))
+    gap = speed * step * np.tile(PHASES, len(velocities))
+    lanes = np.stack(
+        [np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1
+    )
+    sides = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
+    share = 1.0 if pair.other_radius is None else 0.5
+    for name, material, radius, side in sides:
+        if radius is None:
+            corner = [touch, -0.5 * spacing, spacing * (row - 0.5)]
+            extent = [[0.0, spacing * len(speed), 0.0], [0.0, 0.0, spacing]]
+            described["walls"][f"wall_{row}"] = {
+                "shape": "rectangle", "corner": corner, "sides": extent, "material": material
+            }  # fmt: skip
+            continue
+        centre = lanes + np.array([touch, 0.0, 0.0])
+        centre[:, 0] += side * (radius + share * gap)
+        velocity = np.outer(-side * share * speed, [1.0, 0.0, 0.0])
+        described["particles"][f"{name}_{row}"] = {
+            "material": material, "diameter": 2.0 * radius, "velocity": velocity.tolist(),
+            "place": {"kind": "list", "positions": centre.tolist()},
+        }  # fmt: skip
+
+
+def _collide(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
+    """Rebound velocity [m/s] of every collision, in the order of the scene; 0 where the spheres stick."""
+    engine.insert(initial_grains(plan.scene))
+    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
+    engine.refresh()
+    batch = max(most_steps // 200, 1)
+    done, met = 0, np.zeros(0, dtype=bool)
+    while done < most_steps:
+        engine.advance(batch)
+        done += batch
+        rate, force = _relative(engine, plan)
+        met = (met if len(met) else np.zeros(len(rate), dtype=bool)) | (force != 0.0) | (rate < 0.0)
+        if np.all(met & (force == 0.0) & (rate < 0.0)):
+            break
+    engine.free()
+    return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
+
+
+def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Rate of approach [m/s] and force [N] of every collision."""
+    arrays = engine.synchronized(("id", "velocity", "force", "mass"))
+    order = np.argsort(arrays["id"])
+    velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
+    rates, forces, begin = [], [], 0
+    for name, group in plan.scene.particles.items():
+        part = slice(begin, begin + group.count)
+        begin += group.count
+        if name.startswith("first"):
+            rates.append(velocity[part])
+            forces.append(force[part])
+        else:
+            rates[-1] = rates[-1] - velocity[part]
+    return np.concatenate(rates), np.concatenate(forces)
+
+
+def restitution_rows(rows: Sequence[Row]) -> list[tuple[str, str, str, str, str]]:
+    """The table of what was asked and reached: pair, velocity, asked, reached, difference in percent."""
+    found = []
+    for before, row in zip([None, *rows], rows, strict=False):
+        name = row.pair if before is None or before.pair != row.pair else ""
+        difference = f"{100.0 * row.difference:+.3f}" + (" *" if abs(row.difference) > TOLERANCE else "")
+        found.append((name, f"{row.velocity:.4g}", f"{row.asked:.5f}", f"{row.reached:.5f}", difference))
+    return found
+
+
+def write_restitution(out: Path, rows: Sequence[Row], title: str) -> None:
+    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError where matplotlib is not installed."""
+    out.mkdir(parents=True, exist_ok=True)
+    names = ("pair", "velocity", "asked", "least", "most", "difference")
+    write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
+    draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
+
+
+def _draw(figure: Any, rows: Sequence[Row], title: str) -> None:
+    """Restitution above, difference in percent below, both against velocity; bars from least to most."""
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    below.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="0.93", zorder=0)
+    for number, name in enumerate(dict.fromkeys(row.pair for row in rows)):
+        mine = [row for row in rows if row.pair == name]
+        velocity, asked, least, most = (
+            np.array([getattr(row, key) for row in mine]) for key in ("velocity", "asked", "least", "most")
+        )
+        color, middle, half = COLORS[number % len(COLORS)], 0.5 * (least + most), 0.5 * (most - least)
+        look = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
+        above.semilogx(velocity, asked, color=color)
+        above.errorbar(velocity, middle, half, label=name, **look)
+        known = asked > 0.0
+        percent = 100.0 / asked[known]
+        below.errorbar(velocity[known], (middle - asked)[known] * percent, half[known] * percent, **look)
+    above.set(ylabel="restitution coefficient $e$", title=f"{title}: asked (lines) and reached (points)")
+    above.legend(loc="best")
+    below.set(xlabel="approach velocity $v$ [m/s]", ylabel="reached over asked, less 1 [%]")
+
+
+# ---------------------------------------------------------------- on the twin
+
+
+def warnings(plan: Plan) -> list[str]:
+    """A sentence for every pair of materials whose collisions miss the restitution asked for by more than 1 %.
+
+    Only the worst velocity of each is told. Collisions that the plan itself warns of are left out.
+    """
+    found, steps = [], 0
+    for pair in pairings(plan.scene):
+        misses = []
+        for share in QUICK_VELOCITIES:
+            impact = _impact(plan, pair, share * plan.velocity_max)
+            steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
+            if steps > QUICK_STEPS or _out_of_reach(plan, impact):
+                break
+            misses.append((abs(_worst_reached(plan, impact, plan.time_step) / impact.asked - 1.0), impact))
+        worst, impact = max(misses, key=lambda each: each[0], default=(0.0, None))
+        if impact is not None and worst > TOLERANCE:
+            found.append(_sentence(plan, pair, impact))
+    return found
+
+
+@dataclass(frozen=True)
+class _Impact:
+    """One collision: the pair, effective radius [m] and mass [kg], velocity [m/s], restitution asked, duration [s]."""
+
+    material: PairMaterial
+    radius_eff: float
+    mass_eff: float
+    velocity: float
+    asked: float
+    duration: float
+
+
+def _impact(plan: Plan, pair: Pairing, velocity: float) -> _Impact:
+    collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
+    return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
+
+
+def _out_of_reach(plan: Plan, impact: _Impact) -> bool:
+    """Whether 0 is asked, or less than the step can carry, of which the plan warns."""
+    if plan.law.least_restitution is None or impact.asked == 0.0:
+        return impact.asked == 0.0
+    collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
+    return impact.asked < plan.law.least_restitution(*collision, plan.time_step)
+
+
+def _worst_reached(plan: Plan, impact: _Impact, step: float) -> float:
+    """Restitution of the twin that is farthest from what is asked, over a few phases of a step."""
+    found = [_twin_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
+    return max(found, key=lambda e: abs(e - impact.asked))
+
+
+def _twin_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
+    """Restitution of one collision with the numpy twin of the law, in the device's leapfrog."""
+    law, mass = plan.law, impact.mass_eff
+    constants, memory = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
+    rate = rate_now = impact.velocity
+    overlap = phase * rate * step
+    for _ in range(int(LONGEST * impact.duration / step)):
+        felt = rate_now if law.rate_dependent else rate
+        force, memory = law.reference_force(constants, impact.radius_eff, mass, step, overlap, felt, memory)
+        kick = force / mass * step
+        rate -= kick
+        rate_now = rate - 0.5 * kick
+        overlap += step * rate
+        if rate < 0.0 and (overlap <= 0.0 or force == 0.0):
+            return -rate / impact.velocity
+    return 0.0
+
+
+def _sentence(plan: Plan, pair: Pairing, impact: _Impact) -> str:
+    reached = _worst_reached(plan, impact, plan.time_step)
+    remedy = next(_remedies(plan, impact), None)
+    advice = f"A run.time_step of {remedy:.2g} s would do." if remedy else "A smaller run.time_step brings it nearer."
+    return (
+        f"{pair.name}: restitution {impact.asked:.4g} is asked for at {impact.velocity:.3g} m/s, but {reached:.4g} "
+        f"comes out with a step of {plan.time_step:.3g} s. {advice}"
+    )
+
+
+def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
+    """Steps, each half the one before, at which the restitution is reached within the tolerance."""
+    for halvings in range(1, HALVINGS + 1):
+        step = plan.time_step / 2.0**halvings
+        if abs(_worst_reached(plan, impact, step) / impact.asked - 1.0) <= TOLERANCE:
+            yield step

@@ -1,0 +1,34 @@
+"""`granflow paper` as a user meets it: without the plot extra a sentence, with it a page that needs nothing else."""
+
+import re
+import sys
+
+import pytest
+
+from granflow.cli import main
+
+
+def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
+    said = capsys.readouterr().err
+    assert "pip install granflow[plot]" in said and "Traceback" not in said
+    assert not (tmp_path / "paper").exists()
+
+
+@pytest.mark.slow
+def test_the_page_holds_every_figure(taichi_f64, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    from granflow.device import backend
+    from granflow.study.paper import report
+
+    monkeypatch.setattr(report, "start", lambda *_: backend.start("cpu", "f64", 2))
+    page = report.write_paper(tmp_path)
+    figures = sorted(path.stem for path in tmp_path.glob("*.png"))
+    assert figures == sorted(path.stem for path in tmp_path.glob("*.csv"))
+    assert len(figures) == 8
+    html = page.read_text(encoding="utf-8")
+    assert html.count("data:image/png;base64,") == len(figures)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', html)
+    assert not [source for source in sources if source.startswith(("http", "//"))]
+    assert "not compared" not in html

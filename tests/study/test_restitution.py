@@ -1,0 +1,154 @@
+"""Restitution asked and reached: what `granflow restitution` measures, and what `granflow run` warns of."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from child import in_child
+from trials import balls, finished, plane, trial
+
+from granflow.cli import main
+from granflow.plan import plan_for
+from granflow.scene import load
+from granflow.study.restitution import measure, pairings, warnings
+
+SCENES = Path(__file__).parents[2] / "scenes"
+STEEL = {"preset": "stainless_316"}
+FIT = {"sigma": 3.0432, "psi": 0.54, "limit_velocity": 340.3}
+
+
+def two_materials(safety=0.02, **parts):
+    """Steel balls of two sizes and glass balls, a steel floor on which nothing but steel falls."""
+    groups = {
+        "fine": balls([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
+        "coarse": balls([[0.1, 0.0, 0.2]], 0.01, "steel"),
+        "beads": balls([[0.2, 0.0, 0.2]], 0.006, "glass"),
+    }
+    usual = {
+        "walls": {"floor": plane([0, 0, 0], [0, 0, 1], "steel")},
+        "materials": {"steel": STEEL, "glass": {"preset": "glass"}},
+        "pairs": {
+            "steel-steel": {"restitution": FIT, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
+        },
+        "run": {"duration": 1.0, "velocity_max": 5.0},
+        "numerics": {"time_step_safety": safety, "rayleigh_fraction": 1.0},
+    }  # fmt: skip
+    return trial(groups, **(usual | parts))
+
+
+def coarse_hertz(step="auto"):
+    """A viscous contact of few steps: the dashpot takes too much."""
+    groups = {"beads": balls([[0.0, 0.0, 0.1]], 0.01, "steel")}
+    return trial(
+        groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")}, materials={"steel": STEEL}, normal="hertz",
+        pair={"restitution": 0.3}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": step},
+        numerics={"time_step_safety": 0.15, "rayleigh_fraction": 1.0},
+    )  # fmt: skip
+
+
+def test_every_pair_of_materials_that_can_meet_with_its_smallest_sizes():
+    found = {(each.name, each.radius, each.other_radius) for each in pairings(two_materials())}
+    assert found == {
+        ("steel-steel", 0.002, 0.002),
+        ("steel-glass", 0.002, 0.003),
+        ("glass-glass", 0.003, 0.003),
+        ("steel-steel wall", 0.002, None),
+        ("glass-steel wall", 0.003, None),
+    }
+
+
+def test_fine_steps_reach_what_is_asked(taichi_f64):
+    """Eq. 12 from sigma and psi, the number of a pair otherwise; over three decades of velocity within 0.1 %."""
+    rows, _ = measure(two_materials(safety=0.01))
+    velocity = np.array([row.velocity for row in rows])
+    fit = np.exp(-FIT["sigma"] * (velocity / (FIT["limit_velocity"] - velocity)) ** FIT["psi"])
+    numbers = np.array([0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows])
+    asked = np.where(["steel-steel" in row.pair for row in rows], fit, numbers)
+    np.testing.assert_allclose([row.asked for row in rows], asked, rtol=1e-14)
+    np.testing.assert_allclose([row.reached for row in rows], asked, rtol=1e-3)
+    assert (velocity.min(), velocity.max()) == pytest.approx((0.005, 5.0), rel=1e-12)
+    assert len({row.pair for row in rows}) == 5
+
+
+def test_reached_is_what_a_run_of_the_scene_reaches(taichi_f64):
+    """A ball of the scene itself falls on its floor in the scene's own steps."""
+    scene = coarse_hertz()
+    rows, step = measure(scene)
+    fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
+    group = scene.particles["beads"].model_copy(
+        update={
+            "velocity": (0.0, 0.0, -2.0),
+            "place": scene.particles["beads"].place.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
+        }
+    )
+    last, simulation = finished(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
+    assert simulation.plan.time_step == step
+    reached = last.particles["velocity"][0, 2] / 2.0
+    assert abs(fastest.difference) > 0.03
+    assert fastest.least - 2e-4 <= reached <= fastest.most + 2e-4
+
+
+def difference_at_the_slowest(precision):
+    scene = two_materials(run={"duration": 1.0, "velocity_max": 5.0, "precision": precision})
+    rows, _ = measure(scene)
+    return max(abs(row.difference) for row in rows if row.velocity < 0.01)
+
+
+def test_single_precision_shows_at_small_velocities(taichi_f64):
+    """Coordinates up to 1 m in f32 are 6e-8 m apart; overlaps at 5 mm/s are of that order."""
+    assert in_child(difference_at_the_slowest, "f32") > 0.05
+    assert difference_at_the_slowest("f64") < 0.01
+
+
+# ---------------------------------------------------------------- the warning
+
+
+def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(taichi_f64):
+    scene = coarse_hertz()
+    sentences = {each.split(":")[0]: each for each in warnings(plan_for(scene))}
+    assert sorted(sentences) == ["steel-steel", "steel-steel wall"]
+    numbers = re.search(
+        r"restitution (\S+) is asked for at (\S+) m/s, but (\S+) comes out with a step of (\S+) s\. "
+        r"A run\.time_step of (\S+) s would do\.",
+        sentences["steel-steel wall"],
+    )
+    asked, velocity, reached, step, remedy = map(float, numbers.groups())
+    assert (asked, velocity) == (0.3, 2.0)
+    assert step == pytest.approx(plan_for(scene).time_step, rel=5e-3)
+    rows, _ = measure(scene)
+    fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
+    assert fastest.least * 0.99 <= reached <= fastest.most * 1.01
+    assert warnings(plan_for(coarse_hertz(remedy))) == []
+
+
+def test_scenes_that_come_with_granflow_need_no_warning():
+    for path in SCENES.glob("*.yaml"):
+        assert warnings(plan_for(load(path))) == [], path
+
+
+def test_what_the_plan_warns_of_is_not_said_twice():
+    """Restitution 0.02 needs an unloading steeper than the step can carry."""
+    scene = two_materials(safety=0.1, pairs={
+        "steel-steel": {"restitution": 0.02, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
+    })  # fmt: skip
+    plan = plan_for(scene)
+    assert any("0.02" in sentence for sentence in plan.step.warnings)
+    assert not any("steel-steel" in sentence for sentence in warnings(plan))
+
+
+def test_the_verb_shows_a_table_and_writes_numbers(tmp_path, taichi_f64, capsys):
+    path = tmp_path / "coarse.yaml"
+    path.write_text(coarse_hertz().text(), encoding="utf-8")
+    assert main(["restitution", str(path), "--out", str(tmp_path / "out")]) == 0
+    row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.30000 +([\d.]+) +([+-][\d.]+)( \*)?")
+    shown = [found.groups() for line in capsys.readouterr().out.splitlines() if (found := row.match(line))]
+    lines = (tmp_path / "out" / "restitution.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "pair,velocity,asked,least,most,difference"
+    assert len(lines) - 1 == len(shown) == 2 * 13
+    for line, (velocity, reached, percent, star) in zip(lines[1:], shown, strict=True):
+        numbers = [float(cell) for cell in line.split(",")[1:]]
+        assert float(velocity) == pytest.approx(numbers[0], rel=1e-3)
+        assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.3)), abs=1e-5)
+        assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.3 - 1.0), abs=5e-3)
+        assert bool(star) == (abs(float(percent)) > 1.0)

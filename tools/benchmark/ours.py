@@ -1,0 +1,180 @@
+"""granflow in a process of its own: a case measured, a bed settled. Taichi starts once per process."""
+
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmark import cases
+from benchmark.cases import Case
+
+MATERIAL = f"""
+gravity: [0, 0, {-cases.GRAVITY}]
+materials:
+  m: {{{{young_modulus: {cases.YOUNG_MODULUS}, poisson_ratio: {cases.POISSON_RATIO}, density: {cases.DENSITY}}}}}
+"""
+BED = """
+title: Settled bed
+pairs: {{m-m: {{restitution: {restitution}, friction: {friction}}}}}
+contact: {{normal: {normal}, tangential: mindlin, rolling: none}}
+walls:
+  floor: {{shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: m}}
+  left: {{shape: plane, point: [0, 0, 0], normal: [1, 0, 0], material: m}}
+  right: {{shape: plane, point: [{x}, 0, 0], normal: [-1, 0, 0], material: m}}
+  front: {{shape: plane, point: [0, 0, 0], normal: [0, 1, 0], material: m}}
+  back: {{shape: plane, point: [0, {y}, 0], normal: [0, -1, 0], material: m}}
+particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, place: {place}}}}}
+domain: {{min: [-0.01, -0.01, -0.01], max: [{x_high}, {y_high}, 2], leaving: error}}
+run: {{duration: {duration}, time_step: {time_step}, velocity_max: 0.3 m/s, precision: {precision}}}
+numerics: {{skin: {skin}}}
+output: {{interval: 10 s}}
+"""
+HOPPER = """
+title: Hopper
+pairs: {{m-m: {{restitution: {restitution}, friction: {friction}}}}}
+contact: {{normal: {normal}, tangential: mindlin, rolling: none}}
+walls:
+  cone: {{shape: cone, from: [0, 0, 0], to: [0, 0, {cone}], radius_from: {orifice}, radius_to: {tube}, material: m}}
+  tube: {{shape: cylinder, from: [0, 0, {cone}], to: [0, 0, {top}], radius: {tube}, material: m}}
+particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, place: {place}}}}}
+domain: {{min: [-{reach}, -{reach}, {floor}], max: [{reach}, {reach}, 1], leaving: delete}}
+run: {{duration: 1 s, time_step: {time_step}, velocity_max: 1.5 m/s, precision: {precision}}}
+numerics: {{skin: {skin}}}
+output: {{interval: 10 s}}
+"""
+NORMAL = {
+    "hertz": "hertz",
+    "zhou": "zhou",
+    "linear": f"{{law: linear, stiffness: {{value: {cases.LINEAR_STIFFNESS} N/m}}}}",
+}
+
+
+def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
+    """The case as a scene; the group stands for number and sizes, the grains come in as arrays."""
+    low, high = float(case.diameter.min()), float(case.diameter.max())
+    sizes = f"{{distribution: uniform, min: {low}, max: {high}}}" if low < high else low
+    x, y = case.sides
+    same = {
+        "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
+        "sizes": sizes, "precision": precision, "skin": skin,
+        "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
+    }  # fmt: skip
+    if case.kind == "bed":
+        return (MATERIAL + BED).format(**same, x=x, y=y, x_high=x + 0.01, y_high=y + 0.01, duration=1)
+    return (MATERIAL + HOPPER).format(
+        **same, cone=cases.CONE_HEIGHT, orifice=cases.ORIFICE_RADIUS, tube=cases.TUBE_RADIUS, top=cases.TUBE_TOP,
+        reach=cases.HOPPER_REACH, floor=cases.HOPPER_FLOOR
+    )  # fmt: skip
+
+
+def region(case: Case) -> str:
+    """A box within the domain, in which no grain is placed."""
+    if case.kind == "bed":
+        return f"{{min: [0, 0, 0], max: [{case.sides[0]}, {case.sides[1]}, 1.9]}}"
+    half = 0.5 * cases.TUBE_RADIUS
+    return f"{{min: [-{half}, -{half}, {cases.CONE_HEIGHT}], max: [{half}, {half}, {cases.TUBE_TOP}]}}"
+
+
+def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
+    """An engine holding the case, forces known, no step done."""
+    from granflow.device.backend import start
+    from granflow.device.engine import Engine
+    from granflow.plan import plan_for
+    from granflow.scene import load
+    from granflow.scene.generate import Grains
+
+    with tempfile.TemporaryDirectory() as folder:
+        scene_file = Path(folder) / "case.yaml"
+        scene_file.write_text(scene_text(case, law, precision, skin))
+        plan = plan_for(load(scene_file))
+    engine = Engine(plan, start("cpu", precision, threads))  # type: ignore[arg-type]
+    still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    engine.insert(Grains(case.position, still, still, 0.5 * case.diameter, none, none))
+    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
+    engine.refresh()
+    return engine
+
+
+def measure(
+    path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
+) -> dict[str, Any]:  # fmt: skip
+    """Rate of one window [particle-steps/s] and what goes with it; first_step in seconds since 1970."""
+    case = Case.load(Path(path))
+    engine = engine_for(case, law, precision, threads, skin)
+    engine.advance(1)
+    first_step = time.time()
+    engine.advance(warm)
+    above, searches = mass_above(engine), engine.timing.search_count
+    began = time.perf_counter()
+    engine.advance(window)
+    seconds = time.perf_counter() - began
+    if engine.trip is not None:
+        raise SystemExit(f"granflow stopped: {engine.trip}")
+    searches, memory = engine.timing.search_count - searches, peak_memory()
+    span = window * cases.TIME_STEP
+    return {
+        "rate": window * case.count / seconds,
+        "first_step": first_step,
+        "compile": engine.timing.compile,
+        "memory": memory,
+        "field_bytes": field_bytes(engine) / case.count,
+        "contacts": grain_contacts(engine) / case.count,
+        "rebuilds": 1000.0 * searches / window,
+        "mass_flow": (above - mass_above(engine)) / span if case.kind == "hopper" else None,
+    }
+
+
+def mass_above(engine: Any) -> float:
+    """Mass whose centres are above the orifice [kg]."""
+    arrays = engine.transfer.taken(("mass", "position"))
+    return float(arrays["mass"][arrays["position"][:, 2] > 0.0].sum(dtype=float))
+
+
+def grain_contacts(engine: Any) -> int:
+    """Contacts between two grains, each counted once."""
+    contacts = engine.snapshot("run", frozenset({"contacts"})).contacts
+    return int((contacts["second_id"] >= 0).sum())
+
+
+def field_bytes(engine: Any) -> int:
+    """Bytes of all fields of the state on the device."""
+    return sum(field_size(field) for field in engine.state._block.fields)
+
+
+def field_size(field: Any) -> int:
+    """Bytes of one Taichi field, without what the allocator adds."""
+    components = getattr(field, "n", 1) * getattr(field, "m", 1)
+    return int(np.prod(field.shape)) * components * (8 if "64" in str(field.dtype) else 4)
+
+
+def peak_memory() -> int:
+    """Peak resident bytes of this process."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def settle(count: int, path: str, threads: int) -> None:
+    """Let a loose lattice of spheres fall and come to rest in a square box about as wide as the bed is high."""
+    from granflow import Simulation, load_scene
+
+    side = round((count * 4.0 / 3.0 * np.pi * cases.RADIUS_MEAN**3 / 0.6) ** (1.0 / 3.0) * 0.95, 4)
+    edge = 0.5 * 2.2 * cases.RADIUS_MEAN
+    box = f"{{min: [0, 0, 0], max: [{side}, {side}, {3 * side + 4 * edge}]}}"
+    low, high = 1.8 * cases.RADIUS_MEAN, 2.2 * cases.RADIUS_MEAN
+    text = (MATERIAL + BED).format(
+        restitution=0.3, friction=cases.FRICTION, normal="hertz", x=side, y=side, x_high=side + 0.01,
+        y_high=side + 0.01, count=count, sizes=f"{{distribution: uniform, min: {low}, max: {high}}}",
+        place=f"{{kind: lattice, region: {{box: {box}}}, jitter: 0.5}}", time_step=2 * cases.TIME_STEP,
+        precision="f64", skin="0.4 mm", duration="0.6 s"
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        scene_file = Path(folder) / "settle.yaml"
+        scene_file.write_text(text)
+        simulation = Simulation(load_scene(scene_file), threads=threads)
+        simulation.run()
+    particles = simulation.snapshot().particles
+    Case(f"bed {count}", "bed", 2.0 * particles["radius"], particles["position"], (side, side)).save(Path(path))
