@@ -142,39 +142,71 @@ def build_sort(state: State) -> Callable[..., None]:
 
 
 def build_gather(state: State) -> Callable[[int], None]:
-    """Bring every particle to its new place, and set rows and history aside under the old one."""
-    sorting, fields = state.sorting, state.particles.sorted_fields()
-    copies = sorting.copies
+    """Bring every particle to its new place, one array after the other.
+
+    They go through `position_at_search` and `coordination`, which nobody reads before they are written anew.
+    """
+    sorting, particles, fields = state.sorting, state.particles, state.particles.sorted_fields()
+    vectors = [field for field in fields if isinstance(field, ti.MatrixField)]
+    integers = [field for field in fields if field.dtype == ti.i32]
+    scalars = [field for field in fields if not isinstance(field, ti.MatrixField) and field.dtype != ti.i32]
+    vector, integer = particles.position_at_search, particles.coordination
 
     @ti.kernel
-    def gather(count: ti.i32):
+    def gather_vectors(count: ti.i32):
+        for f in ti.static(range(len(vectors))):
+            for k in range(count):
+                vector[k] = ti.cast(vectors[f][sorting.order[k]], vector.dtype)
+            for k in range(count):
+                vectors[f][k] = ti.cast(vector[k], vectors[f].dtype)
+
+    @ti.kernel
+    def gather_scalars(count: ti.i32):
         for k in range(count):
-            i = sorting.order[k]
-            for f in ti.static(range(len(fields))):
-                copies[f][k] = fields[f][i]
+            for f in ti.static(range(len(scalars))):
+                vector[k][f] = ti.cast(scalars[f][sorting.order[k]], vector.dtype)
         for k in range(count):
-            for f in ti.static(range(len(fields))):
-                fields[f][k] = copies[f][k]
+            for f in ti.static(range(len(scalars))):
+                scalars[f][k] = ti.cast(vector[k][f], scalars[f].dtype)
+        for f in ti.static(range(len(integers))):
+            for k in range(count):
+                integer[k] = integers[f][sorting.order[k]]
+            for k in range(count):
+                integers[f][k] = integer[k]
+
+    def gather(count: int) -> None:
+        gather_vectors(count)
+        gather_scalars(count)
 
     return gather
 
 
 def build_set_aside(state: State) -> Callable[[int], None]:
-    """Copy rows and history to `before`, where the new rows look them up."""
-    contacts, names = state.contacts, list(state.contacts.history)
+    """Copy the slots with history to `before`, where the new rows look them up; `chunk_need` says how many they are."""
+    contacts, names, stride = state.contacts, list(state.contacts.history), state.stride
+    chunk_size, kept = state.plan.chunk_size, contacts.kept_per_chunk
+
+    @ti.func
+    def keep(slot, place):
+        contacts.partner_before[place] = contacts.partner[slot]
+        for name in ti.static(names):
+            contacts.before[name][place] = contacts.history[name][slot]
 
     @ti.kernel
     def set_aside(count: ti.i32):
-        for i in range(count):
-            begin = contacts.row_begin[i]
-            end = contacts.row_end[i]
-            contacts.row_begin_before[i] = begin
-            contacts.row_end_before[i] = end
-            for slot in range(begin, end):
-                contacts.partner_before[slot] = contacts.partner[slot]
-                contacts.touching_before[slot] = contacts.touching[slot]
-                for name in ti.static(names):
-                    contacts.before[name][slot] = contacts.history[name][slot]
+        for task in range((count + chunk_size - 1) // chunk_size * stride):
+            if task % stride == 0:
+                chunk = task // stride
+                place = chunk * kept
+                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                    contacts.row_begin_before[i] = place
+                    for slot in range(contacts.row_begin[i], contacts.row_end[i]):
+                        if contacts.touching[slot] == 1:
+                            if place < (chunk + 1) * kept:
+                                keep(slot, place)
+                            place += 1
+                    contacts.row_end_before[i] = place
+                contacts.chunk_need[chunk] = place - chunk * kept
 
     return set_aside
 
@@ -207,9 +239,7 @@ def build_recall(state: State) -> Any:
         if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
             source = find(j_before, i_before)
             sign = -1.0
-        contacts.touching[slot] = 0
-        if source >= 0:
-            contacts.touching[slot] = contacts.touching_before[source]
+        contacts.touching[slot] = ti.cast(source >= 0, ti.i32)
         for n in ti.static(range(len(names))):
             contacts.history[names[n]][slot] = 0.0 * contacts.history[names[n]][slot]
             if source >= 0:

@@ -9,6 +9,7 @@ import taichi as ti
 from granflow.device.backend import Backend
 from granflow.device.guards import NO_PARTICLE
 from granflow.plan import Plan
+from granflow.plan.slots import kept_slots
 from granflow.walls.catalogue import kind_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT
@@ -51,10 +52,9 @@ class Block:
         return self._builder.dense(ti.i, count)
 
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
-        """A field [part, entry] with the entries of one part side by side."""
+        """A field [part, entry] with the entries of one part side by side; its numbers do not survive growing."""
         field = ti.field(dtype)
         parts.dense(ti.j, length).place(field)
-        self.fields.append(field)
         return field
 
     def finish(self) -> None:
@@ -102,7 +102,7 @@ class Particles:
 
 
 class Sorting:
-    """Scratch for the neighbour search: cells, the new order, and one copy of what travels."""
+    """Scratch for the neighbour search: cells and the new order."""
 
     def __init__(self, block: Block, plan: Plan, particles: Particles) -> None:
         count, cell_capacity = particles.capacity, plan.cell_capacity
@@ -114,13 +114,6 @@ class Sorting:
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
         self.low = block.vector(particles.position.dtype, 1)
         self.high = block.vector(particles.position.dtype, 1)
-        self.copies = [_like(block, field, count) for field in particles.sorted_fields()]
-
-
-def _like(block: Block, field: Any, count: int) -> Any:
-    if isinstance(field, ti.MatrixField):
-        return block.vector(field.dtype, count)
-    return block.scalar(field.dtype, count)
 
 
 SCAN_BLOCK = 1024
@@ -131,8 +124,8 @@ class Contacts:
     """Rows of near partners, one row a particle, each chunk of particles in its own segment.
 
     `partner` holds the index of a particle, or -1 - wall; walls stand from row_begin to row_middle, before the
-    others. A pair within one chunk stands in one row, a pair across two chunks in both. `before` is a copy of rows
-    and history taken when the particles are sorted anew.
+    others. A pair within one chunk stands in one row, a pair across two chunks in both. `touching` is 1 where there
+    is history. `before` is a copy of those slots, taken when the particles are sorted anew.
     """
 
     def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
@@ -146,12 +139,13 @@ class Contacts:
         self.before: dict[str, Any] = {}
         for name, size in plan.history.items():
             self.history[name] = block.vector(backend.real, self.capacity, count=size)
-            self.before[name] = block.vector(backend.real, self.capacity, count=size)
+        self.kept_per_chunk = kept_slots(slots_per_chunk)
         if self.history:
+            kept = plan.chunk_capacity * self.kept_per_chunk
+            self.before = {name: block.vector(backend.real, kept, count=size) for name, size in plan.history.items()}
             self.touching = block.scalar(ti.i32, self.capacity)
-            self.touching_before = block.scalar(ti.i32, self.capacity)
             self.row_begin_before, self.row_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
-            self.partner_before = block.scalar(ti.i32, self.capacity)
+            self.partner_before = block.scalar(ti.i32, kept)
 
 
 LANES = 16

@@ -24,6 +24,7 @@ from granflow.device.search import (
 )
 from granflow.device.state import CPU_STRIDE, WALL_BATCH, State
 from granflow.device.walls import upload_poses
+from granflow.plan.slots import slots_to_keep
 
 GPU_BATCH = 16
 """Steps launched between two looks at the flags on a GPU, where every step is a launch of its own."""
@@ -80,7 +81,7 @@ class Stepper:
         """Compile all phases, by launching them over nothing."""
         began, state = clock.perf_counter(), self.state
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
-        self._set_aside = build_set_aside(state) if state.contacts.history else None
+        self._set_aside = build_set_aside(state) if state.contacts.history else lambda count: None
         self._rows = build_rows(state)
         build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
         self._step = build(state, build_move(state), build_forces(state))
@@ -88,8 +89,7 @@ class Stepper:
         self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
         self._gather(0)
         self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
-        if self._set_aside is not None:
-            self._set_aside(0)
+        self._set_aside(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 
@@ -116,10 +116,27 @@ class Stepper:
         side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
         self._grid = Grid.over(low, np.maximum(high, low), side, state.sorting.cell_capacity)
         self._sort(state.count, *self._grid.low, self._grid.side, *self._grid.blocks)
-        if self._set_aside is not None:
-            self._set_aside(state.count)
+        self._set_history_aside()
         self._gather(state.count)
         return state.count - int(state.sorting.cell_start[self._grid.cell_count])
+
+    def _set_history_aside(self) -> None:
+        state = self.state
+        if not state.contacts.history:
+            return
+        while True:
+            self._set_aside(state.count)
+            need = self._largest_need()
+            if need <= state.contacts.kept_per_chunk:
+                return
+            self._grow(slots_to_keep(need))
+
+    def _largest_need(self) -> int:
+        return int(self.state.contacts.chunk_need.to_numpy()[: self.state.chunk_count].max())
+
+    def _grow(self, need: int) -> None:
+        self.timing.growth_count += 1
+        self.state.grow_contacts(int(1.3 * need) + 8, self._build)
 
     def _fill_rows(self, pose: int) -> None:
         state = self.state
@@ -129,11 +146,10 @@ class Stepper:
             return
         while True:
             self._rows(state.count, *self._grid.low, self._grid.side, *self._grid.blocks, state.plan.skin, pose)
-            need = int(state.contacts.chunk_need.to_numpy()[: state.chunk_count].max())
+            need = self._largest_need()
             if need <= state.contacts.slots_per_chunk:
                 return
-            self.timing.growth_count += 1
-            state.grow_contacts(int(1.3 * need) + 8, self._build)
+            self._grow(need)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""

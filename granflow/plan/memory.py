@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from granflow.plan.plan import Plan
+from granflow.plan.slots import kept_slots
 
 INTEGER = 4
 """Bytes of the integers on the device."""
 
 VECTOR = 3
-ROW = 2
-"""Where a particle's row of near partners begins and ends."""
+ROW, ROW_BEFORE = 3, 2
+"""Where a particle's row of near partners begins, has its last wall, and ends; and where it did before a search."""
 
 SORTED = 2
 """Integers for each particle while the neighbour search sorts: cell and order."""
@@ -22,7 +23,7 @@ class Memory:
 
     per_particle: int
     per_slot: int
-    """For one near partner: its number and what the contact remembers, with the copy kept during a search."""
+    """For one near partner: its number, what the contact remembers, and the share of a slot kept during a search."""
     particles: int
     slots: int
     cells: int
@@ -38,20 +39,21 @@ def memory_of(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Memory:
     real = 8 if precision == "f64" else 4
     position = 4 if precision == "f32" else 8
     remembered = real * sum(plan.history.values())
-    copies = 2 if plan.history else 1
-    per_slot = copies * INTEGER + 2 * remembered
-    per_particle = _fields(plan, real, position) + INTEGER * (SORTED + copies * ROW)
+    kept = plan.chunk_capacity * kept_slots(plan.slots_per_chunk) * (INTEGER + remembered) if remembered else 0
+    slots = plan.chunk_capacity * plan.slots_per_chunk
+    slot_bytes = slots * (INTEGER + (INTEGER + remembered if remembered else 0)) + kept
+    per_particle = _fields(plan, real, position) + INTEGER * (SORTED + ROW + ROW_BEFORE * bool(remembered))
     return Memory(
         per_particle=per_particle,
-        per_slot=per_slot,
+        per_slot=slot_bytes // slots,
         particles=per_particle * plan.particle_capacity,
-        slots=per_slot * plan.chunk_capacity * plan.slots_per_chunk,
+        slots=slot_bytes,
         cells=2 * INTEGER * plan.cell_capacity,
     )
 
 
 def _fields(plan: Plan, real: int, position: int) -> int:
-    """Bytes of one particle's own fields, and of the copies of those that travel with it when particles are sorted."""
+    """Bytes of one particle's own fields."""
     features = plan.features
     velocity, force, radius, mass, number, coordination = VECTOR * real, VECTOR * real, real, real, INTEGER, INTEGER
     travelling = VECTOR * position + velocity + radius + mass + number
@@ -59,4 +61,4 @@ def _fields(plan: Plan, real: int, position: int) -> int:
     travelling += VECTOR * real * (features.rotation + features.rate_dependent)
     torque = VECTOR * real * features.rotation
     at_search = VECTOR * position
-    return 2 * travelling + force + torque + at_search + coordination
+    return travelling + force + torque + at_search + coordination

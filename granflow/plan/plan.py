@@ -21,6 +21,7 @@ from granflow.laws.material import (
 from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
+from granflow.plan.slots import slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
@@ -35,10 +36,7 @@ CHUNK_COUNT = 32
 CHUNK_BOUNDS = (512, 2048)
 """Smaller chunks have more pairs that cross their border and are done twice; larger ones leave the cache."""
 
-SLOTS_PER_PARTICLE = 7
-"""First guess of the near partners in a row; rows grow when it is too small."""
-
-CELLS_PER_PARTICLE = 8
+CELLS_PER_PARTICLE = 3
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
 LEAST_CELLS = 8192
@@ -112,7 +110,8 @@ class Plan:
     @property
     def slots_per_chunk(self) -> int:
         """First guess of contact slots in one chunk."""
-        return SLOTS_PER_PARTICLE * min(self.chunk_size, self.particle_capacity) + 16
+        share = slots_per_particle(self.particle_capacity, self.skin / self.radius_min)
+        return int(share * min(self.chunk_size, self.particle_capacity)) + 16
 
     @property
     def cell_capacity(self) -> int:

@@ -79,7 +79,7 @@ def falling_heap(**numerics):
 
 def test_rows_that_start_too_small_grow_and_change_nothing(taichi_f64, monkeypatch):
     plenty, roomy = finished(falling_heap())
-    monkeypatch.setattr(plan_module, "SLOTS_PER_PARTICLE", 0)
+    monkeypatch.setattr(plan_module, "slots_per_particle", lambda count, skin: 0.0)
     grown, cramped = finished(falling_heap())
     assert roomy.engine.timing.growth_count == 0
     assert cramped.engine.timing.growth_count > 0
