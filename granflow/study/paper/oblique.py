@@ -185,7 +185,7 @@ def slides(bench: Bench, before: Motion) -> np.ndarray:
 
 def published(source: str) -> dict[str, np.ndarray]:
     """Curves of `published/<source>.csv` by quantity, each (n, 2)."""
-    text = (files("granflow.study") / "published" / f"{source}.csv").read_text(encoding="utf-8")
+    text = (files("granflow.study.paper") / "published" / f"{source}.csv").read_text(encoding="utf-8")
     rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))[1:]
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
