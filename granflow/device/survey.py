@@ -56,7 +56,10 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                         overlap, _rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
                         if overlap > 0.0:
                             share = weight(i, j)
-                            relative = overlap / ti.min(2.0 * radius_eff, particles.radius[i])
+                            smaller = particles.radius[i]
+                            if j >= 0:
+                                smaller = ti.min(smaller, particles.radius[j])
+                            relative = overlap / smaller
                             elastic, plastic = energies(
                                 slot, control.pair_constants[pair_number(i, j)], radius_eff, mass_eff, dt, overlap
                             )

@@ -282,17 +282,20 @@ def warnings(plan: Plan) -> list[str]:
     """
     found, steps = [], 0
     for pair in pairings(plan.scene):
-        misses = []
+        misses: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
             impact = _impact(plan, pair, share * plan.velocity_max)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _out_of_reach(plan, impact):
                 break
             misses.append((abs(_worst_reached(plan, impact, plan.time_step) / impact.asked - 1.0), impact))
-        worst, impact = max(misses, key=lambda each: each[0], default=(0.0, None))
-        if impact is not None and worst > TOLERANCE:
-            found.append(_sentence(plan, pair, impact))
+        if misses and max(misses, key=_size)[0] > TOLERANCE:
+            found.append(_sentence(plan, pair, max(misses, key=_size)[1]))
     return found
+
+
+def _size(miss: tuple[float, Any]) -> float:
+    return miss[0]
 
 
 @dataclass(frozen=True)

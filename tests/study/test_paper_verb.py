@@ -26,7 +26,7 @@ def test_the_page_holds_every_figure(taichi_f64, tmp_path, monkeypatch):
     page = report.write_paper(tmp_path)
     figures = sorted(path.stem for path in tmp_path.glob("*.png"))
     assert figures == sorted(path.stem for path in tmp_path.glob("*.csv"))
-    assert len(figures) == 8
+    assert len(figures) == 9
     html = page.read_text(encoding="utf-8")
     assert html.count("data:image/png;base64,") == len(figures)
     sources = re.findall(r'(?:src|href)="([^"]*)"', html)

@@ -14,6 +14,7 @@ from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
 from granflow.study.paper.comparison import REFERENCE_VELOCITY, Comparison, compare, comparison_plate
 from granflow.study.paper.cost import BASE, CONTACTS, REPEATS, SIDE, Cost, costs
 from granflow.study.paper.loops import loop_plate, loop_run
+from granflow.study.paper.oblique import oblique_plate, oblique_run
 from granflow.study.paper.plate import Plate, percent
 from granflow.study.paper.residual import error_plate, residual_plate, residual_run
 from granflow.study.paper.velocity import (
@@ -50,14 +51,17 @@ def write_paper(out: Path, say: Callable[[str], None] = lambda words: None) -> P
     say("collisions under every law of the catalogue")
     comparison = compare(backend)
     laws = comparison_plate(comparison)
+    say("oblique impacts")
+    oblique = oblique_plate(oblique_run())
     say("cost of a contact of each law")
     spent = costs({name: one for name, (one, _) in comparison.ran.items()}, backend)
     say("drawing")
-    for plate in (*plates.values(), laws):
+    for plate in (*plates.values(), laws, oblique):
         write_columns(out / f"{plate.name}.csv", plate.columns)
         draw_to(out / f"{plate.name}.png", _drawing(plate), plate.height)
     page = Page("A model of collisions, reproduced", LEAD, [
-        *_paper_sections(plates, out), _laws_section(laws, comparison, spent, out), _numerics_section(backend)
+        *_paper_sections(plates, out), _laws_section(laws, comparison, spent, out),
+        Section(oblique.title, _shown(oblique, out)), _numerics_section(backend),
     ])  # fmt: skip
     write_page(page, out / PAGE)
     return out / PAGE

@@ -1,0 +1,379 @@
+"""Spheres that meet a plate under an angle or with spin: Chung & Ooi's tests 4, 5, 6 and 8, and measured rebounds.
+
+Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz, Gorham & Salman 2001, doi
+10.1016/S0032-5910(01)00283-2. Their figures lie in `published/`.
+"""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from granflow.laws import theory
+from granflow.scene import Scene
+from granflow.simulation import Simulation
+from granflow.study.figures import COLORS, POINTS
+from granflow.study.paper.plate import Deviation, Plate, relative_deviation
+
+SAFETY = 0.005
+"""Share of the shortest contact phase that a step takes."""
+LONGEST = 2.0
+"""Elastic durations after which every sphere has left, damped ones too."""
+CLOSE = 0.01
+"""Gap at the start over the way of one elastic duration."""
+SLIDING = 1.05
+"""This far above 3.5 mu (1 + e) a contact slides throughout for certain."""
+TARGET = 1e-3
+"""For what a contact that slides throughout passes on."""
+
+Solid = Mapping[str, float]
+ALUMINA = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
+GLASS = {"young_modulus": 70e9, "poisson_ratio": 0.25, "density": 2500.0}
+STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
+ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
+TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
+RIGIDITY = 1e10
+"""Young's modulus of a rigid plate over that of the sphere."""
+HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What meets what: sphere, plate, radius [m], restitution, friction; `partner_radius` for a sphere as plate."""
+
+    sphere: Solid
+    plate: Solid
+    radius: float
+    restitution: float
+    friction: float
+    partner_radius: float | None = None
+
+    @property
+    def reduced(self) -> tuple[float, float]:
+        """Hertz stiffness [N/m^1.5] and effective mass [kg]."""
+        solids = (self.sphere, self.plate)
+        compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
+        mass = 4.0 / 3.0 * np.pi * self.radius**3 * self.sphere["density"]
+        if self.partner_radius is None:
+            return float(theory.hertz_stiffness(1.0 / compliance, self.radius)), mass
+        other = 4.0 / 3.0 * np.pi * self.partner_radius**3 * self.plate["density"]
+        radius_eff = self.radius * self.partner_radius / (self.radius + self.partner_radius)
+        return float(theory.hertz_stiffness(1.0 / compliance, radius_eff)), mass * other / (mass + other)
+
+
+def rigid(solid: Solid) -> Solid:
+    """A plate that does not give way."""
+    return {**solid, "young_modulus": RIGIDITY * solid["young_modulus"]}
+
+
+TEST_4 = Bench(ALUMINA, rigid(ALUMINA), 2.5e-3, 0.98, 0.092)
+KHARAZ = Bench(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
+TEST_5 = Bench(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
+TEST_6 = Bench(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
+TEST_8 = Bench(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
+SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """n spheres over a plate: velocity away from it and along it [m/s], and spin [rad/s] that such a slide sets up."""
+
+    normal: np.ndarray
+    along: np.ndarray
+    spin: np.ndarray
+
+    def slip(self, radius: float) -> np.ndarray:
+        """Velocity of the sphere's lowest point along the plate [m/s]."""
+        return self.along - radius * self.spin
+
+
+def rebound(bench: Bench, law: str, before: Motion) -> Motion:
+    """Motion after the impact, each sphere with a place of its own on the plate; `before.normal` is below 0."""
+    elastic = theory.duration(1.0, *bench.reduced, -before.normal)
+    scene = _scene_of(bench, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
+    simulation = Simulation(scene)
+    simulation.run()
+    last = simulation.snapshot().particles
+    simulation.free()
+    spheres = slice(0, len(before.normal))
+    velocity, spin = last["velocity"][spheres], last["spin"][spheres]
+    return Motion(velocity[:, 2], velocity[:, 0], spin[:, 1])
+
+
+def _scene_of(bench: Bench, law: str, before: Motion, gap: np.ndarray, duration: float) -> Scene:
+    count, partner = len(gap), bench.partner_radius
+    spacing = 3.0 * (partner or bench.radius)
+    places = np.stack([np.zeros(count), spacing * np.arange(count), bench.radius + gap], axis=1)
+    still = np.zeros(count)
+    groups: dict[str, Any] = {"spheres": {
+        "material": "sphere", "diameter": 2.0 * bench.radius,
+        "velocity": np.stack([before.along, still, before.normal], axis=1).tolist(),
+        "spin": np.stack([still, before.spin, still], axis=1).tolist(),
+        "place": {"kind": "list", "positions": places.tolist()},
+    }}  # fmt: skip
+    walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
+    if partner is not None:
+        below = np.stack([still, places[:, 1], still - partner], axis=1)
+        place = {"kind": "list", "positions": below.tolist()}
+        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "place": place}, {}
+    reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
+    pair = {"restitution": bench.restitution, "friction": bench.friction}
+    return Scene.model_validate({
+        "title": "Oblique impacts side by side",
+        "gravity": [0, 0, 0],
+        "materials": {"sphere": bench.sphere, "plate": bench.plate},
+        "pairs": dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
+        "contact": {"normal": law, "tangential": "mindlin", "rolling": "none"},
+        "walls": walls,
+        "particles": groups,
+        "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
+        "run": {"duration": duration, "velocity_max": float(np.max(-before.normal))},
+        "numerics": {"time_step_safety": SAFETY, "rayleigh_fraction": 1.0},
+        "output": {"interval": duration},
+    })  # fmt: skip
+
+
+# ---------------------------------------------------------------- closed forms
+
+
+def mean_overlap_share(e: float) -> float:
+    """Overlap over the largest, averaged over the impulse of a collision after Zhou (2011).
+
+    By parts, as F dt = -M dv:   int F d dt / int F dt = (eta1/1.8 + e x + J) / (1 + e)
+    with the loading int_0^1 sqrt(1 - u^2.5) du = eta1/1.8, and on unloading, s = u - x:
+    J = int_0^y sqrt((5/4) Lambda (y^2 - s^2) + e^3 (y^2.5 - s^2.5)) ds
+    """
+    y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
+    nodes, weights = leggauss(80)
+    angle = np.pi / 4.0 * (nodes + 1.0)
+    s = y * np.sin(angle)
+    rate = np.sqrt(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5))
+    unloading = float(np.pi / 4.0 * weights @ (rate * y * np.cos(angle)))
+    return (theory.LOADING_DURATION / 1.8 + e * (1.0 - y) + unloading) / (1.0 + e)
+
+
+def slid(bench: Bench, before: Motion) -> Motion:
+    """Motion after an impact that slides throughout under Zhou's law; impulse mu (1 + e) m v, arm radius - overlap.
+
+    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/R); the textbook's relations take
+    the lever arm as R. Against a partner sphere the overlap is shared between the two.
+    """
+    speed, way = -before.normal, np.sign(before.slip(bench.radius))
+    k, mass = bench.reduced
+    overlap = mean_overlap_share(bench.restitution) * theory.overlap_max(k, mass, speed)
+    other = bench.partner_radius
+    share = 1.0 if other is None else other / (other + bench.radius)
+    kick = way * bench.friction * (1.0 + bench.restitution) * speed
+    arm = 1.0 - share * overlap / bench.radius
+    return Motion(
+        bench.restitution * speed, before.along - kick, before.spin + 2.5 * kick * arm / bench.radius
+    )  # fmt: skip
+
+
+def slides(bench: Bench, before: Motion) -> np.ndarray:
+    """Where the slip before is more than friction can take away: |slip| > 3.5 mu (1 + e) v, with some distance."""
+    limit = 3.5 * bench.friction * (1.0 + bench.restitution) * -before.normal
+    return np.abs(before.slip(bench.radius)) > SLIDING * limit
+
+
+# ---------------------------------------------------------------- the figure
+
+
+def published(source: str) -> dict[str, np.ndarray]:
+    """Curves of `published/<source>.csv` by quantity, each (n, 2)."""
+    text = (files("granflow.study.paper") / "published" / f"{source}.csv").read_text(encoding="utf-8")
+    rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))[1:]
+    return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
+
+
+def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> Motion:
+    """Spheres without spin that come at an angle from the normal [deg] and a speed [m/s]."""
+    turned = np.radians(angle)
+    return Motion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
+
+
+def with_slip(ratio: np.ndarray) -> Motion:
+    """Test 5: velocity along the plate over friction times velocity towards it."""
+    return Motion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
+
+
+def with_spin(ratio: np.ndarray) -> Motion:
+    """Tests 6 and 8: 3.5 mu (1 + e) times velocity towards the plate over the slip that the spin makes."""
+    slip = 3.5 * TEST_6.friction * (1.0 + TEST_6.restitution) * SPEED_6 / ratio
+    return Motion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One bench under one law, over a range of impacts."""
+
+    bench: Bench
+    law: str
+    x: np.ndarray
+    before: Motion
+    after: Motion
+
+
+def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, Sweep]:
+    """Simulate all that the figure shows; fewer points make it faster."""
+    angle = np.linspace(2.0, 88.0, angles)
+    slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
+    cases: dict[str, tuple[Bench, str, np.ndarray, Motion]] = {
+        f"{name}_{law}": (bench, law, angle, at_angles(angle))
+        for name, bench in (("glass", KHARAZ), ("test4", TEST_4)) for law in ("hertz", "zhou")
+    }  # fmt: skip
+    cases["test5_zhou"] = (TEST_5, "zhou", slip, with_slip(slip))
+    cases["test6_zhou"] = (TEST_6, "zhou", spin, with_spin(spin))
+    cases["test6_hertz"] = (TEST_6, "hertz", spin, with_spin(spin))
+    cases["test8_zhou"] = (TEST_8, "zhou", spin, with_spin(spin))
+    return {name: Sweep(*case, rebound(case[0], case[1], case[3])) for name, case in cases.items()}
+
+
+def seen(sweep: Sweep, kind: str) -> dict[str, np.ndarray]:
+    """What the sources plot: of tests 4, 5 or 6, by the name of the published curve."""
+    before, after, radius = sweep.before, sweep.after, sweep.bench.radius
+    slip = after.slip(radius)
+    if kind == "test4":
+        return {
+            "tangential_restitution": after.along / before.along,
+            "spin": -after.spin,
+            "rebound_angle": np.degrees(np.arctan2(slip, after.normal)),
+        }
+    if kind == "test5":
+        unit = sweep.bench.friction * -before.normal
+        return {"slip": slip / unit, "spin": -radius * after.spin / unit}
+    return {"slip": -slip / before.slip(radius)}
+
+
+def oblique_plate(run: Mapping[str, Sweep]) -> Plate:
+    """The figure of oblique impacts, with the measured points and what a contact that slides throughout is off."""
+    return Plate(
+        name="oblique_impacts",
+        title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
+        caption=(
+            "Spheres of aluminium oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
+            "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
+            "patch; below, their tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminium alloy). Where the "
+            "contact sticks for a while, the published curve of test 5 is that of half the tangential "
+            "stiffness (a plate rigid along its normal only); those of 6 and 8 are not "
+            "reproduced."
+        ),
+        columns=_columns(run),
+        deviations=_deviations(run),
+        draw=lambda figure, _: _draw(figure, run),
+        height=5.0,
+    )
+
+
+def _columns(run: Mapping[str, Sweep]) -> dict[str, np.ndarray]:
+    """Every curve as two columns; the shorter ones end with nan."""
+    columns: dict[str, np.ndarray] = {}
+    for name, sweep in run.items():
+        columns[f"{name}_x"] = sweep.x
+        for quantity, values in seen(sweep, _kind(name)).items():
+            columns[f"{name}_{quantity}"] = values
+    for source in ("kharaz_2001", "chung_ooi_2011"):
+        for quantity, points in published(source).items():
+            columns |= {f"{source}_{quantity}_x": points[:, 0], f"{source}_{quantity}": points[:, 1]}
+    longest = max(len(values) for values in columns.values())
+    return {
+        name: np.pad(values, (0, longest - len(values)), constant_values=np.nan) for name, values in columns.items()
+    }
+
+
+def _kind(name: str) -> str:
+    return {"test5": "test5", "test6": "test6", "test8": "test6"}.get(name.split("_")[0], "test4")
+
+
+def _deviations(run: Mapping[str, Sweep]) -> tuple[Deviation, ...]:
+    """Of contacts that slide throughout from their closed forms, under Zhou's law, in the order of the tests."""
+    found = []
+    for name, sweep in run.items():
+        if sweep.law == "zhou":
+            found += list(_sliding_deviations(name, sweep))
+    return tuple(found)
+
+
+def _sliding_deviations(name: str, sweep: Sweep) -> list[Deviation]:
+    """Velocity along the plate and spin; the textbook's lever arm is told of where it matters."""
+    sliding = slides(sweep.bench, sweep.before)
+    closed, after, radius = slid(sweep.bench, sweep.before), sweep.after, sweep.bench.radius
+    title = TITLES[name.split("_")[0]]
+    axis = {"test4": "the impact angle", "test5": "the slip ratio", "test6": "the ratio"}[_kind(name)]
+    x = sweep.x[sliding]
+    change = (after.spin - sweep.before.spin)[sliding]
+    textbook = 2.5 * (closed.along - sweep.before.along)[sliding] / -radius
+    remark = (
+        f"The textbook takes the radius as lever arm, where it is the radius less the overlap: "
+        f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
+    )
+    promised = (closed.spin - sweep.before.spin)[sliding]
+    return [
+        relative_deviation(
+            f"the change of velocity along the plate, sliding ({title})", (after.along - sweep.before.along)[sliding],
+            (closed.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
+        ),
+        relative_deviation(
+            f"the change of spin, sliding ({title})", change, promised, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
+        ),
+    ]  # fmt: skip
+
+
+def _draw(figure: Any, run: Mapping[str, Sweep]) -> None:
+    panels = figure.subplots(2, 3)
+    _draw_angles(panels[0], run)
+    _draw_test_5(panels[1, :2], run)
+    _draw_test_6(panels[1, 2], run)
+    for letter, panel in zip("abcdef", panels.flat, strict=True):
+        panel.set_title(f"({letter})")
+
+
+def _draw_angles(panels: Any, run: Mapping[str, Sweep]) -> None:
+    """Test 4 and the measurements: Hertz with its damping, and Zhou's law."""
+    measured, curves = published("kharaz_2001"), published("chung_ooi_2011")
+    labels = {
+        "tangential_restitution": r"tangential restitution $v_t'/v_t$", "spin": r"spin $\omega'$ [rad/s]",
+        "rebound_angle": "rebound angle of the patch [deg]",
+    }  # fmt: skip
+    for panel, (quantity, label) in zip(panels, labels.items(), strict=True):
+        for plate, line in (("glass", "-"), ("test4", "--")):
+            for number, law in enumerate(("hertz", "zhou")):
+                sweep = run[f"{plate}_{law}"]
+                text = {"glass": f"{law}, glass", "test4": f"{law}, rigid"}[plate]
+                panel.plot(sweep.x, seen(sweep, "test4")[quantity], line, color=COLORS[number], label=text)
+        panel.plot(*curves[f"test4_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, rigid")
+        panel.plot(*measured[quantity].T, marker="o", color="black", label="measured, glass", **POINTS)
+        panel.set(xlabel="impact angle [deg]", ylabel=label, xlim=(0.0, 90.0))
+    panels[2].legend(loc="upper left", fontsize=6.0)
+
+
+def _draw_test_5(panels: Any, run: Mapping[str, Sweep]) -> None:
+    """Slip and spin after against slip before, and the straight lines of a contact that slides throughout."""
+    sweep, curves = run["test5_zhou"], published("chung_ooi_2011")
+    sliding = np.array([7.0, 20.0])
+    lines = {"slip": sliding - 7.0, "spin": np.full(2, -5.0)}
+    labels = {"slip": r"test 5: slip after $V_s'/(\mu V_n)$", "spin": r"test 5: spin after $r\omega'/(\mu V_n)$"}
+    for panel, quantity in zip(panels, labels, strict=True):
+        panel.plot(sweep.x, seen(sweep, "test5")[quantity], color=COLORS[1], label="zhou")
+        panel.plot(*curves[f"test5_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi")
+        panel.plot(sliding, lines[quantity], ":", color="black", label="sliding throughout")
+        panel.set(xlabel=r"slip before $V_t/(\mu V_n)$", ylabel=labels[quantity], xlim=(0.0, 14.0))
+    panels[0].set_ylim(-3.5, 7.0)
+    panels[0].legend(loc="upper left")
+
+
+def _draw_test_6(panel: Any, run: Mapping[str, Sweep]) -> None:
+    """Slip after over slip before, turned about, against what friction could take away over slip before."""
+    for name, line, color in (("test6_hertz", "-", 0), ("test6_zhou", "-", 1), ("test8_zhou", ":", 2)):
+        sweep = run[name]
+        label = {"test6_hertz": "hertz", "test6_zhou": "zhou", "test8_zhou": "zhou, test 8"}[name]
+        panel.semilogx(sweep.x, seen(sweep, "test6")["slip"], line, color=COLORS[color], label=label)
+    curves = published("chung_ooi_2011")
+    panel.plot(*curves["test6_slip"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, 6")
+    panel.plot(*curves["test8_slip"].T, "+", color="0.45", ms=3.5, label="Chung & Ooi, 8")
+    panel.set(xlabel=r"$3.5\,\mu(1+e)V_n/V_s$", ylabel=r"tests 6 and 8: $-V_s'/V_s$")
+    panel.legend(loc="lower right", fontsize=6.5)

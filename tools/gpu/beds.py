@@ -1,0 +1,62 @@
+"""Beds of any size without settling them, and engines that hold them.
+
+A bed of some thousand spheres settles on the CPU under gravity; a larger one is mirror images of it side by side (see
+`benchmark.cases.tiled`). So contacts per particle, overlaps and disorder are those of a settled bed at every size, and
+only the share of spheres near a side wall differs. A lattice would have 12 contacts, or 6 all in line.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmark import ours
+from benchmark.cases import Case, tiled
+
+SETTLED = {False: 10_000, True: 1_000}
+"""Spheres that are settled, in a full and in a quick run."""
+LAW = "hertz"
+
+
+def settle(count: int, path: str) -> None:
+    """Job of a child: settle `count` spheres in a box into a file."""
+    ours.settle(count, path, threads=0)
+
+
+def bed(path: str, count: int) -> Case:
+    """About `count` spheres: the settled bed at `path`, or images of it."""
+    settled = Case.load(Path(path))
+    return settled if count <= settled.count else tiled(settled, count)
+
+
+def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
+    """The plan of a bed between four walls and a floor."""
+    from granflow.plan import plan_for
+    from granflow.scene import load
+
+    with tempfile.TemporaryDirectory() as folder:
+        scene_file = Path(folder) / "bed.yaml"
+        scene_file.write_text(ours.scene_text(case, law, precision, skin))
+        return plan_for(load(scene_file), on_gpu=on_gpu)
+
+
+def engine_for(
+    case: Case, arch: str, precision: str, velocity: np.ndarray | None = None, chunk_size: int | None = None
+) -> Any:
+    """An engine holding a bed, with velocities (n, 3) [m/s] or at rest, forces known, no step done."""
+    from granflow.device.backend import start
+    from granflow.device.engine import Engine
+    from granflow.scene.generate import Grains
+
+    backend = start(arch, precision)  # type: ignore[arg-type]
+    plan = plan_of(case, precision, not backend.on_cpu)
+    if chunk_size is not None:
+        plan = replace(plan, chunk_size=chunk_size)
+    engine = Engine(plan, backend)
+    still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    moving = still if velocity is None else velocity
+    engine.insert(Grains(case.position, moving, still, 0.5 * case.diameter, none, none))
+    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
+    engine.refresh()
+    return engine

@@ -1,0 +1,95 @@
+"""Speed of one bed in one precision, beside the least bytes that must move and the bandwidth measured before it."""
+
+import os
+import time
+from typing import Any
+
+from benchmark import counts, ours, phases
+from benchmark.cases import Case
+
+from gpu.beds import bed, engine_for, plan_of
+from gpu.device import bandwidth
+
+BATCH = 64
+"""Steps between two looks at the clock."""
+WARM_STEPS = 200
+SEARCHES = 3
+ROOM = 0.7
+"""Share of the free memory that fields may take when a run starts: rows of near partners may still grow."""
+
+
+def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> int:
+    """Bytes of all fields of a bed of about `count` spheres, before rows grow."""
+    from granflow.plan.memory import memory_of
+
+    case = bed(bed_file, 0)
+    plan = plan_of(case, precision, on_gpu)
+    return int(memory_of(plan, precision).total / case.count * max(count, case.count))  # type: ignore[arg-type]
+
+
+def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:
+    """Job of a child: particle-steps per second of a settled bed, and what goes with it.
+
+    Without TI_KERNEL_PROFILER; with it, seconds of each kernel for a step and for a search besides.
+    """
+    from granflow.device.backend import start
+
+    backend = start(arch, precision)  # type: ignore[arg-type]
+    limits = bandwidth(backend.on_cpu)
+    began, case = time.perf_counter(), bed(bed_file, count)
+    engine = engine_for(case, arch, precision)
+    ready = time.perf_counter() - began
+    engine.advance(WARM_STEPS)
+    phases.clear_profile()
+    steps, spent, searches = _window(engine, seconds)
+    stepping = phases.profile(steps)
+    searching = [phases.one_search(engine) for _ in range(SEARCHES)]
+    if engine.trip is not None:
+        raise SystemExit(f"granflow stopped: {engine.trip}")
+    return {
+        "count": case.count,
+        "rate": case.count * steps / spent,
+        "steps": steps,
+        "seconds": spent,
+        "searches": searches,
+        "search_seconds": min(searching),
+        "setup_seconds": ready - engine.timing.compile,
+        "compile_seconds": engine.timing.compile,
+        "field_bytes": ours.field_bytes(engine) / case.count,
+        **_traffic(engine, case, searches / steps, spent / steps, limits),
+        **(
+            {"kernels": {"step": stepping, "search": phases.profile(SEARCHES)}} if phases.PROFILER in os.environ else {}
+        ),
+    }
+
+
+def _window(engine: Any, seconds: float) -> tuple[int, float, int]:
+    """Steps done in at least `seconds` of wall time, those seconds, and the searches among them."""
+    searches, steps, began = engine.timing.search_count, 0, time.perf_counter()
+    while time.perf_counter() - began < seconds and engine.trip is None:
+        engine.advance(BATCH)  # waits for the device: it reads how many steps were done
+        steps += BATCH
+    return steps, time.perf_counter() - began, engine.timing.search_count - searches
+
+
+def _traffic(
+    engine: Any, case: Case, searches_per_step: float, step_seconds: float, limits: dict[str, float]
+) -> dict[str, float]:
+    """Least bytes of a particle step (`benchmark.counts`) and the share of the copy bandwidth that they make."""
+    state = engine.state
+    totals = engine.snapshot("run", frozenset({"totals"})).totals
+    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
+    slots, contacts = int((end - begin).sum()), totals["contact_count"]
+    both_sides = 2 if state.plan.chunk_size == 1 else 1
+    moved = counts.bytes_of(counts.load_of(state, slots, int(both_sides * contacts)))
+    each = (moved["motion"] + moved["forces"] + searches_per_step * moved["search"]) / case.count
+    return {
+        "contacts": contacts / case.count,
+        "coordination_number": totals["coordination_number"],
+        "near": slots / case.count,
+        "overlap_largest": totals["overlap_largest"],
+        "bytes_per_particle_step": each,
+        "copy_bandwidth": limits["copy"],
+        "triad_bandwidth": limits["triad"],
+        "bandwidth_share": each * case.count / step_seconds / limits["copy"],
+    }
