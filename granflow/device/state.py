@@ -17,6 +17,9 @@ from granflow.walls.shape import PARAMETER_COUNT
 CPU_STRIDE = 512
 """Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
 
+CACHE_LINE = 16
+"""Integers in a line of the cache; counters that threads fight for get lines of their own."""
+
 WALL_BATCH = 256
 """Steps whose wall poses are uploaded at a time."""
 
@@ -208,9 +211,8 @@ class Control:
     def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
         self.search_due = block.scalar(ti.i32, 1)
         self.search_wanted = block.scalar(ti.i32, 1)
-        self.steps_done = block.scalar(ti.i32, 1)
-        self.next_chunk = block.scalar(ti.i32, 1)
-        self.arrived, self.meetings, self.running = (block.scalar(ti.i32, 1) for _ in range(3))
+        self.steps_done, self.running, self.waited = (block.scalar(ti.i32, 1) for _ in range(3))
+        self.next_chunk, self.arrived, self.meetings = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(3))
         self.guard = block.scalar(ti.i32, 1)
         self.guard_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])

@@ -13,6 +13,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.contacts import build_forces
+from granflow.device.crew import Crew
 from granflow.device.motion import build_move
 from granflow.device.search import (
     Grid,
@@ -22,7 +23,7 @@ from granflow.device.search import (
     build_set_aside,
     build_sort,
 )
-from granflow.device.state import CPU_STRIDE, WALL_BATCH, State
+from granflow.device.state import CACHE_LINE, CPU_STRIDE, WALL_BATCH, State
 from granflow.device.walls import upload_poses
 from granflow.plan.slots import slots_to_keep
 
@@ -31,6 +32,9 @@ GPU_BATCH = 16
 
 CPU_BATCH = 1_000_000
 """Particle-steps of one launch on a CPU: a tenth of a second, so that Ctrl-C is heard."""
+
+LONG_WAIT = 30_000
+"""Looks at a counter, some milliseconds: a thread that waits so long has lost its core to another process."""
 
 ONE_WORKER = 512
 """Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
@@ -74,6 +78,7 @@ class Stepper:
         self._on_gone = on_gone
         self._steps_since_search = 0
         self._since_sample = 0
+        self._crew = Crew(state.backend.worker_count)
         self._pose = WALL_BATCH if state.plan.features.moving_walls else 0
         self._build()
 
@@ -212,23 +217,23 @@ class Stepper:
         step = self.state.plan.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        if self.state.backend.on_cpu:
-            batch = max(CPU_BATCH // max(self.state.count, 1), 1)
-            self._launch_step(min(steps, batch), self._pose, step)
-        else:
+        if not self.state.backend.on_cpu:
             for _ in range(min(steps, GPU_BATCH)):
                 self._launch_step(1, self._pose, step)
-        return int(self.state.control.steps_done[0])
-
-    @property
-    def _workers(self) -> int:
-        """CPU threads worth waking."""
-        return 1 if self.state.count <= ONE_WORKER else self.state.backend.worker_count
+            return int(self.state.control.steps_done[0])
+        began, count = clock.perf_counter(), self.state.count
+        self._launch_step(min(steps, max(CPU_BATCH // max(count, 1), 1)), self._pose, step)
+        done = int(self.state.control.steps_done[0])
+        if count > ONE_WORKER:
+            waited = bool(self.state.control.waited[0])
+            self._crew.record(done * count, clock.perf_counter() - began, waited)
+        return done
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU; one step of either phase alone where the other is 0."""
         state = self.state
-        self._step(steps, self._workers, state.chunk_count, state.count, pose, step, moving, forcing)
+        workers = 1 if state.count <= ONE_WORKER else self._crew.next_size
+        self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """One step phase by phase, timed."""
@@ -287,20 +292,23 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
 
         Spinning on atomic counters takes a microsecond where waking Taichi's threads for every phase took sixty.
         """
-        if ti.atomic_add(control.arrived[0], 1) == meeting * workers - 1:
-            control.next_chunk[0] = 0
+        if ti.atomic_add(control.arrived[CACHE_LINE], 1) == meeting * workers - 1:
+            control.next_chunk[CACHE_LINE] = 0
             if forced == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
                 control.steps_done[0] = control.steps_done[0] + 1
             control.search_due[0] = control.search_wanted[0]
             on = control.steps_done[0] < steps_wanted and control.search_due[0] == 0 and control.guard[0] == 0
-            control.running[0] = ti.cast(on, ti.i32)
-            ti.atomic_add(control.meetings[0], 1)
-        while ti.atomic_add(control.meetings[0], 0) < meeting:
-            pass
+            control.running[0] = ti.cast(on and (forced == 0 or control.waited[0] == 0), ti.i32)
+            ti.atomic_add(control.meetings[CACHE_LINE], 1)
+        looks = 0
+        while ti.atomic_add(control.meetings[CACHE_LINE], 0) < meeting:
+            looks += 1
+        if looks > LONG_WAIT:
+            control.waited[0] = 1
 
     @ti.func
     def next_chunk():
-        return ti.atomic_add(control.next_chunk[0], 1)
+        return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
     def work(worker, workers, chunks, count, pose, dt, moving, forcing, steps):
@@ -327,9 +335,10 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
         steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
         forcing: ti.i32
     ):  # fmt: skip
-        control.next_chunk[0] = 0
-        control.arrived[0] = 0
-        control.meetings[0] = 0
+        control.waited[0] = 0
+        control.next_chunk[CACHE_LINE] = 0
+        control.arrived[CACHE_LINE] = 0
+        control.meetings[CACHE_LINE] = 0
         control.running[0] = ti.cast(steps > 0 and control.search_due[0] == 0 and control.guard[0] == 0, ti.i32)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
