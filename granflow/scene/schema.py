@@ -15,7 +15,6 @@ from granflow.scene.fields import (
     AccelerationVector,
     AnyQuantity,
     Auto,
-    Count,
     Direction,
     Energy,
     Fault,

@@ -44,6 +44,8 @@ def stand_ins(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.scene, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
+    no_warnings = types.SimpleNamespace(warnings=lambda plan: [])
+    monkeypatch.setitem(sys.modules, "granflow.study.restitution", no_warnings)
     monkeypatch.setitem(sys.modules, "granflow.study.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls
@@ -189,7 +191,9 @@ def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
 
 
 def test_collide_as_json(stand_ins, capsys):
-    arguments = "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
+    arguments = (
+        "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
+    )
     assert main(arguments.split()) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
     assert stand_ins.collide == {
