@@ -1,8 +1,8 @@
 """Contacts between grains by the batch, for CPUs: gather numbers into columns, do the arithmetic, hand out the forces.
 
 The loop over the columns has no branch and no indirect address, so the compiler does four (float64) or eight (float32)
-contacts in one instruction: measured 2 ns a contact for what took 40 ns contact by contact. Around it stand two loops
-with the indirect addresses. A batch is a few rows, so that the columns stay in the first-level cache.
+contacts in one instruction. Around it stand loops with the indirect addresses and the branches. A batch is a few rows,
+so that the columns stay in the cache.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from granflow.device.encounter import build_effective, build_pair_number, build_
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.pair import build_meet, build_respond, build_touches, half_of_both
 from granflow.device.slots import build_forget, build_read
-from granflow.device.state import LANES, State
+from granflow.device.state import DAMPING, FRICTION, LANES, PLASTIC, ROLLING, State
 
 BATCH = 128
 """Contacts from which on no further row joins a batch."""
@@ -54,7 +54,7 @@ def _build_find(state: State) -> Any:
         radius_eff, mass_eff, _inertia = effective(i, j)
         lost = forget(slot, control.pair_constants[pair_number(i, j)], radius_eff, mass_eff, dt)
         if ti.static(plan.features.ledger):
-            control.losses[chunk][0] = control.losses[chunk][0] + weight(i, j) * lost
+            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * lost
 
     @ti.func
     def check_overlap(i, square, reach, smaller):
@@ -91,7 +91,7 @@ def _build_find(state: State) -> Any:
 
 def _build_gather(state: State) -> Any:
     """Device function: velocities, masses and histories of the entries, into columns."""
-    plan, particles, contacts, control, batch = state.plan, state.particles, state.contacts, state.control, state.batch
+    plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
 
@@ -142,9 +142,12 @@ def _build_gather(state: State) -> Any:
 
 
 def _build_respond(state: State) -> Any:
-    """Device function: the arithmetic of all entries, column to column; results stand where the inputs stood."""
+    """Function (worker, end, time_step): the arithmetic of all entries, column to column, results in place of inputs.
+
+    A function of its own for the compiler, which gives up on the loop where it stands amid all the others.
+    """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
-    features, size = plan.features, max(plan.law.history_count, 1)
+    features, size, constant_count = plan.features, max(plan.law.history_count, 1), plan.pair_constants.shape[1]
     meet, response = build_meet(plan), build_respond(plan, True)
 
     @ti.func
@@ -160,10 +163,21 @@ def _build_respond(state: State) -> Any:
             columns[k][worker, entry] = vector[k]
 
     @ti.func
-    def inertia_eff(worker, entry):
-        inertia = 0.4 * batch.mass[worker, entry] * batch.radius[worker, entry] * batch.radius[worker, entry]
-        radius_partner = batch.radius_partner[worker, entry]
-        return half_of_both(inertia, 0.4 * batch.mass_partner[worker, entry] * radius_partner * radius_partner)
+    def effective(worker, entry):
+        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
+        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
+        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
+        return (
+            half_of_both(radius, radius_partner), half_of_both(mass, mass_partner),
+            half_of_both(inertia, inertia_partner)
+        )  # fmt: skip
+
+    @ti.func
+    def see(worker, entry, dt):
+        return meet(
+            batch.radius[worker, entry], batch.radius_partner[worker, entry], get(batch.apart, worker, entry, 3),
+            get(batch.late, worker, entry, 3), get(batch.now, worker, entry, 3), dt
+        )  # fmt: skip
 
     @ti.real_func
     def respond(worker: ti.i32, end: ti.i32, dt: real):
@@ -171,18 +185,15 @@ def _build_respond(state: State) -> Any:
         for entry in range(end):
             constants = shared
             if ti.static(not features.one_material):
-                constants = get(batch.constants, worker, entry, plan.pair_constants.shape[1])
-            radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
-            overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
-                radius, radius_partner, get(batch.apart, worker, entry, 3), get(batch.late, worker, entry, 3), get(batch.now, worker, entry, 3),
-                dt
-            )  # fmt: skip
+                constants = get(batch.constants, worker, entry, constant_count)
+            overlap, normal, middle, across, late_rate, rate, arm, arm_partner = see(worker, entry, dt)
+            radius_eff, mass_eff, inertia_eff = effective(worker, entry)
+            spin, spin_partner = get(batch.spin, worker, entry, 3), get(batch.spin_partner, worker, entry, 3)
+            memory, slide = get(batch.memory, worker, entry, size), get(batch.slide, worker, entry, 3)
+            angle = get(batch.angle, worker, entry, 3)
             force, torque, torque_partner, memory, slide, angle, friction_loss, rolling_loss, damping_loss = response(
-                constants, half_of_both(radius, radius_partner),
-                half_of_both(batch.mass[worker, entry], batch.mass_partner[worker, entry]), inertia_eff(worker, entry), overlap, normal,
-                middle, across, late_rate, rate, arm, arm_partner, get(batch.spin, worker, entry, 3),
-                get(batch.spin_partner, worker, entry, 3), get(batch.memory, worker, entry, size), get(batch.slide, worker, entry, 3),
-                get(batch.angle, worker, entry, 3), dt
+                constants, radius_eff, mass_eff, inertia_eff, overlap, normal, middle, across, late_rate, rate, arm,
+                arm_partner, spin, spin_partner, memory, slide, angle, dt
             )  # fmt: skip
             put(batch.apart, worker, entry, force)
             put(batch.spin, worker, entry, torque)
@@ -221,8 +232,8 @@ def _build_out(state: State) -> Any:
     @ti.func
     def enter_losses(worker, chunk, i, j, entry):
         share = weight(i, j)
-        for k in ti.static(range(3)):
-            control.losses[chunk][1 + k] = control.losses[chunk][1 + k] + share * batch.losses[k][worker, entry]
+        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
+            control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
 
     @ti.func
     def hand_out(worker, chunk, end, first, last):

@@ -13,10 +13,8 @@ from granflow.device.encounter import build_effective, build_encounter, build_pa
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.pair import build_respond
 from granflow.device.slots import build_forget, build_read, build_write
-from granflow.device.state import LOSSES, State
+from granflow.device.state import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK, State
 from granflow.device.walls import build_wall_geometry
-
-PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 
 
 def build_contact(state: State, with_wall: bool) -> Any:

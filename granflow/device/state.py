@@ -229,6 +229,8 @@ class Control:
 LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
 """What each chunk adds up in the energy ledger [J]."""
 
+PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+
 
 class State:
     """Everything on the device for one plan."""
