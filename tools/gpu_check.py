@@ -53,6 +53,8 @@ MARGIN = 10.0
 LONGEST_JOB = 900.0
 """Seconds; a job that has not ended by then has failed."""
 ABSENT = 2
+VULKAN_BUFFER = 1 << 32
+"""Bytes that a Vulkan buffer can hold; all fields of a run lie in one."""
 
 
 @dataclass
@@ -218,6 +220,8 @@ def too_large(run: Run, size: int, precision: str) -> str | None:
     """Why a bed does not fit the free memory of the device, if it does not."""
     free = run.result["device"]["memory_free"]
     needed = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
+    if run.options.arch == "vulkan" and needed > VULKAN_BUFFER:
+        return f"fields of {needed / 1e9:.1f} GB are more than a Vulkan buffer of {VULKAN_BUFFER / 1e9:.1f} GB can hold"
     if free is None or needed <= speed.ROOM * free:
         return None
     return f"fields of {needed / 1e9:.1f} GB are more than {speed.ROOM:.0%} of the {free / 1e9:.1f} GB free"
