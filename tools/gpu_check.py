@@ -48,6 +48,7 @@ PRECISIONS = ("f64", "mixed", "f32")
 SIZES = (10_000, 100_000, 1_000_000, 3_000_000, 10_000_000)
 QUICK_SIZES = (10_000, 100_000, 1_000_000)
 PROFILED_SIZE = 1_000_000
+"""The largest bed up to this one is run once more, kernel by kernel."""
 MARGIN = 10.0
 """A trajectory may be so many times as far from the CPU's as displacing its start by one rounding puts it."""
 LONGEST_JOB = 900.0
@@ -187,7 +188,7 @@ def bench_all(run: Run) -> None:
     for size in sorted(run.options.sizes):
         for precision in run.options.precisions:
             bench(run, size, precision, spent)
-    size = min(PROFILED_SIZE, max(run.options.sizes))
+    size = max((each for each in run.options.sizes if each <= PROFILED_SIZE), default=min(run.options.sizes))
     for precision in run.options.precisions:
         bench(run, size, precision, {}, {PROFILER: "1"})
 
