@@ -1,8 +1,14 @@
 """Fixtures for the whole session: Taichi can be started once per process only."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from granflow.device import backend
+
+os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
+"""Compiled kernels of the tests: shared by all processes, and not in the user's own cache."""
 
 
 @pytest.fixture(scope="session")

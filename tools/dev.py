@@ -39,7 +39,7 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
     """The command line of a verb, its program named in full."""
     commands = {
         "run": ["-m", "granflow", "run", *rest],
-        "test": ["-m", "pytest", *rest],
+        "test": ["-m", "pytest", "-n", "auto", "--maxprocesses=4", *rest],
         "slow": ["-m", "pytest", "-m", "slow", "--timeout=1800", *rest],
         "check": [str(ROOT / "tools" / "check.py"), *rest],
     }

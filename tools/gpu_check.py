@@ -48,11 +48,14 @@ PRECISIONS = ("f64", "mixed", "f32")
 SIZES = (10_000, 100_000, 1_000_000, 3_000_000, 10_000_000)
 QUICK_SIZES = (10_000, 100_000, 1_000_000)
 PROFILED_SIZE = 1_000_000
+"""The largest bed up to this one is run once more, kernel by kernel."""
 MARGIN = 10.0
 """A trajectory may be so many times as far from the CPU's as displacing its start by one rounding puts it."""
 LONGEST_JOB = 900.0
 """Seconds; a job that has not ended by then has failed."""
 ABSENT = 2
+VULKAN_BUFFER = 1 << 32
+"""Bytes that a Vulkan buffer can hold; all fields of a run lie in one."""
 
 
 @dataclass
@@ -185,7 +188,7 @@ def bench_all(run: Run) -> None:
     for size in sorted(run.options.sizes):
         for precision in run.options.precisions:
             bench(run, size, precision, spent)
-    size = min(PROFILED_SIZE, max(run.options.sizes))
+    size = max((each for each in run.options.sizes if each <= PROFILED_SIZE), default=min(run.options.sizes))
     for precision in run.options.precisions:
         bench(run, size, precision, {}, {PROFILER: "1"})
 
@@ -218,6 +221,8 @@ def too_large(run: Run, size: int, precision: str) -> str | None:
     """Why a bed does not fit the free memory of the device, if it does not."""
     free = run.result["device"]["memory_free"]
     needed = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
+    if run.options.arch == "vulkan" and needed > VULKAN_BUFFER:
+        return f"fields of {needed / 1e9:.1f} GB are more than a Vulkan buffer of {VULKAN_BUFFER / 1e9:.1f} GB can hold"
     if free is None or needed <= speed.ROOM * free:
         return None
     return f"fields of {needed / 1e9:.1f} GB are more than {speed.ROOM:.0%} of the {free / 1e9:.1f} GB free"

@@ -21,16 +21,16 @@ class ContactRecords:
         self.state, self.block = state, Block()
         self.capacity = state.contacts.capacity
         real = state.backend.real
-        self.numbers = {name: self.block.scalar(real, self.capacity) for name in RECORDED}
+        self.numbers = self.block.vector(real, self.capacity, count=len(RECORDED))
         self.foot = self.block.vector(state.backend.position_real, self.capacity)
         self.block.finish()
         self._record = _build_record(state, self)
 
     def take(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Every contact once, as in Snapshot.contacts; `arrays` holds id and position in the device's order."""
-        owner, slot, partner = self._pairs()
-        found = {name: field.to_numpy()[slot].astype(float) for name, field in self.numbers.items()}
-        memory = self._memory(slot)
+        owner, slot, partner, numbers = self._pairs()
+        found = dict(zip(RECORDED, numbers.T, strict=True))
+        memory = self._memory(slot, found["overlap"])
         loading = found["overlap"] >= memory["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
@@ -46,8 +46,8 @@ class ContactRecords:
             "sliding": ((cap > 0.0) & (found["tangential_force"] >= AT_LIMIT * cap)).astype(np.uint8),
         }  # fmt: skip
 
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Owner, slot and partner of every contact, each pair once."""
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Owner, slot, partner and recorded numbers of every contact, each pair once."""
         state, contacts = self.state, self.state.contacts
         if state.count:
             self._record(state.count, state.plan.time_step)
@@ -56,14 +56,14 @@ class ContactRecords:
         first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
         slot = (first + np.arange(len(owner))).astype(np.int64)
         partner = contacts.partner.to_numpy()[slot].astype(np.int64)
-        kept = ((partner < 0) | (partner > owner)) & (self.numbers["overlap"].to_numpy()[slot] > 0.0)
-        return owner[kept], slot[kept], partner[kept]
+        numbers = self.numbers.to_numpy()[slot].astype(float)
+        kept = ((partner < 0) | (partner > owner)) & (numbers[:, OVERLAP] > 0.0)
+        return owner[kept], slot[kept], partner[kept], numbers[kept]
 
-    def _memory(self, slot: np.ndarray) -> dict[str, np.ndarray]:
+    def _memory(self, slot: np.ndarray, overlap: np.ndarray) -> dict[str, np.ndarray]:
         """Largest overlap and restitution that the law remembers; the overlap itself and 1 where it does not."""
         names, history = self.state.plan.law.history_names, self.state.contacts.history
-        found = {"overlap_max": self.numbers["overlap"].to_numpy()[slot].astype(float)}
-        found["restitution"] = np.ones(len(slot))
+        found = {"overlap_max": overlap, "restitution": np.ones(len(slot))}
         for index, name in enumerate(names):
             if name in found:
                 found[name] = history["normal"].to_numpy()[slot, index].astype(float)
@@ -71,6 +71,7 @@ class ContactRecords:
 
 
 RECORDED = ("overlap", "normal_force", "tangential_force", "friction_limit")
+OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(RECORDED))
 
 
 def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
@@ -81,8 +82,7 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
         build_pair_number(state),
         build_wall_geometry(state),
     )
-    force_of = whole_force(law)
-    overlap_out, normal_out, tangential_out, limit_out = (records.numbers[name] for name in RECORDED)
+    force_of, numbers = whole_force(law), records.numbers
 
     @ti.func
     def foot_point(i, j):
@@ -99,23 +99,23 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
             for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                 j = contacts.partner[slot]
                 overlap, rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
-                overlap_out[slot] = overlap
+                numbers[slot][OVERLAP] = overlap
                 if overlap > 0.0:
                     constants = state.control.pair_constants[pair_number(i, j)]
                     memory = ti.Vector.zero(real, memory_size)
                     if ti.static("normal" in contacts.history):
                         memory = contacts.history["normal"][slot]
                     force, _viscous, _m2 = force_of(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
-                    normal_out[slot] = force
-                    tangential_out[slot] = 0.0
+                    numbers[slot][NORMAL] = force
+                    numbers[slot][TANGENTIAL] = 0.0
                     pressing = force
                     if ti.static(law.attracts):
                         pressing += law.attraction(constants, radius_eff, overlap, memory)
-                    limit_out[slot] = constants[plan.friction_index] * pressing
+                    numbers[slot][LIMIT] = constants[plan.friction_index] * pressing
                     records.foot[slot] = foot_point(i, j)
                     if ti.static("lateral" in contacts.history):
                         slide = contacts.history["lateral"][slot]
                         stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
-                        tangential_out[slot] = stiffness * ti.sqrt(slide.dot(slide))
+                        numbers[slot][TANGENTIAL] = stiffness * ti.sqrt(slide.dot(slide))
 
     return record

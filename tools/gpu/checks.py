@@ -81,8 +81,9 @@ def momentum(arch: str, precision: str, bed_file: str) -> list[dict[str, Any]]:
 def _cloud(bed_file: str, precision: str) -> Any:
     """Spheres of a settled bed thrown at each other, none near a wall."""
     case, rng = bed(bed_file, 0), np.random.default_rng(7)
-    kept = slice(0, min(case.count, 1000))
-    position = case.position[kept] - case.position[kept].mean(axis=0)
+    middle = case.position.mean(axis=0)
+    kept = np.argsort(np.linalg.norm(case.position - middle, axis=1))[:1000]
+    position = case.position[kept] - middle
     return _scene(
         {"balls": _balls(position, case.diameter[kept], rng.normal(0.0, 0.3, position.shape))},
         walls={}, gravity=[0.0, 0.0, 0.0], run={"duration": 0.005, "velocity_max": 1.0, "precision": precision},

@@ -44,6 +44,7 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
     steps, spent, searches = _window(engine, seconds)
     stepping = phases.profile(steps)
     searching = [phases.one_search(engine) for _ in range(SEARCHES)]
+    kernels = {"step": stepping, "search": phases.profile(SEARCHES)}
     if engine.trip is not None:
         raise SystemExit(f"granflow stopped: {engine.trip}")
     return {
@@ -57,9 +58,7 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
         "compile_seconds": engine.timing.compile,
         "field_bytes": ours.field_bytes(engine) / case.count,
         **_traffic(engine, case, searches / steps, spent / steps, limits),
-        **(
-            {"kernels": {"step": stepping, "search": phases.profile(SEARCHES)}} if phases.PROFILER in os.environ else {}
-        ),
+        **({"kernels": kernels} if phases.PROFILER in os.environ else {}),
     }
 
 

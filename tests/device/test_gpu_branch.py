@@ -1,0 +1,42 @@
+"""What kernels do on a GPU, tried on the CPU: every chunk one particle, every task one chunk, no queue of chunks."""
+
+import hashlib
+
+import numpy as np
+from child import in_child
+from trials import balls, box, finished, trial
+
+ARRAYS = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
+
+
+def falling_lattice():
+    """A lattice falls into a shaken box: friction, rolling, a moving wall, the ledger, searches."""
+    walls = box(0.06)
+    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    rng = np.random.default_rng(4)
+    places = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    lattice = balls(places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal(0.0, 0.3, places.shape))
+    return trial(
+        {"lattice": lattice}, walls=walls, rolling="epsd", gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 1},
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
+        run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6}, output={"interval": 1.0, "energy": True},
+    )  # fmt: skip
+
+
+def fingerprint(as_on_gpu):
+    from granflow.device import backend, stepper
+
+    stepper.ONE_WORKER = 0  # a scene this small would be stepped on one thread
+    if as_on_gpu:
+        backend.Backend.on_cpu = property(lambda self: False)
+    last, simulation = finished(falling_lattice(), threads=2)
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
+    return digest.hexdigest(), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
+
+
+def test_the_branch_for_gpus_gives_the_bits_of_the_one_for_cpus():
+    cpu, gpu = in_child(fingerprint, False), in_child(fingerprint, True)
+    assert gpu[1] == 1 and cpu[1] > 1, "another branch ran"
+    assert cpu[2] > 20
+    assert gpu[0] == cpu[0]
+    assert gpu[2:] == cpu[2:]
