@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.state import SCAN_BLOCK, State
+from granflow.device.state import BOUNDS, SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 
 BLOCK_SIDE = 8
@@ -42,18 +42,18 @@ class Grid:
 
 
 def build_bounds(state: State) -> Callable[[int], None]:
-    """Box around all particles, into sorting.low and sorting.high."""
+    """Box around every BOUNDS-th part of the particles, into sorting.low and sorting.high."""
     position, low, high = state.particles.position, state.sorting.low, state.sorting.high
 
     @ti.kernel
     def bounds(count: ti.i32):
-        for axis in ti.static(range(3)):
-            low[0][axis] = position[0][axis]
-            high[0][axis] = position[0][axis]
-        for i in range(count):
-            for axis in ti.static(range(3)):
-                ti.atomic_min(low[0][axis], position[i][axis])
-                ti.atomic_max(high[0][axis], position[i][axis])
+        for part in range(BOUNDS):
+            start = position[ti.min(part, ti.max(count - 1, 0))]
+            smallest, largest = start, start
+            for turn in range((count - part + BOUNDS - 1) // BOUNDS):
+                here = position[part + turn * BOUNDS]
+                smallest, largest = ti.min(smallest, here), ti.max(largest, here)
+            low[part], high[part] = smallest, largest
 
     return bounds
 
@@ -182,7 +182,7 @@ def build_gather(state: State) -> Callable[[int], None]:
 
 
 def build_set_aside(state: State) -> Callable[[int], None]:
-    """Copy the slots with history to `before`, where the new rows look them up; `chunk_need` says how many they are."""
+    """Copy the slots with history to `before`, where the new rows look them up; `slots_needed` says how many a chunk has."""
     contacts, names, stride = state.contacts, list(state.contacts.history), state.stride
     chunk_size, kept = state.plan.chunk_size, contacts.kept_per_chunk
 
@@ -194,6 +194,7 @@ def build_set_aside(state: State) -> Callable[[int], None]:
 
     @ti.kernel
     def set_aside(count: ti.i32):
+        state.control.slots_needed[0] = 0
         for task in range((count + chunk_size - 1) // chunk_size * stride):
             if task % stride == 0:
                 chunk = task // stride
@@ -206,7 +207,7 @@ def build_set_aside(state: State) -> Callable[[int], None]:
                                 keep(slot, place)
                             place += 1
                     contacts.row_end_before[i] = place
-                contacts.chunk_need[chunk] = place - chunk * kept
+                ti.atomic_max(state.control.slots_needed[0], place - chunk * kept)
 
     return set_aside
 
@@ -255,7 +256,7 @@ def build_rows(state: State) -> Callable[..., None]:
     """Fill every row with the partners and walls nearer than the skin.
 
     Reads:   position, radius, cell_start, walls
-    Writes:  row_begin, row_end, partner, history, chunk_need, position_at_search, search_due
+    Writes:  row_begin, row_end, partner, history, slots_needed, position_at_search, search_due
     """
     plan, particles, sorting, contacts = state.plan, state.particles, state.sorting, state.contacts
     real, chunk_size, slots = state.backend.position_real, plan.chunk_size, contacts.slots_per_chunk
@@ -314,6 +315,7 @@ def build_rows(state: State) -> Callable[..., None]:
     ):  # fmt: skip
         state.control.search_due[0] = 0
         state.control.search_wanted[0] = 0
+        state.control.slots_needed[0] = 0
         for task in range((count + chunk_size - 1) // chunk_size * stride):
             if task % stride == 0:
                 chunk = task // stride
@@ -323,6 +325,6 @@ def build_rows(state: State) -> Callable[..., None]:
                     contacts.row_begin[i] = slot
                     slot = fill_row(chunk, slot, i, ti.Vector([x0, y0, z0]), side, bx, by, bz, skin, pose)
                     contacts.row_end[i] = slot
-                contacts.chunk_need[chunk] = slot - chunk * slots
+                ti.atomic_max(state.control.slots_needed[0], slot - chunk * slots)
 
     return rows

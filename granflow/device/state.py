@@ -115,9 +115,12 @@ class Sorting:
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
-        self.low = block.vector(particles.position.dtype, 1)
-        self.high = block.vector(particles.position.dtype, 1)
+        self.low = block.vector(particles.position.dtype, BOUNDS)
+        self.high = block.vector(particles.position.dtype, BOUNDS)
 
+
+BOUNDS = 1024
+"""Parts of the particles whose boxes are found side by side."""
 
 SCAN_BLOCK = 1024
 """Cells summed by one task of the prefix sum."""
@@ -137,7 +140,6 @@ class Contacts:
         self.capacity = plan.chunk_capacity * slots_per_chunk
         self.row_begin, self.row_middle, self.row_end = (block.scalar(ti.i32, count) for _ in range(3))
         self.partner = block.scalar(ti.i32, self.capacity)
-        self.chunk_need = block.scalar(ti.i32, plan.chunk_capacity)
         self.history: dict[str, Any] = {}
         self.before: dict[str, Any] = {}
         for name, size in plan.history.items():
@@ -213,6 +215,7 @@ class Control:
         self.search_wanted = block.scalar(ti.i32, 1)
         self.steps_done, self.running, self.waited = (block.scalar(ti.i32, 1) for _ in range(3))
         self.next_chunk, self.arrived, self.meetings = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(3))
+        self.slots_needed = block.scalar(ti.i32, 1)
         self.guard = block.scalar(ti.i32, 1)
         self.guard_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])

@@ -116,8 +116,8 @@ class Stepper:
         """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
         state, plan = self.state, self.state.plan
         self._bounds(state.count)
-        low = np.maximum(state.sorting.low.to_numpy()[0].astype(float), plan.domain_low)
-        high = np.minimum(state.sorting.high.to_numpy()[0].astype(float), plan.domain_high)
+        low = np.maximum(state.sorting.low.to_numpy().min(axis=0).astype(float), plan.domain_low)
+        high = np.minimum(state.sorting.high.to_numpy().max(axis=0).astype(float), plan.domain_high)
         side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
         self._grid = Grid.over(low, np.maximum(high, low), side, state.sorting.cell_capacity)
         self._sort(state.count, *self._grid.low, self._grid.side, *self._grid.blocks)
@@ -137,7 +137,7 @@ class Stepper:
             self._grow(slots_to_keep(need))
 
     def _largest_need(self) -> int:
-        return int(self.state.contacts.chunk_need.to_numpy()[: self.state.chunk_count].max())
+        return int(self.state.control.slots_needed[0])
 
     def _grow(self, need: int) -> None:
         self.timing.growth_count += 1

@@ -21,7 +21,7 @@ from granflow.laws.material import (
 from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.sizes import diameter_range
-from granflow.plan.slots import slots_per_particle
+from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
@@ -111,6 +111,8 @@ class Plan:
     def slots_per_chunk(self) -> int:
         """First guess of contact slots in one chunk."""
         share = slots_per_particle(self.particle_capacity, self.skin / self.radius_min)
+        if self.chunk_size == 1:
+            return int(2.0 * share) + SPARE_IN_A_ROW
         return int(share * min(self.chunk_size, self.particle_capacity)) + 16
 
     @property

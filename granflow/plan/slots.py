@@ -18,6 +18,9 @@ KEPT_SHARE = 0.8
 
 SPARE = 8
 
+SPARE_IN_A_ROW = 6
+"""Slots above twice the mean where every particle is a chunk of its own and lists all of its partners."""
+
 
 def slots_per_particle(particle_count: int, skin_over_radius: float) -> float:
     """Slots for each particle."""

@@ -35,7 +35,7 @@ def busy_scene():
 def fingerprint(threads, in_parallel, precision="f64"):
     """Digest of what a run leaves behind, how many particles and contacts there are, and how many searches it took."""
     if in_parallel:  # a scene this small would be stepped on one thread
-        stepper.SERIAL_BELOW = 0
+        stepper.ONE_WORKER = 0
     last, simulation = finished(busy_scene(), threads=threads, precision=precision)
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.search_count)
