@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.state import BOUNDS, SCAN_BLOCK, State
+from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
+from granflow.plan.slots import BOUNDS
 
 BLOCK_SIDE = 8
 BLOCK_CELLS = BLOCK_SIDE**3
@@ -182,7 +183,7 @@ def build_gather(state: State) -> Callable[[int], None]:
 
 
 def build_set_aside(state: State) -> Callable[[int], None]:
-    """Copy the slots with history to `before`, where the new rows look them up; `slots_needed` says how many a chunk has."""
+    """Copy slots with history to `before`, where the new rows look them up; `slots_needed`: the most in a chunk."""
     contacts, names, stride = state.contacts, list(state.contacts.history), state.stride
     chunk_size, kept = state.plan.chunk_size, contacts.kept_per_chunk
 

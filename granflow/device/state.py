@@ -9,7 +9,7 @@ import taichi as ti
 from granflow.device.backend import Backend
 from granflow.device.guards import NO_PARTICLE
 from granflow.plan import Plan
-from granflow.plan.slots import kept_slots
+from granflow.plan.slots import BOUNDS, kept_slots
 from granflow.walls.catalogue import kind_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT
@@ -118,9 +118,6 @@ class Sorting:
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
-
-BOUNDS = 1024
-"""Parts of the particles whose boxes are found side by side."""
 
 SCAN_BLOCK = 1024
 """Cells summed by one task of the prefix sum."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from granflow.plan.plan import Plan
-from granflow.plan.slots import kept_slots
+from granflow.plan.slots import BOUNDS, kept_slots
 
 INTEGER = 4
 """Bytes of the integers on the device."""
@@ -48,7 +48,7 @@ def memory_of(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Memory:
         per_slot=slot_bytes // slots,
         particles=per_particle * plan.particle_capacity,
         slots=slot_bytes,
-        cells=2 * INTEGER * plan.cell_capacity,
+        cells=2 * INTEGER * plan.cell_capacity + 2 * VECTOR * position * BOUNDS,
     )
 
 

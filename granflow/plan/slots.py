@@ -18,6 +18,9 @@ KEPT_SHARE = 0.8
 
 SPARE = 8
 
+BOUNDS = 1024
+"""Parts of the particles whose boxes are found side by side at a search."""
+
 SPARE_IN_A_ROW = 6
 """Slots above twice the mean where every particle is a chunk of its own and lists all of its partners."""
 
