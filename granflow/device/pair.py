@@ -8,9 +8,9 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.laws.law import whole_force
 from granflow.laws.mindlin import carried_displacement, elastic_plastic_spring, spring_loss
 from granflow.laws.rolling import directional_torque
+from granflow.laws.whole import whole_force
 from granflow.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}

@@ -8,7 +8,7 @@ import taichi as ti
 from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
 from granflow.device.walls import build_wall_geometry
-from granflow.laws.law import whole_force
+from granflow.laws.whole import whole_force
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit from which on a contact counts as sliding."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import taichi as ti
 
 from granflow.laws.material import PairMaterial
 
@@ -140,20 +139,3 @@ class NormalLaw:
     ) -> tuple[float, np.ndarray]:
         """Normal force [N] and history by the numpy twin, with the arguments of `force`."""
         return self.twin(Touch(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history))
-
-
-def whole_force(law: NormalLaw) -> Any:
-    """Device function with the arguments of `force`: `prepare` and `force` of one contact."""
-    prepare = law.prepare or _keep
-
-    @ti.func
-    def both(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        memory = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
-        return law.force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, memory)
-
-    return both
-
-
-@ti.func
-def _keep(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    return history

@@ -9,8 +9,9 @@ import taichi as ti
 
 from granflow.laws.adhesion import with_sjkr
 from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import Asked, NormalLaw, whole_force
+from granflow.laws.law import Asked, NormalLaw
 from granflow.laws.material import PairMaterial, VelocityRestitution
+from granflow.laws.whole import whole_force
 
 
 @dataclass(frozen=True)

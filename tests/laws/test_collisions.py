@@ -7,7 +7,7 @@ import pytest
 import taichi as ti
 from laws.cases import CASES, COHESION, MASS, PLAIN, RADIUS, walk
 
-from granflow.laws.law import whole_force
+from granflow.laws.whole import whole_force
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 
