@@ -1,10 +1,11 @@
 """Bytes and operations of each phase, counted from the fields there are: the only place where they are counted.
 
     bytes of motion = N (read + written of every field that motion touches)
-    bytes of forces = N (fields of a particle once, force and torque twice) + S (number of the partner, history read)
-                      + C (history written)
+    bytes of forces = N (fields of a particle once, force and torque twice) + S (number of the partner, whether it
+                      touches) + C (history read and written)
     bytes of search = N (travelling fields 4 times, position twice, 8 integers)
-                      + S (2 rows of partner numbers read, 2 written; history read twice, written twice)
+                      + S (number of the partner and whether it touches, read and written)
+                      + C (history and partner read twice, written twice)
 
 N particles, S near pairs as they stand in the rows, C those that touch. A partner's fields count once for each
 particle, not for each pair: particles are sorted in space, so that partners are in the first-level cache. This is
@@ -114,10 +115,11 @@ def bytes_of(load: Load) -> dict[str, float]:
     return {
         "motion": n * (load.size(MOTION_READ) + load.size(MOTION_WRITTEN)),
         "forces": n * (load.size(FORCES_READ) + 2 * load.size(FORCES_WRITTEN) + row)
-        + load.slots * (INTEGER + load.history)
-        + load.touching * load.history,
+        + load.slots * 2 * INTEGER
+        + load.touching * 2 * load.history,
         "search": n * (4 * load.travelling + 2 * load.size(("position",)) + SORT_INTEGERS * INTEGER)
-        + load.slots * 4 * (INTEGER + load.history),
+        + load.slots * 4 * INTEGER
+        + load.touching * 4 * (INTEGER + load.history),
     }
 
 
