@@ -33,8 +33,8 @@ GPU_BATCH = 16
 CPU_BATCH = 1_000_000
 """Particle-steps of one launch on a CPU: a tenth of a second, so that Ctrl-C is heard."""
 
-LONG_WAIT = 30_000
-"""Looks at a counter, some milliseconds: a thread that waits so long has lost its core to another process."""
+LONG_WAIT = 500_000
+"""Looks at a counter, 3 ms at the least: a thread waits so long only for one that has lost its core."""
 
 ONE_WORKER = 512
 """Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
