@@ -55,6 +55,7 @@ def build(damped: bool) -> NormalLaw:
         history_names=(),
         rate_dependent=damped,
         lateral_grows=True,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         stored_energy=stored_energy,

@@ -117,6 +117,9 @@ class NormalLaw:
     Done before `force`, which can then be arithmetic that a compiler does for several contacts at once.
     """
 
+    branch_free: bool = False
+    """True where `force` has no branch, so that contacts can be worked out in batches; others list all partners."""
+
     @property
     def attracts(self) -> bool:
         """Whether the force can pull."""

@@ -59,6 +59,7 @@ def build(spring: Spring) -> NormalLaw:
         history_names=spring.history_names,
         rate_dependent=True,
         lateral_grows=False,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,

@@ -177,6 +177,7 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         history_names=HISTORY,
         rate_dependent=damped,
         lateral_grows=True,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=prepare,

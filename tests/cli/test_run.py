@@ -167,12 +167,17 @@ def test_check_finds_that_there_is_too_little_room(home):
     assert "particles.beads.count is 1000, but only" in refused.stderr
 
 
+def hear_interrupts():
+    """A shell lets what it starts in the background ignore SIGINT; the run shall not inherit that from the tests."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_run_that_is_told_to_stop_leaves_whole_files(home, sent, code):
     out = home / sent.name
     command = [sys.executable, "-m", "granflow", "run", "beads.yaml", "--out", out.name, "--set", "run.duration=1000 s"]
-    running = subprocess.Popen(command, cwd=home, stderr=subprocess.PIPE, text=True)
+    running = subprocess.Popen(command, cwd=home, stderr=subprocess.PIPE, text=True, preexec_fn=hear_interrupts)
     give_up = time.monotonic() + UNTIL_FRAMES
     while len(frames(out)) < 3 and running.poll() is None and time.monotonic() < give_up:
         time.sleep(0.05)
