@@ -19,6 +19,13 @@ BATCH = 128
 """Contacts from which on no further row joins a batch."""
 
 
+@ti.func
+def put(columns: ti.template(), worker, entry, vector):
+    """Write a vector into columns, a number into each."""
+    for k in ti.static(range(len(columns))):
+        columns[k][worker, entry] = vector[k]
+
+
 def build_batched_forces(state: State) -> Any:
     """Device function (worker, chunk, first, last, time_step): add the contacts between grains of the rows first..last.
 
@@ -96,11 +103,6 @@ def _build_gather(state: State) -> Any:
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
 
     @ti.func
-    def put(columns: ti.template(), worker, entry, vector):
-        for k in ti.static(range(len(columns))):
-            columns[k][worker, entry] = vector[k]
-
-    @ti.func
     def prepared(constants, worker, entry, i, j, late, now, memory, dt):
         """The branches of the law."""
         apart = ti.Vector([batch.apart[0][worker, entry], batch.apart[1][worker, entry], batch.apart[2][worker, entry]])
@@ -156,11 +158,6 @@ def _build_respond(state: State) -> Any:
         for k in ti.static(range(len(columns))):
             vector[k] = columns[k][worker, entry]
         return vector
-
-    @ti.func
-    def put(columns: ti.template(), worker, entry, vector):
-        for k in ti.static(range(len(columns))):
-            columns[k][worker, entry] = vector[k]
 
     @ti.func
     def effective(worker, entry):

@@ -18,7 +18,7 @@ from granflow.device.walls import build_wall_geometry
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, slot, j, pose, time_step) -> (force on i, torque on i, torque on j) of one slot."""
+    """Device function (chunk, i, slot, j, pose, time_step) -> (force on i, torque on i) of one slot."""
     plan, particles, control = state.plan, state.particles, state.control
     features, real = plan.features, state.backend.real
     encounter, effective = build_encounter(state, with_wall), build_effective(state, with_wall)
@@ -75,18 +75,14 @@ def build_contact(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def contact(chunk, i, slot, j, pose, dt):
-        force, torque, torque_partner = (
-            0.0 * particles.velocity[i],
-            0.0 * particles.velocity[i],
-            0.0 * particles.velocity[i],
-        )
+        force, torque = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
         overlap, normal, middle, across, late_rate, rate, arm, arm_partner = encounter(i, j, pose, dt)
         constants = control.pair_constants[pair_number(i, j)]
         radius_eff, mass_eff, inertia_eff = effective(i, j)
         if overlap > 0.0:
             check_overlap(i, j, overlap)
             memory, slide, angle = read(slot)
-            force, torque, torque_partner, memory, slide, angle, friction_loss, rolling_loss, damping_loss = respond(
+            force, torque, _reaction, memory, slide, angle, friction_loss, rolling_loss, damping_loss = respond(
                 constants, radius_eff, mass_eff, inertia_eff, overlap, normal, middle, across, late_rate, rate, arm,
                 arm_partner, own_spin(i), partner_spin(i, j, pose), memory, slide, angle, dt
             )  # fmt: skip
@@ -98,7 +94,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
             lost = forget(slot, constants, radius_eff, mass_eff, dt)
             if ti.static(features.ledger):
                 control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * lost
-        return force, torque, torque_partner
+        return force, torque
 
     return contact
 
@@ -123,11 +119,11 @@ def build_forces(state: State) -> Any:
         torque = 0.0 * force
         if ti.static(plan.has_walls):
             for slot in range(contacts.row_begin[i], contacts.row_middle[i]):
-                more, turning, _other = wall_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
+                more, turning = wall_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
                 force, torque = force + more, torque + turning
         if ti.static(not batched):
             for slot in range(contacts.row_middle[i], contacts.row_end[i]):
-                more, turning, _other = grain_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
+                more, turning = grain_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
                 force, torque = force + more, torque + turning
         particles.force[i] = force
         if ti.static(features.rotation):

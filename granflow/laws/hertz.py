@@ -22,6 +22,19 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
     return pair.modulus_eff, pair.shear_modulus_eff, float(np.sqrt(5.0)) * zeta
 
 
+@ti.func
+def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Work of the Hertz spring, (2/5) k d^2.5."""
+    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
+    return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
+
+
+@ti.func
+def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    """Nothing: all loss is viscous."""
+    return 0.0 * overlap
+
+
 def build(damped: bool) -> NormalLaw:
     """Hertz's law; `damped` where any pair has a restitution below 1."""
 
@@ -37,15 +50,6 @@ def build(damped: bool) -> NormalLaw:
         if ti.static(damped):
             viscous = ti.max(constants[2] * ti.sqrt(mass_eff * tangent) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history
-
-    @ti.func
-    def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-        return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
-
-    @ti.func
-    def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        return 0.0 * overlap
 
     return NormalLaw(
         name="hertz",

@@ -11,6 +11,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
+from granflow.laws.hertz import lost_energy, stored_energy
 from granflow.laws.law import Asked, NormalLaw, Touch
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
@@ -83,19 +84,6 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
     viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * root * overlap_rate
     viscous = ti.max(viscous, -elastic)
     return elastic + viscous, viscous, history
-
-
-@ti.func
-def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Work of the Hertz spring, (2/5) k d^2.5."""
-    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-    return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
-
-
-@ti.func
-def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Nothing: all loss is viscous."""
-    return 0.0 * overlap
 
 
 def twin(touch: Touch) -> tuple[float, np.ndarray]:
