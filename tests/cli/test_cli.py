@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 import granflow.scene
-from granflow.cli import RESULT_FILES, Terminated, build_parser, main, make_room, show_comparison
+from granflow.cli.main import build_parser, main
+from granflow.cli.messages import Terminated, show_comparison
+from granflow.cli.scenes import RESULT_FILES, make_room
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.observe import Judgement, Result
 

@@ -1,0 +1,61 @@
+"""The command line: every verb and the way out of it.
+
+Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
+"""
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from granflow.cli.arguments import add_machine, add_scene_verb
+from granflow.cli.messages import complain, exit_code_of, refuse
+from granflow.cli.scenes import add_cache, add_run, check, explain, schema
+from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
+from granflow.errors import GranflowError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
+    by a guard; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
+    """
+    options = build_parser().parse_args(arguments)
+    try:
+        return options.verb(options)
+    except GranflowError as error:
+        return refuse(error)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return complain(f"{error.filename}: {error.strerror}.")
+    except KeyboardInterrupt as stop:
+        return complain("interrupted.", exit_code_of(stop))
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """All verbs and their arguments."""
+    parser = argparse.ArgumentParser(prog="granflow", description="Discrete element simulation of granular flow.")
+    parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and leave")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    add_run(verbs)
+    add_scene_verb(verbs, check, "find every problem of a scene without running it")
+    explained = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
+    add_machine(explained)
+    verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
+    add_collide(verbs)
+    add_restitution(verbs)
+    add_fit(verbs)
+    add_paper(verbs)
+    add_cache(verbs)
+    return parser
+
+
+class ShowVersion(argparse.Action):
+    """Looks the version up only when asked, as that reads files."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import granflow
+
+        print(f"granflow {granflow.__version__}")
+        parser.exit()

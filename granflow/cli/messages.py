@@ -1,0 +1,132 @@
+"""What a verb says: one sentence on stderr, an exit code, a table."""
+
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from granflow.errors import FileError, GranflowError
+
+if TYPE_CHECKING:
+    from granflow.observe import Result
+
+COLLIDE_UNITS = {
+    "duration": "s",
+    "overlap_max": "m",
+    "overlap_residual": "m",
+    "force_max": "N",
+    "spring_equation19": "N/m",
+    "time_step": "s",
+    "velocity": "m/s",
+}
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: ends a run in the same orderly way as Ctrl-C."""
+
+
+def refuse(error: GranflowError) -> int:
+    """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
+    problems = error.problems if isinstance(error, FileError) else ()
+    if not problems:
+        return complain(str(error), error.exit_code)
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
+    return error.exit_code
+
+
+def complain(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
+    """Say one sentence on stderr and give the exit code."""
+    print(f"granflow: {sentence}", file=sys.stderr)
+    return exit_code
+
+
+def warn(sentences: Iterable[str]) -> None:
+    """Say on stderr what does not keep a scene from running but should be known."""
+    for sentence in sentences:
+        print(f"granflow: warning: {sentence}", file=sys.stderr)
+
+
+@contextmanager
+def sigterm_as_exception() -> Iterator[None]:
+    """Let SIGTERM end what runs inside as Ctrl-C does, so that files are closed."""
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def exit_code_of(stop: KeyboardInterrupt) -> int:
+    """The exit code that shells give to a process ended by that signal."""
+    return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
+
+
+def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
+    """Write the files of a study; without matplotlib those that need none, and say so."""
+    try:
+        write(out, *numbers)
+    except GranflowError as error:
+        print(error)
+    print(f"Written to {out}")
+
+
+def show_result(title: str, result: "Result", out: Path) -> None:
+    """Print the closing table, the expectations, and what to open."""
+    from rich.console import Console
+
+    from granflow.observe import closing_table
+
+    Console().print(closing_table(result, title))
+    for sentence, met in result.expectations:
+        print(sentence if met else f"NOT AS EXPECTED: {sentence}")
+    series = sorted(str(path) for path in out.glob("*.pvd"))
+    if series:
+        print(f"For ParaView: {', '.join(series)}")
+    print(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
+
+
+def show_comparison(numbers: Mapping[str, Any]) -> None:
+    """Print what a collision reached beside what was asked of it or what theory promises."""
+    promises = ("_asked", "_theory")
+    rows = []
+    for name in (name for name in numbers if not name.endswith(promises)):
+        promised = [as_text(numbers[name + end]) for end in promises if name + end in numbers]
+        unit = COLLIDE_UNITS.get(name, "")
+        rows.append(
+            (
+                name.replace("_", " ").replace("equation19", "of Eq. 19"),
+                as_text(numbers[name]),
+                *(promised or [""]),
+                unit,
+            )
+        )
+    show_table("head-on collision", ("", "reached", "asked or closed form", "unit"), rows)
+
+
+def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table with right-aligned figures to the terminal, or plain to a file."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
+    for column, head in enumerate(heads):
+        table.add_column(head, justify="left" if column == 0 else "right")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+def as_text(value: Any) -> str:
+    """A number with seven digits, anything else as it is."""
+    return f"{value:.7g}" if isinstance(value, float) else str(value)

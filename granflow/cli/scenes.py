@@ -1,0 +1,107 @@
+"""Verbs for a scene: run, check, explain, schema; and cache, for what is kept between runs."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
+from granflow.cli.messages import complain, exit_code_of, show_result, sigterm_as_exception, warn
+from granflow.errors import GranflowError
+
+RESULT_FILES = (
+    *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
+    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log"),
+)
+"""What a run writes into its directory, as patterns: tells an earlier run from other files."""
+EXIT_UNMET = 1
+
+
+def run(options: argparse.Namespace) -> int:
+    """`granflow run`: simulate a scene into a directory, then show the numbers and the expectations."""
+    scene = load(options)
+    out = options.out or Path("out") / scene.path.stem
+    make_room(out, options.force)
+    from granflow.simulation import Simulation
+    from granflow.study.restitution import warnings as restitution_warnings
+
+    with sigterm_as_exception():
+        simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
+        warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
+        try:
+            result = simulation.run(until=options.until)
+        except KeyboardInterrupt as stop:
+            return complain(f"stopped at {simulation.time:.6g} s, {out} holds the run up to there.", exit_code_of(stop))
+    show_result(scene.title, result, out)
+    if scene.expect and not result.expectations:
+        print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
+    return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
+
+
+def make_room(out: Path, force: bool) -> None:
+    """Refuse a directory that holds an earlier run, or with `force` remove that run's files and no others."""
+    earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
+    if earlier and not force:
+        raise GranflowError(f"{out} holds an earlier run: name another with --out, or replace it with --force.")
+    for path in earlier:
+        path.unlink()
+
+
+def check(options: argparse.Namespace) -> int:
+    """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
+    scene = load(options)
+    from granflow.plan import plan_for
+    from granflow.scene.generate import initial_grains, rains
+
+    warn(plan_for(scene).step.warnings)
+    initial_grains(scene)
+    rains(scene)
+    print(f"{options.scene}: no problems found.")
+    return 0
+
+
+def explain(options: argparse.Namespace) -> int:
+    """`granflow explain`: what will be run and why: features, defaults, time step, memory, run time."""
+    scene = load(options)
+    from granflow.plan import explain as explained
+    from granflow.plan import plan_for
+
+    print(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
+    return 0
+
+
+def schema(options: argparse.Namespace) -> int:
+    """`granflow schema`: the JSON Schema of scene files, for editors."""
+    from granflow.scene import json_schema
+
+    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+def cache(options: argparse.Namespace) -> int:
+    """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
+    from granflow.device.cache import VARIABLE, cache_folder, clear, contents
+
+    held = clear() if options.clear else contents()
+    done = "deleted" if options.clear else "kept"
+    print(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    print(f"{VARIABLE} names another folder.")
+    return 0
+
+
+def add_run(verbs: Any) -> None:
+    """`granflow run` and its arguments."""
+    parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
+    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
+    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
+    parser.add_argument("--force", action="store_true", help="replace an earlier run in the same directory")
+    add_machine(parser)
+
+
+def add_cache(verbs: Any) -> None:
+    """`granflow cache` and its argument."""
+    summary = "show where compiled kernels are kept between runs"
+    parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--clear", action="store_true", help="delete them; the next run compiles anew")
+    parser.set_defaults(verb=cache)
