@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb
+from granflow.cli.compare import add_compare
 from granflow.cli.messages import complain, exit_code_of, refuse
 from granflow.cli.scenes import add_cache, add_run, check, explain, schema
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
@@ -47,6 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_restitution(verbs)
     add_fit(verbs)
     add_paper(verbs)
+    add_compare(verbs)
     add_cache(verbs)
     return parser
 

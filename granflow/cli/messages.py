@@ -21,6 +21,8 @@ COLLIDE_UNITS = {
     "time_step": "s",
     "velocity": "m/s",
 }
+WIDE = 160
+"""Columns of a table that goes to a file: wide enough that no number is cut."""
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 
@@ -124,7 +126,7 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
         table.add_column(head, justify="left" if column == 0 else "right")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    Console().print(table)
+    Console(width=None if sys.stdout.isatty() else WIDE).print(table)
 
 
 def as_text(value: Any) -> str:

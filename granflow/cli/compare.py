@@ -1,0 +1,55 @@
+"""`granflow compare`: one scene under several normal laws, side by side."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
+from granflow.cli.messages import show_table, sigterm_as_exception
+from granflow.cli.scenes import make_room
+
+
+def compare(options: argparse.Namespace) -> int:
+    """`granflow compare`: run the scene under each law, then show the table and what it says of linear springs."""
+    from granflow.study.compare import law_names
+    from granflow.study.compare.variants import variant_keys
+
+    laws = law_names(options.laws)
+    scene = load(options)
+    out = options.out or Path("out") / f"{scene.path.stem}_compare"
+    for key in variant_keys(laws):
+        make_room(out / key, options.force)
+    from granflow.study.compare.report import PAGE, compare, ends_words, size_words, star_words
+    from granflow.study.compare.summary import as_text, heads
+
+    with sigterm_as_exception():
+        found = compare(
+            scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
+            lambda words: print(f"{words} ...", flush=True),
+        )  # fmt: skip
+    show_table(scene.title, heads(found.runs), as_text(found.rows))
+    for words in (star_words(found), size_words(found), *ends_words(found)):
+        print(words)
+    for judged in found.judgements:
+        print(f"{judged.part}: {judged.verdict}. {judged.why}")
+    print(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
+    return 0
+
+
+def add_compare(verbs: Any) -> None:
+    """`granflow compare` and its arguments."""
+    parser = add_scene_verb(verbs, compare, "run a scene under several laws and show what differs, on one page")
+    parser.add_argument(
+        "--laws", default="zhou,linear,hertz", help="laws with commas; linear runs twice (zhou,linear,hertz)"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where it goes (out/, the scene's name and _compare)")
+    parser.add_argument(
+        "--reference-velocity",
+        metavar="V",
+        type=quantity("velocity"),
+        help="approach velocity of the one linear spring (a tenth of the fastest expected)",
+    )
+    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop each run at this simulated time")
+    parser.add_argument("--full", action="store_true", help="all particles, even if they are more than 4000")
+    parser.add_argument("--force", action="store_true", help="replace an earlier comparison in the same directory")
+    add_machine(parser)

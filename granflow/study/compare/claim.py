@@ -1,0 +1,122 @@
+"""The claim about springs, judged from numbers: one spring fails a decade away from its velocity, Eq. 19 mends it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.study.compare.collisions import COARSE_STEPS, Deviation, deviation
+from granflow.study.compare.runs import Run
+from granflow.study.compare.summary import at_end, densest_stage
+
+WRONG = 0.1
+"""A relative change across a decade of velocity that counts as wrong."""
+ONE_SPRING, PER_CONTACT = "linear_reference", "linear_onset"
+DECADE = 10.0
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A part of the claim: whether it holds (None: not measured), and the numbers that say so."""
+
+    part: str
+    holds: bool | None
+    why: str
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two."""
+        return {True: "holds", False: "does not hold", None: "not measured"}[self.holds]
+
+
+def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) -> Deviation | None:
+    """How much the ratio of reached to exact changes from the reference velocity to a multiple of it."""
+    there, here = (deviation(dict(columns), law, "fine", multiple) for multiple in (over_reference, 1.0))
+    if there is None or here is None:
+        return None
+    return Deviation(*(
+        (1.0 + getattr(there, name)) / (1.0 + getattr(here, name)) - 1.0
+        for name in ("duration", "overlap_max", "restitution")
+    ))  # fmt: skip
+
+
+def judge(columns: Mapping[str, np.ndarray], runs: Sequence[Run]) -> list[Judgement]:
+    """The claim in parts: for binary collisions, and for the scene."""
+    return [*judge_collisions(columns), _in_the_scene(runs)]
+
+
+def judge_collisions(columns: Mapping[str, np.ndarray]) -> list[Judgement]:
+    """Wrong away from its velocity, mended by Eq. 19, unstable: from the columns of collisions.csv."""
+    return [_wrong(columns), _mended(columns), _unstable(columns)]
+
+
+def _wrong(columns: Mapping[str, np.ndarray]) -> Judgement:
+    part = "A spring from one velocity is wrong an order of magnitude away from it"
+    slow, fast = drift(columns, ONE_SPRING, 1.0 / DECADE), drift(columns, ONE_SPRING, DECADE)
+    if slow is None or fast is None:
+        return Judgement(part, None, "linear was not among the laws.")
+    worst = max(abs(slow.duration), abs(fast.duration), abs(slow.overlap_max), abs(fast.overlap_max))
+    why = (
+        f"Against Zhou and Hertz its contact time changes by {_percent(slow.duration)} and its largest overlap by "
+        f"{_percent(slow.overlap_max)} from the reference velocity to a tenth of it, by {_percent(fast.duration)} "
+        f"and {_percent(fast.overlap_max)} to ten times it (10^0.2 is {_percent(DECADE**0.2 - 1.0)})."
+    )
+    return Judgement(part, worst > WRONG, why)
+
+
+def _mended(columns: Mapping[str, np.ndarray]) -> Judgement:
+    part = "Eq. 19 per contact mends it"
+    slow, fast = drift(columns, PER_CONTACT, 1.0 / DECADE), drift(columns, PER_CONTACT, DECADE)
+    here = deviation(dict(columns), PER_CONTACT, "fine", 1.0)
+    if slow is None or fast is None or here is None:
+        return Judgement(part, None, "linear was not among the laws.")
+    worst = max(abs(slow.duration), abs(fast.duration), abs(slow.overlap_max), abs(fast.overlap_max))
+    why = (
+        f"Across both decades the same numbers change by {_percent(worst, signed=False)} at most. What stays at "
+        f"every velocity: a contact time off by {_percent(here.duration)} and a largest overlap off by "
+        f"{_percent(here.overlap_max)}, from the straight spring (pi against 2.94 in units of dmax/v) and its dashpot."
+    )
+    return Judgement(part, worst < WRONG, why)
+
+
+def _unstable(columns: Mapping[str, np.ndarray]) -> Judgement:
+    part = "A spring from one velocity goes unstable an order of magnitude away from it"
+    fast = deviation(dict(columns), ONE_SPRING, "coarse", DECADE)
+    if fast is None:
+        return Judgement(part, None, "linear was not among the laws.")
+    others = []
+    for law in dict.fromkeys(columns["law"].tolist()):
+        found = deviation(dict(columns), law, "coarse", DECADE)
+        if law != ONE_SPRING and found is not None:
+            others.append(f"{law} {_percent(found.restitution)}")
+    why = (
+        f"With {COARSE_STEPS} steps to a contact at the reference velocity and that step kept, it rebounds from ten "
+        f"times the velocity with a restitution off by {_percent(fast.restitution)}: its contact time, and with it "
+        f"the stable step, are the same at every velocity. The laws that stiffen lose steps instead: "
+        f"{', '.join(others) or 'none was run'}."
+    )
+    return Judgement(part, fast.restitution > WRONG, why)
+
+
+def _in_the_scene(runs: Sequence[Run]) -> Judgement:
+    """Overlaps of the bed at its densest, over those of Hertz, or of the first law without it; and runs stopped."""
+    part = "In this scene one spring gives wrong overlaps, Eq. 19 per contact better ones"
+    stage = densest_stage(runs)
+    overlap = {run.variant.key: at_end(stage, "overlap_mean")(run) for run in runs}
+    exact = "hertz" if "hertz" in overlap else runs[0].variant.key
+    off = {key: value / overlap[exact] - 1.0 for key, value in overlap.items() if overlap[exact] > 0.0}
+    stopped = "".join(f" {run.variant.title} was stopped: {run.stopped}" for run in runs if run.stopped)
+    if not {ONE_SPRING, PER_CONTACT} <= off.keys():
+        return Judgement(part, None, f"Not both springs ran to where the bed has contacts.{stopped}")
+    one, each = off[ONE_SPRING], off[PER_CONTACT]
+    why = (
+        f"Mean overlap at the end of the stage {stage} against {exact}: one spring {_percent(one)}, per contact "
+        f"{_percent(each)}. Springs are chosen for impacts, but grains at rest lean on them, too.{stopped}"
+    )
+    holds = abs(one) > WRONG and abs(each) < abs(one)
+    return Judgement(part, holds if np.isfinite([one, each]).all() else None, why)
+
+
+def _percent(share: float, signed: bool = True) -> str:
+    text = f"{100.0 * share:+.1f} %" if signed else f"{100.0 * share:.1f} %"
+    return text.replace("-", "−")

@@ -1,0 +1,159 @@
+"""Binary collisions over three decades of velocity: does a spring from one velocity serve, and does Eq. 19 mend it?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.device.backend import Backend
+from granflow.errors import GranflowError, SceneError
+from granflow.laws import theory
+from granflow.laws.material import PairMaterial
+from granflow.laws.spring import SLOWEST_SHARE
+from granflow.plan.plan import pair_material
+from granflow.plan.sizes import diameter_range
+from granflow.scene import Scene
+from granflow.study.compare.variants import Variant, restitution_for
+from granflow.study.paper.encounters import Encounter, Outcomes, collide_all
+
+DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
+FINE_STEPS = 100
+"""Steps in the shortest collision of all: what remains of an error is the law's."""
+COARSE_STEPS = 10
+"""Steps in an elastic Hertz collision at the reference velocity: what a user saves who knows one velocity only."""
+STEPS = {"fine": FINE_STEPS, "coarse": COARSE_STEPS}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The collision that stands for the scene: two spheres of its first group."""
+
+    material: str
+    pair_key: str
+    pair: PairMaterial
+    diameter: float
+    mass_eff: float
+    reference_velocity: float
+
+    @property
+    def radius_eff(self) -> float:
+        """Effective radius [m]."""
+        return 0.25 * self.diameter
+
+    @property
+    def hertz_stiffness(self) -> float:
+        """Hertz stiffness k [N/m^1.5]."""
+        return float(theory.hertz_stiffness(self.pair.modulus_eff, self.radius_eff))
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Approach velocities [m/s] from a hundredth to ten times the reference velocity."""
+        count = (DECADES_BELOW + DECADES_ABOVE) * PER_DECADE + 1
+        return self.reference_velocity * np.logspace(-DECADES_BELOW, DECADES_ABOVE, count)
+
+    def duration(self, velocity: float) -> float:
+        """Duration [s] of Zhou's contact (Eq. 13)."""
+        e = self.pair.restitution_at(velocity)
+        return float(theory.duration(e, self.hertz_stiffness, self.mass_eff, velocity))
+
+    def overlap_max(self, velocity: float) -> float:
+        """Largest overlap [m] of a Hertz contact (Eq. 5)."""
+        return float(theory.overlap_max(self.hertz_stiffness, self.mass_eff, velocity))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What collisions under one law reached, by the names of STEPS; a law or step that is refused, with the reason."""
+
+    variant: Variant
+    outcomes: dict[str, Outcomes]
+    refused: dict[str, str]
+
+
+def subject_of(scene: Scene, reference_velocity: float) -> Subject | None:
+    """Two equal spheres of the scene's first group, of its middle size; None where its pair gives no restitution."""
+    group = next(iter(scene.particles.values()))
+    keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
+    key = next(key for key in keys if key in scene.pairs)
+    pair = pair_material(scene, *key.split("-"))
+    if pair.restitution is None:
+        return None
+    diameter = float(np.mean(diameter_range(group)))
+    mass = np.pi / 6.0 * diameter**3 * scene.materials[group.material].density
+    return Subject(group.material, key, pair, diameter, 0.5 * mass, reference_velocity)
+
+
+def sweeps_of(
+    scene: Scene, subject: Subject, variants: Sequence[Variant], backend: Backend, steps: Sequence[str] = tuple(STEPS)
+) -> list[Sweep]:
+    """Collide the subject under every law, with a fine step and with one chosen at the reference velocity."""
+    shortest = min(subject.duration(velocity) for velocity in subject.velocities)
+    elastic = float(theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity))
+    time_steps = {"fine": shortest / FINE_STEPS, "coarse": elastic / COARSE_STEPS}
+    found = []
+    for variant in variants:
+        outcomes, refused = {}, {}
+        for name in steps:
+            try:
+                outcomes[name] = collide_all(
+                    variant.normal, _encounters(scene, subject, variant), time_steps[name], backend
+                )
+            except (GranflowError, SceneError, ValueError) as error:
+                refused[name] = str(error)
+        found.append(Sweep(variant, outcomes, refused))
+    return found
+
+
+def _encounters(scene: Scene, subject: Subject, variant: Variant) -> list[Encounter]:
+    material = scene.materials[subject.material].model_dump(by_alias=True, exclude_none=True)
+    e = restitution_for(scene, subject.pair_key, str(variant.normal["law"]), subject.reference_velocity)
+    return [Encounter(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]
+
+
+def sweep_columns(subject: Subject, sweeps: Sequence[Sweep]) -> dict[str, np.ndarray]:
+    """Columns of collisions.csv: a row for each law, step and velocity."""
+    velocity = subject.velocities
+    exact = {
+        "duration_exact": np.array([subject.duration(v) for v in velocity]),
+        "overlap_max_exact": np.array([subject.overlap_max(v) for v in velocity]),
+        "restitution_exact": np.array([subject.pair.restitution_at(v) for v in velocity]),
+    }
+    rows: list[dict[str, np.ndarray]] = []
+    for sweep in sweeps:
+        for name, reached in sweep.outcomes.items():
+            words = {"law": sweep.variant.key, "step": name}
+            rows.append(
+                {key: np.repeat(word, len(velocity)) for key, word in words.items()}
+                | {"time_step": np.repeat(reached.time_step, len(velocity)), "velocity": velocity}
+                | {"velocity_over_reference": velocity / subject.reference_velocity}
+                | {"duration": reached.duration, "overlap_max": reached.overlap_max}
+                | {"restitution": reached.restitution, "force_max": reached.force_max}
+                | exact
+            )
+    return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]} if rows else {}
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Reached over exact less 1, for one law at one velocity."""
+
+    duration: float
+    overlap_max: float
+    restitution: float
+
+
+def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> Deviation | None:
+    """How far collisions of a law are off at a multiple of the reference velocity; None where there are none."""
+    if not columns:
+        return None
+    mine = (columns["law"] == law) & (columns["step"] == step)
+    mine &= np.isclose(columns["velocity_over_reference"], over_reference)
+    if not mine.any():
+        return None
+    names = ("duration", "overlap_max", "restitution")
+    return Deviation(*(float(columns[n][mine][0] / columns[f"{n}_exact"][mine][0] - 1.0) for n in names))
+
+
+def floor_velocity(subject: Subject) -> float:
+    """Velocity [m/s] below which Eq. 19 per contact takes the spring of this velocity, as the law does in the scene."""
+    return SLOWEST_SHARE * float(subject.velocities.max())

@@ -1,0 +1,130 @@
+"""The figures of a comparison."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.study.compare.collisions import Subject, floor_velocity
+from granflow.study.compare.runs import Run
+from granflow.study.compare.summary import densest_stage
+from granflow.study.compare.watch import FORCE_EDGES
+from granflow.study.figures import COLORS, MARKERS, draw_to
+
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+ENERGIES = {
+    "kinetic": ("kinetic_energy", "rotational_energy"),
+    "elastic": ("elastic_energy",),
+    "lost: plastic": ("plastic_dissipation",),
+    "lost: friction": ("friction_dissipation", "rolling_dissipation"),
+    "lost: damping": ("damping_dissipation",),
+}
+
+
+def draw_all(
+    out: Path, runs: Sequence[Run], subject: Subject | None, collisions: Mapping[str, np.ndarray]
+) -> list[str]:
+    """Write every PNG; returns their names. Raises GranflowError where matplotlib is not installed."""
+    figures: dict[str, tuple[Callable[[Any], None], float]] = {
+        "course": (lambda figure: draw_course(figure, runs), 5.2),
+        "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
+        "contacts": (lambda figure: draw_contacts(figure, runs), 3.1),
+    }
+    if subject is not None and collisions:
+        figures["collisions"] = (lambda figure: draw_collisions(figure, subject, collisions, runs), 5.4)
+    for name, (draw, height) in figures.items():
+        draw_to(out / f"{name}.png", draw, height)
+    return list(figures)
+
+
+def _look(number: int) -> dict[str, Any]:
+    return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
+
+
+def _legend(figure: Any, axes: Any) -> None:
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=4)
+
+
+def draw_course(figure: Any, runs: Sequence[Run]) -> None:
+    """What flows, how high the bed stands, contacts and overlaps against time."""
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    meters = runs[0].meters
+    for number, run in enumerate(runs):
+        look, columns = _look(number), run.columns
+        first = columns[f"flow_mass.{meters[0]}"] if meters else 1e3 * columns["kinetic_energy"]
+        panels[0].plot(columns["time"], first, label=run.variant.title, **look)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **look)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 2], **look, alpha=0.6, linewidth=0.8)
+        panels[2].plot(columns["time"], columns["coordination_number"], **look)
+        panels[3].plot(columns["time"], 100.0 * columns["overlap_mean"], **look)
+        if run.stopped:
+            panels[0].plot(columns["time"][-1], first[-1], marker="x", color=look["color"])
+    panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
+    panels[1].set_ylabel("height (mm): centre, surface")
+    panels[2].set(ylabel="coordination number", xlabel="time (s)")
+    panels[3].set(ylabel="mean overlap over radius (%)", xlabel="time (s)")
+    _legend(figure, panels[0])
+
+
+def draw_energies(figure: Any, runs: Sequence[Run]) -> None:
+    """What holds energy and where it was lost, a panel for each law."""
+    panels = figure.subplots((len(runs) + 1) // 2, 2, sharex=True, sharey=True, squeeze=False)
+    for number, (axes, run) in enumerate(zip(panels.ravel(), runs, strict=False)):
+        for kind, (label, names) in enumerate(ENERGIES.items()):
+            total = sum(run.columns[name] for name in names)
+            axes.plot(run.columns["time"], 1e3 * total, label=label, **_look(kind))
+        axes.set_title(f"({'abcdefghij'[number]}) {run.variant.title}")
+    for axes in panels.ravel()[len(runs) :]:
+        axes.axis("off")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("energy (mJ)")
+    for axes in panels[-1]:
+        axes.set_xlabel("time (s)")
+    _legend(figure, panels[0, 0])
+
+
+def draw_contacts(figure: Any, runs: Sequence[Run]) -> None:
+    """Distribution of normal forces, and share of contacts that last longer."""
+    left, right = figure.subplots(1, 2)
+    stage = densest_stage(runs)
+    middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
+    for number, run in enumerate(runs):
+        look = _look(number)
+        density = run.forces.density(stage)
+        left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **look)
+        times, share = run.lasting
+        right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **look)
+    left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
+    right.set(xlabel="time in contact (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
+    _legend(figure, left)
+
+
+def draw_collisions(figure: Any, subject: Subject, columns: Mapping[str, np.ndarray], runs: Sequence[Run]) -> None:
+    """Duration and largest overlap over exact, restitution with a fine step and with the reference step."""
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
+    titles = {run.variant.key: run.variant.title for run in runs}
+    for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
+        look = _look(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
+        for axes, (name, step) in zip(panels, shown, strict=True):
+            mine = (columns["law"] == law) & (columns["step"] == step)
+            ratio = columns[name][mine] / columns[f"{name}_exact"][mine]
+            axes.plot(columns["velocity"][mine], ratio, label=titles.get(law, law), **look)
+    for letter, axes in zip("abcd", panels, strict=True):
+        axes.axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
+        axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)
+        axes.axvline(floor_velocity(subject), color="0.7", linestyle=":", linewidth=0.8)
+        axes.set_title(f"({letter})")
+    panels[0].set(xscale="log", ylabel="contact time, reached / exact", yscale="log")
+    panels[1].set(ylabel="largest overlap, reached / exact", yscale="log")
+    panels[2].set(ylabel="restitution, reached / asked\nfine step", xlabel="approach velocity (m/s)")
+    panels[3].set(ylabel="restitution, reached / asked\nstep from reference", xlabel="approach velocity (m/s)")
+    low, high = (f(a.get_ylim()[k] for a in panels[2:]) for k, f in enumerate((min, max)))
+    for axes in panels[2:]:
+        axes.set_ylim(low, high)
+    for axes in panels[:2]:
+        axes.set_yticks([0.4, 0.6, 0.8, 1.0, 1.5, 2.0], ["0.4", "0.6", "0.8", "1", "1.5", "2"])
+        axes.set_yticks([], minor=True)
+    _legend(figure, panels[0])

@@ -1,0 +1,107 @@
+"""A script for ParaView and pvpython that puts the PVDs of all variants beside each other."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from granflow.scene import Scene
+from granflow.study.compare.runs import Run
+
+SCRIPT = "side_by_side.py"
+GAP = 0.25
+"""Room between two variants, over the width of the domain."""
+
+_TEXT = '''\
+"""{title}: {names}, from left to right.
+
+In ParaView: File > Load State, and choose this file. For a picture: pvpython {script} picture.png [TIME]
+"""
+
+import sys
+from pathlib import Path
+
+from paraview.simple import *
+
+HERE = Path({here!r})
+if not HERE.exists() and "__file__" in globals():  # moved elsewhere together with its directories
+    HERE = Path(__file__).resolve().parent
+SHIFT = {shift!r}  # [m], from one variant to the next
+NAMES = {names_by_key!r}
+
+view = GetActiveViewOrCreate("RenderView")
+view.Background = [1, 1, 1]
+view.UseColorPaletteForBackground = 0
+view.OrientationAxesVisibility = 0
+picture = sys.argv[1] if len(sys.argv) > 1 and sys.argv[1].endswith(".png") else None
+if picture:
+    view.ViewSize = [1800, 900]
+for number, (key, name) in enumerate(NAMES.items()):
+    offset = [number * each for each in SHIFT]
+    beads = Transform(Input=PVDReader(FileName=str(HERE / key / "particles.pvd")))
+    beads.Transform.Translate = offset
+    speed = Calculator(Input=beads)
+    speed.ResultArrayName, speed.Function = "speed", "mag(velocity)"
+    spheres = Show(speed, view)
+    spheres.SetRepresentationType("Point Gaussian")
+    spheres.ScaleByArray, spheres.GaussianRadius = 1, 1.0
+    spheres.SetScaleArray = ["POINTS", "radius"]
+    spheres.ScaleTransferFunction = "PiecewiseFunction"
+    spheres.UseScaleFunction = 0
+    ColorBy(spheres, ("POINTS", "speed"))
+    colors = GetColorTransferFunction("speed")
+    colors.ApplyPreset("Viridis (matplotlib)", True)
+    colors.RescaleTransferFunction(0.0, {speed!r})
+    if (HERE / key / "walls.pvd").exists():
+        walls = Transform(Input=PVDReader(FileName=str(HERE / key / "walls.pvd")))
+        walls.Transform.Translate = offset
+        surface = Show(walls, view)
+        surface.Opacity, surface.DiffuseColor, surface.AmbientColor = 0.12, [0.4, 0.4, 0.4], [0.4, 0.4, 0.4]
+    label = Show(Text(Text=name), view)
+    label.TextPropMode = "Billboard 3D Text"
+    label.BillboardPosition = [a + b for a, b in zip({top!r}, offset)]
+    label.Justification, label.Color, label.FontSize = "Center", [0, 0, 0], 16
+
+spheres.SetScalarBarVisibility(view, True)
+bar = GetScalarBar(colors, view)
+bar.Title, bar.ComponentTitle, bar.TitleColor, bar.LabelColor = "speed (m/s)", "", [0, 0, 0], [0, 0, 0]
+scene = GetAnimationScene()
+scene.UpdateAnimationUsingDataTimeSteps()
+scene.GoToFirst()
+ResetCamera(view)
+camera = GetActiveCamera()
+focus, distance = camera.GetFocalPoint(), camera.GetDistance()
+toward, up = {toward!r}, {up!r}
+camera.SetPosition(*(a + distance * b for a, b in zip(focus, toward)))
+camera.SetViewUp(*up)
+ResetCamera(view)
+camera.Zoom(1.3)
+Render(view)
+if picture:
+    times = list(scene.TimeKeeper.TimestepValues)
+    scene.AnimationTime = float(sys.argv[2]) if len(sys.argv) > 2 else times[len(times) // 2]
+    SaveScreenshot(picture, view, ImageResolution=[1800, 900])
+'''
+
+
+def write_script(out: Path, scene: Scene, runs: Sequence[Run], speed: float) -> Path:
+    """Write the script; colours reach up to `speed` [m/s]."""
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    up = -np.array(scene.gravity, dtype=float)
+    vertical = int(np.argmax(np.abs(up))) if up.any() else 2
+    across = 0 if vertical != 0 else 1
+    toward = 3 - vertical - across
+    shift, axis, look = np.zeros(3), np.zeros(3), np.zeros(3)
+    shift[across] = (1.0 + GAP) * (high - low)[across]
+    axis[vertical] = 1.0 if up[vertical] >= 0.0 else -1.0
+    look[toward] = -1.0 if (across, vertical, toward) == (0, 2, 1) else 1.0
+    top = 0.5 * (low + high)
+    top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
+    path = out / SCRIPT
+    names = {run.variant.key: run.variant.title for run in runs}
+    path.write_text(_TEXT.format(
+        title=scene.title.replace('"', "'"), names=", ".join(names.values()), script=SCRIPT, here=str(out.resolve()),
+        shift=shift.tolist(), names_by_key=names, speed=speed, top=top.tolist(),
+        toward=look.tolist(), up=axis.tolist(),
+    ), encoding="utf-8")  # fmt: skip
+    return path

@@ -1,0 +1,277 @@
+"""`granflow compare`: runs, collisions, files, and the page that shows them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import start
+from granflow.errors import GranflowError
+from granflow.scene import Scene
+from granflow.study.compare.claim import Judgement, judge
+from granflow.study.compare.collisions import (
+    COARSE_STEPS,
+    FINE_STEPS,
+    Subject,
+    Sweep,
+    floor_velocity,
+    subject_of,
+    sweep_columns,
+    sweeps_of,
+)
+from granflow.study.compare.drawing import draw_all
+from granflow.study.compare.paraview import SCRIPT, write_script
+from granflow.study.compare.runs import BURSTS, LOOKS, LOOKS_PER_CONTACT, Run, hertz_duration, run_all
+from granflow.study.compare.summary import Row, as_text, densest_stage, heads, summary, summary_columns
+from granflow.study.compare.variants import reference_velocity_of, shrunk_counts, variants_of
+from granflow.study.compare.watch import FORCE_EDGES, TOPS
+from granflow.study.figures import write_columns
+from granflow.study.page import Page, Picture, Section, Table, write_page
+
+PAGE = "compare.html"
+MOST_PARTICLES = 4000
+"""More are left out unless the whole scene is asked for: four laws then run on two cores in some minutes."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that was found, and what was asked."""
+
+    scene: Scene
+    reference_velocity: float
+    shrunk: dict[str, int]
+    until: float | None
+    runs: list[Run]
+    refused: dict[str, str]
+    subject: Subject | None
+    sweeps: list[Sweep]
+    collisions: dict[str, np.ndarray]
+
+    @property
+    def judgements(self) -> list[Judgement]:
+        """What the numbers say of the claim about springs."""
+        return judge(self.collisions, self.runs)
+
+    @property
+    def rows(self) -> list[Row]:
+        """The table."""
+        return summary(self.runs)
+
+
+def compare(
+    scene: Scene,
+    laws: Sequence[str],
+    out: Path,
+    arch: str = "cpu",
+    reference_velocity: float | None = None,
+    until: float | None = None,
+    whole: bool = False,
+    say: Callable[[str], None] = lambda words: None,
+) -> Comparison:
+    """Run the scene under each law and write tables, figures, PVDs and the page into `out`.
+
+    `reference_velocity` [m/s] is that of the one linear spring, by default a tenth of the fastest approach. `until`
+    [s] ends each run early; unless `whole`, scenes of more than MOST_PARTICLES are made smaller. `say` hears what is
+    being done. Raises GranflowError where no law can run the scene.
+    """
+    velocity = reference_velocity or reference_velocity_of(scene)
+    most = None if whole else MOST_PARTICLES
+    variants = variants_of(scene, laws, velocity, most)
+    out.mkdir(parents=True, exist_ok=True)
+    runs, refused = run_all(variants, [out / each.key for each in variants], arch, velocity, until, say)
+    subject = subject_of(scene, velocity)
+    sweeps: list[Sweep] = []
+    if subject is not None:
+        say("collisions over three decades of velocity")
+        backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
+        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], backend)
+    columns = sweep_columns(subject, sweeps) if subject is not None else {}
+    found = Comparison(
+        scene, velocity, shrunk_counts(scene, most), until, runs, refused, subject, sweeps, columns
+    )  # fmt: skip
+    write_all(found, out, say)
+    return found
+
+
+def write_all(found: Comparison, out: Path, say: Callable[[str], None] = lambda words: None) -> None:
+    """Every file but those of the runs themselves; the page has no figures where matplotlib is not installed."""
+    _write_tables(found, out)
+    write_script(out, found.scene, found.runs, max(run.fast for run in found.runs) or 1.0)
+    try:
+        drawn = draw_all(out, found.runs, found.subject, found.collisions)
+        missing = ""
+    except GranflowError as error:
+        drawn, missing = [], str(error)
+        say(f"no figures: {missing}")
+    write_page(_page(found, out, drawn, missing), out / PAGE)
+
+
+def _write_tables(found: Comparison, out: Path) -> None:
+    runs = found.runs
+    write_columns(out / "compare.csv", summary_columns(runs, found.rows))
+    write_columns(out / "heights.csv", {
+        "law": np.concatenate([np.repeat(run.variant.key, len(run.heights)) for run in runs]),
+        **{name: np.concatenate([run.heights[:, column] for run in runs])
+           for column, name in enumerate(("time", "height_of_centre", "height_of_surface"))},
+    })  # fmt: skip
+    write_columns(out / "forces.csv", _force_columns(runs))
+    lasting = [run.lasting for run in runs]
+    write_columns(out / "durations.csv", {
+        "law": np.concatenate([np.repeat(r.variant.key, len(t)) for r, (t, _) in zip(runs, lasting, strict=True)]),
+        "time_in_contact": np.concatenate([times for times, _ in lasting]),
+        "share_lasting_longer": np.concatenate([share for _, share in lasting]),
+    })  # fmt: skip
+    if found.collisions:
+        write_columns(out / "collisions.csv", found.collisions)
+
+
+def _force_columns(runs: Sequence[Run]) -> dict[str, np.ndarray]:
+    parts: list[tuple[np.ndarray, ...]] = []
+    low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
+    for run in runs:
+        for stage in run.forces.counts:
+            density, count = run.forces.density(stage), run.forces.counts[stage][:-1]
+            words = (np.repeat(run.variant.key, len(low)), np.repeat(stage, len(low)))
+            parts.append((*words, low, high, density, count))
+    names = ("law", "stage", "force_over_mean_from", "force_over_mean_to", "density", "contact_count")
+    empty = tuple(np.empty(0) for _ in names)
+    return {name: np.concatenate([part[n] for part in parts or [empty]]) for n, name in enumerate(names)}
+
+
+def _page(found: Comparison, out: Path, drawn: Sequence[str], missing: str) -> Page:
+    names = [run.variant.title for run in found.runs]
+    lead = (
+        f"The scene {found.scene.path.name or found.scene.title} with the same seed and start under "
+        f"{', '.join(names[:-1]) + ' and ' if names[1:] else ''}{names[-1]}. "
+        f"Only contact.normal, the time step and what a law needs as restitution differ."
+    )
+    sections = [
+        _result_section(found), _course_section(found, out, drawn, missing), _contact_section(found, out, drawn),
+        _claim_section(found, out, drawn), _paraview_section(found), _method_section(found),
+    ]  # fmt: skip
+    return Page(f"{found.scene.title}: laws side by side", lead, sections)
+
+
+def _picture(out: Path, name: str, drawn: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
+    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in drawn else []
+
+
+def size_words(found: Comparison) -> str:
+    """What was run of the scene, in a sentence."""
+    words = "The scene was run whole."
+    if found.shrunk:
+        counts = ", ".join(
+            f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.shrunk.items()
+        )
+        words = f"To keep this short, not the whole scene was run but {counts}; --full runs all."
+    return words + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
+
+
+def star_words(found: Comparison) -> str:
+    """Which stage the starred rows are from."""
+    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts (forces: all of it)."
+
+
+def ends_words(found: Comparison) -> list[str]:
+    """Runs that a guard stopped, and laws that could not serve the scene."""
+    words = [f"{run.variant.title} was stopped at {run.time:.6g} s: {run.stopped}" for run in found.runs if run.stopped]
+    return words + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
+
+
+def _result_section(found: Comparison) -> Section:
+    first = found.runs[0].variant.title
+    caption = (
+        f"Ratios are against {first}. {star_words(found)} Heights of the centre of mass and of the surface ({TOPS:g} % "
+        "of all tops lie below it) are against gravity, from the origin. <f> is the mean normal force of a frame."
+    )
+    return Section("Side by side", [
+        size_words(found), *ends_words(found), Table(caption, heads(found.runs), as_text(found.rows)),
+        "Numbers: compare.csv; each run has a directory of its own with timeseries.csv, result.json, run.log, the "
+        "scene as it was run, and its PVDs.",
+    ])  # fmt: skip
+
+
+def _course_section(found: Comparison, out: Path, drawn: Sequence[str], missing: str) -> Section:
+    course = (
+        "Course of the runs: flow (kinetic energy where there is no meter), height of the centre of mass and of the "
+        f"surface ({TOPS:g} % of all tops lie below it; grains in free fall count), coordination number, mean overlap."
+    )
+    energies = "Where the energy is and where it went. What a law loses by plastic unloading or damping is its own way."
+    pictures = [
+        *_picture(out, "course", drawn, course, ("heights.csv",)), *_picture(out, "energies", drawn, energies, ()),
+    ]  # fmt: skip
+    return Section("Flow, height, energies", pictures or [missing])
+
+
+def _contact_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
+    spacing = hertz_duration(found.scene, found.reference_velocity) / LOOKS_PER_CONTACT
+    method = (
+        f"Durations: in {BURSTS} bursts spread evenly over the run all contacts with a force were looked at {LOOKS} "
+        f"times in steps of {1e6 * spacing:.3g} µs, an eighth of an elastic collision at the reference velocity. "
+        f"Followed are those that began during a burst; what was still there when it ended "
+        f"({1e6 * spacing * (LOOKS - 1):.3g} µs) counts as longer (Kaplan and Meier 1958). A contact shorter than the "
+        "distance of two looks can be missed, and no duration is known better than that."
+    )
+    counted = [
+        f"{run.variant.title}: {len(run.followed.arrays()[0])} contacts began, {int(run.followed.arrays()[1].sum())} "
+        "of them ended"
+        for run in found.runs
+    ]
+    caption = (
+        "Left: distribution of normal forces between grains over their mean in the same frame, all frames of the "
+        f"stage {densest_stage(found.runs)}. Right: how long new contacts last."
+    )
+    picture = _picture(out, "contacts", drawn, caption, ("forces.csv", "durations.csv"))
+    return Section("Forces and durations of contacts", [*picture, method, "; ".join(counted) + "."])
+
+
+def _claim_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
+    judged = [(each.part, each.verdict, each.why) for each in found.judgements]
+    table = Table("What the numbers say.", ("claim", "verdict", "numbers"), judged)
+    if found.subject is None:
+        return Section("Is one spring enough?", [table])
+    subject = found.subject
+    caption = (
+        f"Head-on collisions of two spheres of {1e3 * subject.diameter:.3g} mm ({subject.pair_key}), over Zhou's exact "
+        f"duration (Eq. 13), Hertz's largest overlap (Eq. 5) and the restitution asked: (a) to (c) with {FINE_STEPS} "
+        f"steps in the shortest collision, (d) with the step of {COARSE_STEPS} to an elastic collision at the "
+        f"reference velocity of {subject.reference_velocity:.3g} m/s (dotted). Below {floor_velocity(subject):.3g} m/s "
+        "(dotted, fainter) Eq. 19 per contact keeps the spring of that velocity, here as in the scene."
+    )
+    refused = [
+        f"{sweep.variant.title}, {step} step, was refused: {why}"
+        for sweep in found.sweeps
+        for step, why in sweep.refused.items()
+    ]
+    return Section(
+        "Is one spring enough?",
+        [table, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
+    )
+
+
+def _paraview_section(found: Comparison) -> Section:
+    names = ", ".join(f"{run.variant.key}/particles.pvd" for run in found.runs)
+    return Section("Side by side in ParaView", [
+        f"{SCRIPT} puts all runs beside each other, coloured by speed: in ParaView by File > Load State, or for a "
+        f"picture by pvpython {SCRIPT} picture.png. Each run alone: {names}.",
+    ])  # fmt: skip
+
+
+def _method_section(found: Comparison) -> Section:
+    steps = "; ".join(
+        f"{run.variant.title} {run.plan.time_step:.3g} s ({run.plan.step.limited_by})" for run in found.runs
+    )
+    given = (
+        "" if found.scene.run.time_step == "auto" else " The scene gives a time step of its own, which was left out."
+    )
+    return Section("How this was measured", [
+        f"The spring from one velocity is that of Eq. 19 at {found.reference_velocity:.3g} m/s; where the scene has "
+        "Eq. 12 for the restitution and a law takes a number, it is the number of Eq. 12 at that velocity.",
+        f"Every law runs with its own automatic time step, from the same settings: {steps}.{given}",
+        "The energy ledger was on in all runs, which costs the same share of time in each. All runs were in one "
+        "process after one another, on the same threads; wall time is that of search and steps, without compilation "
+        "and output. Grains that rain fall from the same random numbers; where one finds its place taken by another, "
+        "it appears elsewhere, so that beds that differ can fill differently.",
+    ])  # fmt: skip

@@ -1,0 +1,168 @@
+"""The table at the end: a row for each number, a column for each law, and its ratio to the first."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from granflow.observe.report import readable
+from granflow.study.compare.runs import Run
+
+STRONG = 2.0
+"""Contacts with more than this multiple of the mean force are counted as strong."""
+NOTHING = "–"
+
+
+SHOWN = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy": ("mJ", 1e3), "share": ("%", 1e2)}
+"""Small numbers as they are shown: unit, and the factor from SI."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of every run in SI, in the order of the runs; nan where a run has none."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    shown: tuple[str, float] = ("", 1.0)
+    """Unit and factor with which it is shown; no unit: as it is."""
+    at_stage: bool = False
+    """Whether it belongs to the densest stage."""
+
+    @property
+    def label(self) -> str:
+        """The name, with a star where it belongs to the densest stage."""
+        return f"{self.name} *" if self.at_stage else self.name
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """Over the first run's; nan where that is 0 or missing."""
+        first = self.values[0]
+        return tuple(value / first if first else float("nan") for value in self.values)
+
+
+def densest_stage(runs: Sequence[Run]) -> str:
+    """The stage at whose end the first run has the most contacts: where a bed is, if there ever is one."""
+    columns = runs[0].columns
+    ends = {stage: count for stage, count in zip(columns["stage"].tolist(), columns["contact_count"], strict=True)}
+    return max(ends, key=lambda stage: ends[stage])
+
+
+def summary(runs: Sequence[Run]) -> list[Row]:
+    """All rows; one that no run has a number for is left out."""
+    stage = densest_stage(runs)
+    rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
+    return [row for row in rows if np.isfinite(row.values).any()]
+
+
+def _row(runs: Sequence[Run], name: str, unit: str, number: Callable[[Run], float], shown: str = "") -> Row:
+    values = tuple(float(number(run)) for run in runs)
+    return Row(name, unit, values, SHOWN[shown] if shown else (unit, 1.0))
+
+
+def _cost(runs: Sequence[Run]) -> list[Row]:
+    return [
+        _row(runs, "time step", "s", lambda run: run.plan.time_step, "time"),
+        _row(runs, "simulated time", "s", lambda run: run.time),
+        _row(runs, "steps needed", "", lambda run: run.step_count),
+        _row(runs, "wall time of steps", "s", lambda run: run.seconds),
+        _row(runs, "wall time a step", "s", lambda run: run.seconds / max(run.step_count, 1), "time"),
+        _row(runs, "compilation", "s", lambda run: run.compile_seconds),
+    ]
+
+
+def _flow(runs: Sequence[Run]) -> list[Row]:
+    def flow(meter: str) -> Callable[[Run], float]:
+        return lambda run: run.mass_flow(meter)
+
+    return [_row(runs, f"mass flow, {meter}", "kg/s", flow(meter)) for meter in runs[0].meters]
+
+
+def at_end(stage: str, name: str) -> Callable[[Run], float]:
+    """Reader of a column of the time series at the end of a stage; nan for a run that did not finish it."""
+
+    def number(run: Run) -> float:
+        row = run.at_end_of(stage)
+        return float("nan") if row is None else float(run.columns[name][row])
+
+    return number
+
+
+def _bed(runs: Sequence[Run], stage: str) -> list[Row]:
+    when = at_end(stage, "time")
+
+    def height(column: int) -> Callable[[Run], float]:
+        def number(run: Run) -> float:
+            nearest = int(np.argmin(np.abs(run.heights[:, 0] - when(run)))) if np.isfinite(when(run)) else None
+            return float("nan") if nearest is None else float(run.heights[nearest, column])
+
+        return number
+
+    rows = [
+        _row(runs, "end of stage", "s", when),
+        _row(runs, "centre of mass", "m", height(1), "length"),
+        _row(runs, "surface", "m", height(2), "length"),
+        _row(runs, "coordination number", "", at_end(stage, "coordination_number")),
+        _row(runs, "mean overlap/radius", "", at_end(stage, "overlap_mean"), "share"),
+        _row(runs, f"contacts above {STRONG:g} <f>", "", lambda run: run.forces.share_above(stage, STRONG), "share"),
+    ]
+    return [replace(row, at_stage=True) for row in rows]
+
+
+def _contacts(runs: Sequence[Run]) -> list[Row]:
+    return [
+        _row(runs, "largest overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
+        _row(runs, "median contact time", "s", lambda run: run.median_duration, "time"),
+    ]
+
+
+def _energies(runs: Sequence[Run]) -> list[Row]:
+    names = {
+        "kinetic energy, end": "kinetic_energy",
+        "lost: plastic": "plastic_dissipation",
+        "lost: friction": "friction_dissipation",
+        "lost: rolling": "rolling_dissipation",
+        "lost: damping": "damping_dissipation",
+    }
+
+    def last(name: str) -> Callable[[Run], float]:
+        return lambda run: run.columns[name][-1]
+
+    rows = [_row(runs, label, "J", last(name), "energy") for label, name in names.items()]
+    error = _row(runs, "largest energy error", "", lambda run: np.abs(run.columns["energy_error"]).max(), "share")
+    return [*(row for row in rows if any(row.values)), error]
+
+
+def heads(runs: Sequence[Run]) -> list[str]:
+    """Heads of the table as text."""
+    first, *others = (run.variant.title for run in runs)
+    return ["", "unit", first, *(head for title in others for head in (title, "ratio"))]
+
+
+def as_text(rows: Sequence[Row]) -> list[list[str]]:
+    """Cells of the table: the first law's number, then number and ratio of each other."""
+    found = []
+    for row in rows:
+        unit, factor = row.shown
+        first, *others = (factor * value for value in row.values)
+        cells = [row.label, unit, _number(first)]
+        for value, ratio in zip(others, row.ratios[1:], strict=True):
+            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else NOTHING]
+        found.append(cells)
+    return found
+
+
+def summary_columns(runs: Sequence[Run], rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Columns of compare.csv: a row for each number and law."""
+    laws = [run.variant.key for run in runs]
+    return {
+        "quantity": np.repeat([row.name for row in rows], len(laws)),
+        "unit": np.repeat([row.unit for row in rows], len(laws)),
+        "law": np.tile(laws, len(rows)),
+        "value": np.array([value for row in rows for value in row.values]),
+        "ratio": np.array([ratio for row in rows for ratio in row.ratios]),
+    }
+
+
+def _number(value: float) -> str:
+    return readable(value) if np.isfinite(value) else NOTHING

@@ -1,0 +1,132 @@
+"""The same scene under each law: what is put in its place, and what each law is matched by."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from granflow.errors import GranflowError, SceneError
+from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.plan.approach import fastest_approach
+from granflow.plan.plan import pair_material
+from granflow.scene import Scene
+from granflow.scene.reader import scene_in
+from granflow.scene.suggest import known_or_meant
+from granflow.scene.writer import to_yaml
+from granflow.scene.yaml12 import parse
+
+LINEAR_KEYS = ("linear_onset", "linear_reference")
+TYPICAL_SHARE = 0.1
+"""The reference velocity over the fastest approach expected, unless it is given."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The scene under one law; `key` names its directory, `normal` is its `contact.normal`.
+
+    A law that cannot serve the scene has no scene but the reason.
+    """
+
+    key: str
+    title: str
+    normal: Mapping[str, Any]
+    scene: Scene | None
+    refused: str = ""
+
+
+def law_names(given: str) -> tuple[str, ...]:
+    """The laws of a list with commas. Raises GranflowError for an unknown law, one named twice, or none."""
+    names = tuple(part.strip() for part in given.split(",") if part.strip())
+    if not names:
+        raise GranflowError("No law is named: give at least one, such as --laws zhou,linear,hertz.")
+    for number, name in enumerate(names):
+        if name not in NORMAL_LAWS:
+            remedy = known_or_meant(name, NORMAL_LAWS, "laws")
+            raise GranflowError(f"There is no law {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
+        if name in names[:number]:
+            raise GranflowError(f"The law {name} is named twice: name each once.")
+    return names
+
+
+def variant_keys(laws: Sequence[str]) -> list[str]:
+    """Directories of the variants of these laws."""
+    return [key for name in laws for key in (LINEAR_KEYS if name == "linear" else (name,))]
+
+
+def reference_velocity_of(scene: Scene) -> float:
+    """A typical approach velocity [m/s]: an order of magnitude below the fastest that the plan reckons with."""
+    return TYPICAL_SHARE * fastest_approach(scene).value
+
+
+def variants_of(
+    scene: Scene, laws: Sequence[str], reference_velocity: float, most_particles: int | None = None
+) -> list[Variant]:
+    """The scene under each law, `linear` twice: per contact and from the reference velocity [m/s].
+
+    Every variant has its own automatic time step and keeps the energy ledger. With `most_particles`, groups that are
+    poured, packed or laid out are made smaller in proportion until the scene has no more.
+    """
+    found = []
+    for key, title, normal in _normals(scene, laws, reference_velocity):
+        described = _described(scene, normal, reference_velocity, most_particles)
+        text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", placed=False)
+        try:
+            found.append(Variant(key, title, normal, scene_in(text)))
+        except SceneError as error:
+            found.append(Variant(key, title, normal, None, "; ".join(error.problems)))
+    return found
+
+
+def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Directory, title and `contact.normal` of every variant."""
+    for name in laws:
+        if name == "linear":
+            at = {"reference_velocity": velocity}
+            yield LINEAR_KEYS[0], "linear per contact", {"law": name, "stiffness": "onset"}
+            yield LINEAR_KEYS[1], f"linear of {velocity:.3g} m/s", {"law": name, "stiffness": at}
+        elif name == scene.contact.normal.law:
+            yield name, name, {"law": name, **scene.contact.normal.settings()}
+        else:
+            example = dict(NORMAL_LAWS[name].example)
+            if "reference_velocity" in example:
+                example["reference_velocity"] = velocity
+            yield name, name, {"law": name, **example}
+
+
+def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: int | None) -> dict[str, Any]:
+    """The scene with the law in it, as a file would say it."""
+    described = scene.model_dump(by_alias=True, exclude_none=True)
+    described["contact"]["normal"] = dict(normal)
+    described["run"]["time_step"] = "auto"
+    described["output"] |= {"energy": True, "particles": True}
+    described["expect"] = []
+    for key, pair in described["pairs"].items():
+        pair["restitution"] = restitution_for(scene, key, str(normal["law"]), velocity)
+        if pair["restitution"] is None:
+            del pair["restitution"]
+    shrunk = shrunk_counts(scene, most)
+    for name, count in shrunk.items():
+        described["particles"][name]["count"] = count
+    return described
+
+
+def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
+    """What a law gets as restitution of a pair: the scene's; in place of Eq. 12 its number at the velocity [m/s].
+
+    None where the law has it from the materials, or the scene gives none.
+    """
+    kind, given = NORMAL_LAWS[law].restitution, scene.pairs[pair].restitution
+    if kind == "nothing" or given is None or isinstance(given, float):
+        return None if kind == "nothing" else given
+    if kind == "positive number":
+        return pair_material(scene, *pair.split("-")).restitution_at(velocity)
+    return given.model_dump(exclude_none=True)
+
+
+def shrunk_counts(scene: Scene, most: int | None) -> dict[str, int]:
+    """Smaller counts of the groups that have no list of places, so that all together are at most `most` if they can."""
+    free = {name: group.count for name, group in scene.particles.items() if group.place.kind != "list"}
+    listed = sum(group.count for group in scene.particles.values()) - sum(free.values())
+    if most is None or listed + sum(free.values()) <= most:
+        return {}
+    share = max(most - listed, 0) / sum(free.values()) if free else 1.0
+    return {name: max(int(share * count), 1) for name, count in free.items()}
