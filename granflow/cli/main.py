@@ -7,10 +7,12 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb
+from granflow.cli.accuracy import add_accuracy
+from granflow.cli.arguments import add_scene_verb
 from granflow.cli.compare import add_compare
+from granflow.cli.explain import add_explain
 from granflow.cli.messages import complain, exit_code_of, refuse
-from granflow.cli.scenes import add_cache, add_run, check, explain, schema
+from granflow.cli.scenes import add_cache, add_run, check, schema
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
 from granflow.errors import GranflowError
 
@@ -41,13 +43,13 @@ def build_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     add_run(verbs)
     add_scene_verb(verbs, check, "find every problem of a scene without running it")
-    explained = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
-    add_machine(explained)
+    add_explain(verbs)
     verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)
     add_paper(verbs)
+    add_accuracy(verbs)
     add_compare(verbs)
     add_cache(verbs)
     return parser

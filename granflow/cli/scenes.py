@@ -1,4 +1,4 @@
-"""Verbs for a scene: run, check, explain, schema; and cache, for what is kept between runs."""
+"""Verbs for a scene: run, check, schema; and cache, for what is kept between runs."""
 
 import argparse
 import json
@@ -57,16 +57,6 @@ def check(options: argparse.Namespace) -> int:
     initial_grains(scene)
     rains(scene)
     print(f"{options.scene}: no problems found.")
-    return 0
-
-
-def explain(options: argparse.Namespace) -> int:
-    """`granflow explain`: what will be run and why: features, defaults, time step, memory, run time."""
-    scene = load(options)
-    from granflow.plan import explain as explained
-    from granflow.plan import plan_for
-
-    print(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
     return 0
 
 

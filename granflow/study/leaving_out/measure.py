@@ -1,0 +1,154 @@
+"""All variants of a scene from the same particles, side by side in one process, in turn, many times over."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from granflow.device.backend import Arch, Backend
+from granflow.device.engine import Engine
+from granflow.device.guards import guard_message
+from granflow.errors import GranflowError, RunError
+from granflow.plan import Plan
+from granflow.plan.memory import memory_of
+from granflow.scene import Scene
+from granflow.scene.generate import Grains
+from granflow.simulation import Simulation
+from granflow.study.leaving_out.variants import Variant, variants_of
+from granflow.walls.motion import Motion
+
+SHARE_BEFORE = 1.0 / 3.0
+"""Of the scene's longest run, simulated before the timing unless another time is given."""
+ROUNDS = 15
+STEPS_BEFORE, STEPS = 10, 40
+"""Of each timing: steps in which contacts begin to remember, and steps that are timed."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a scene stands when the timing begins: particles in the order of their id, and walls by plan order."""
+
+    grains: Grains
+    present: tuple[bool, ...]
+    motions: tuple[tuple[Motion, ...], ...]
+    step_count: int
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What a step costs with one variant; its ratio is that to the scene as it stands, round by round."""
+
+    name: str
+    plan: Plan
+    nanoseconds: float
+    """Per particle and step, median."""
+    ratio: tuple[float, float, float]
+    """Lower quartile, median and upper quartile."""
+    bytes_per_particle: float
+    compile_seconds: float
+    contacts_per_particle: float
+    """At the end of a timing; a contact between two particles counts once."""
+
+
+def savings(
+    scene: Scene,
+    arch: Arch = "cpu",
+    threads: int | None = None,
+    until: float | None = None,
+    say: Callable[[str], None] = lambda words: None,
+    rounds: int = ROUNDS,
+    only: Sequence[str] | None = None,
+) -> list[Saving]:
+    """Run a scene to the time `until` [s], then time it as it stands, first in the list, and every variant.
+
+    `only`: names of the variants wanted. Raises GranflowError where no particle is there at that time or where a
+    guard stops a variant.
+    """
+    end = SHARE_BEFORE * _longest(scene) if until is None else until
+    say(f"Running to {end:.3g} s")
+    simulation = Simulation(scene, arch=arch, threads=threads)
+    simulation.run(until=end)
+    start, base, backend = start_of(simulation), simulation.plan, simulation.engine.state.backend
+    simulation.free()
+    if not len(start.grains):
+        raise GranflowError(f"At {end:.4g} s no particle is there to time steps on: give another time with --until.")
+    wanted = [each for each in variants_of(base) if only is None or each.name in only]
+    engines = []
+    for variant in wanted:
+        say(f"Compiling {variant.name}")
+        engines.append(engine_for(variant, base, start, backend))
+    say(f"Timing {len(engines)} variants {rounds} times in turn")
+    pairs = list(zip(engines, wanted, strict=True))
+    times = np.array([[_nanoseconds(*pair, start) for pair in pairs] for _ in range(rounds + 1)])[1:]
+    found = [
+        _saving(variant, engine, spent, times[:, 0]) for (engine, variant), spent in zip(pairs, times.T, strict=True)
+    ]
+    for engine in engines:
+        engine.free()
+    return found
+
+
+def _longest(scene: Scene) -> float:
+    return sum(stage.duration or stage.at_most or 0.0 for stage in scene.schedule)
+
+
+def start_of(simulation: Simulation) -> Start:
+    """The particles and walls of a simulation as they are now."""
+    engine = simulation.engine
+    particles = simulation.snapshot().particles
+    grains = Grains(*(particles[name] for name in Grains.__dataclass_fields__))
+    present = tuple(pose.present for pose in engine.wall_poses().values())
+    return Start(grains, present, engine.state.wall_motions, engine.step_count)
+
+
+def engine_for(variant: Variant, base: Plan, start: Start, backend: Backend) -> Engine:
+    """An engine for this variant of the scene with its walls as they stood, and no particles."""
+    engine = Engine(variant.plan(base, on_gpu=not backend.on_cpu), backend)
+    engine.step_count = start.step_count
+    count = len(variant.scene.walls)
+    engine.set_walls(start.present[:count], start.motions[:count])
+    return engine
+
+
+def put_back(engine: Engine, variant: Variant, start: Start) -> None:
+    """All particles where they stood, forces known, contacts without memory."""
+    engine.state.count = 0
+    for row in (engine.state.contacts.row_begin, engine.state.contacts.row_end):
+        row.fill(0)
+    engine.step_count = start.step_count
+    engine.insert(_of_materials(start.grains, variant.scene))
+    engine.refresh()
+
+
+def _of_materials(grains: Grains, scene: Scene) -> Grains:
+    """The same grains of the materials that this scene gives their groups."""
+    names = list(scene.materials)
+    numbers = np.array([names.index(group.material) for group in scene.particles.values()], dtype=np.int32)
+    return replace(grains, material=numbers[grains.group])
+
+
+def _saving(variant: Variant, engine: Engine, spent: np.ndarray, base: np.ndarray) -> Saving:
+    """Numbers of one variant from its times and those of the scene as it stands, round by round."""
+    plan = engine.plan
+    return Saving(
+        name=variant.name,
+        plan=plan,
+        nanoseconds=float(np.median(spent)),
+        ratio=tuple(np.percentile(spent / base, (25, 50, 75)).tolist()),
+        bytes_per_particle=memory_of(plan, engine.state.backend.precision).total / plan.particle_capacity,
+        compile_seconds=engine.timing.compile,
+        contacts_per_particle=engine.survey.measure()["contact_count"] / max(engine.state.count, 1),
+    )
+
+
+def _nanoseconds(engine: Engine, variant: Variant, start: Start) -> float:
+    """Wall time per particle and step [ns], from where the particles stood; without the neighbour search."""
+    put_back(engine, variant, start)
+    engine.advance(STEPS_BEFORE)
+    searched, began = engine.timing.search, perf_counter()
+    engine.advance(STEPS)
+    spent = perf_counter() - began - (engine.timing.search - searched)
+    if engine.trip is not None:
+        raise RunError(guard_message(engine.trip, engine.plan, engine.time, None))
+    return 1e9 * spent / (STEPS * max(engine.state.count, 1))

@@ -1,0 +1,62 @@
+"""The table of what leaving out saves: for the terminal, as CSV, and as Markdown for a page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from granflow.study.figures import write_columns
+from granflow.study.leaving_out.measure import STEPS, STEPS_BEFORE, Saving
+
+HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
+
+
+def saving_rows(found: Sequence[Saving]) -> list[tuple[str, ...]]:
+    """One row a variant. Step, bytes and contacts are per particle; time is the ratio with its quartiles."""
+    return [
+        (
+            each.name,
+            f"{each.nanoseconds:.1f}",
+            f"{each.ratio[1]:.2f} ({each.ratio[0]:.2f}-{each.ratio[2]:.2f})",
+            f"{each.bytes_per_particle:.0f}",
+            f"{each.compile_seconds:.1f}",
+            f"{each.contacts_per_particle:.2f}",
+        )
+        for each in found
+    ]
+
+
+def remarks(found: Sequence[Saving]) -> list[str]:
+    """What a reader must know to read the table."""
+    span = 1e3 * (STEPS_BEFORE + STEPS) * found[0].plan.time_step
+    law = found[0].plan.law.name
+    return [
+        "Step, bytes and contacts are those of one particle; time is relative to the scene as it stands, the median "
+        "and quartiles of rounds in which every row had its turn. Searching for neighbours is not in it.",
+        f"Every timing begins with the same particles in the same places and lasts {span:.2g} ms, since what is left "
+        "out changes what happens: contacts, at its end, says how far.",
+        f"Without history hertz stands for {law}, without loss. Rotation goes with friction and rolling friction.",
+        "Radius and mass are kept for every particle in any scene: several radii cost nothing.",
+    ]
+
+
+def write_savings(out: Path, found: Sequence[Saving], title: str) -> None:
+    """Write leaving_out.csv and leaving_out.md into `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_columns(out / "leaving_out.csv", _columns(found))
+    lines = [f"## {title}", "", _line(HEADS), _line(["---", *["---:"] * (len(HEADS) - 1)])]
+    lines += [*(_line(row) for row in saving_rows(found)), "", *(f"- {each}" for each in remarks(found))]
+    (out / "leaving_out.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _columns(found: Sequence[Saving]) -> dict[str, np.ndarray]:
+    columns = {"variant": np.array([each.name for each in found])}
+    for place, end in enumerate(("low", "median", "high")):
+        columns[f"ratio_{end}"] = np.array([each.ratio[place] for each in found])
+    for name in ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle"):
+        columns[name] = np.array([getattr(each, name) for each in found])
+    return columns
