@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, 
     where the law or the step cannot serve them, GranflowError where some never touch.
     """
     touches = time_step * (GOLDEN * np.arange(len(encounters)) % 1.0)
-    scene, place = _scene_of(normal, encounters, touches, time_step, backend.precision)
+    scene, place = side_by_side(normal, encounters, touches, time_step, backend.precision)
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     overlap, rate, force = _watch(Engine(plan, backend), plan, place)
     velocity = np.array([each.velocity for each in encounters])
@@ -79,10 +80,22 @@ def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, 
     return Outcomes(**reached, time_step=time_step, overlap=overlap, force=force)
 
 
-def _scene_of(
-    normal: Any, encounters: Sequence[Encounter], touches: np.ndarray, time_step: float, precision: str
+def side_by_side(
+    normal: Any,
+    encounters: Sequence[Encounter],
+    touches: np.ndarray,
+    time_step: float,
+    precision: str,
+    *,
+    middle: float = 0.0,
+    velocity_max: float | None = None,
+    numerics: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[Scene, np.ndarray]:
-    """The scene, and for each encounter the ids of its left and right sphere (n, 2)."""
+    """The scene of all encounters, and for each the ids of its left and right sphere (n, 2).
+
+    `touches` (n,): when each pair first touches [s]. Pairs meet at x = `middle` [m]; the plan reckons with
+    `velocity_max` [m/s], the fastest of all if it is left out. `numerics` of the scene are added to ours.
+    """
     spacing = SPACING * max(each.diameter for each in encounters)
     side = int(np.ceil(np.sqrt(len(encounters))))
     groups: dict[str, list[int]] = {}
@@ -94,10 +107,10 @@ def _scene_of(
         name = f"m{number}"
         materials[name] = dict(encounters[members[0]].material)
         pairs[f"{name}-{name}"] = {"restitution": encounters[members[0]].restitution, "friction": 0}
-        particles[name] = {"material": name, **_spheres(members, encounters, touches, spacing, side)}
+        particles[name] = {"material": name, **_spheres(members, encounters, touches, spacing, side, middle)}
         first_ids[members] = placed + 2 * np.arange(len(members))
         placed += 2 * len(members)
-    reach = spacing * (side + 1)
+    reach = spacing * (side + 1) + abs(middle)
     scene = Scene.model_validate({
         "title": "Head-on collisions side by side",
         "gravity": [0, 0, 0],
@@ -108,16 +121,21 @@ def _scene_of(
         "domain": {"min": [-reach, -spacing, -spacing], "max": [reach] * 3, "leaving": "error"},
         "run": {
             "duration": 1.0, "time_step": time_step, "precision": precision,
-            "velocity_max": max(each.velocity for each in encounters),
+            "velocity_max": velocity_max or max(each.velocity for each in encounters),
         },
-        "numerics": {"overlap_limit": 1.0},
+        "numerics": {"overlap_limit": 1.0, **numerics},
         "output": {"interval": 1.0},
     })  # fmt: skip
     return scene, np.stack([first_ids, first_ids + 1], axis=1)
 
 
 def _spheres(
-    members: Sequence[int], encounters: Sequence[Encounter], touches: np.ndarray, spacing: float, side: int
+    members: Sequence[int],
+    encounters: Sequence[Encounter],
+    touches: np.ndarray,
+    spacing: float,
+    side: int,
+    middle: float,
 ) -> dict[str, Any]:
     """Diameters, velocities and places of the spheres of one group, left and right in turn."""
     diameters, velocities, positions = [], [], []
@@ -128,7 +146,7 @@ def _spheres(
         for sign in (-1.0, 1.0):
             diameters.append(each.diameter)
             velocities.append([-0.5 * sign * each.velocity, 0.0, 0.0])
-            positions.append([sign * half, spacing * row, spacing * column])
+            positions.append([middle + sign * half, spacing * row, spacing * column])
     return {
         "diameter": diameters, "velocity": velocities, "place": {"kind": "list", "positions": positions}
     }  # fmt: skip
@@ -139,12 +157,12 @@ def _watch(engine: Engine, plan: Plan, place: np.ndarray) -> tuple[np.ndarray, n
     engine.insert(initial_grains(plan.scene))
     engine.set_walls([], [])
     engine.refresh()
-    courses = [_look(engine, place)]
+    courses = [look(engine, place)]
     met = np.zeros(len(place), dtype=bool)
     limit = _most_steps(plan)
     while len(courses) < limit:
         engine.advance(1)
-        courses.append(_look(engine, place))
+        courses.append(look(engine, place))
         now = courses[-1]
         met |= now[2] != 0.0
         if np.all(met & (now[2] == 0.0) & (now[1] < 0.0)):
@@ -167,7 +185,7 @@ def _most_steps(plan: Plan) -> int:
     return int(LONGEST * largest * longest / plan.time_step)
 
 
-def _look(engine: Engine, place: np.ndarray) -> np.ndarray:
+def look(engine: Engine, place: np.ndarray) -> np.ndarray:
     """Overlap [m], its rate [m/s] and repulsion [N] of every pair now, (3, n)."""
     arrays = engine.synchronized(("id", "position", "velocity", "force", "mass", "radius"))
     where = np.argsort(arrays["id"])
@@ -189,13 +207,13 @@ def _measured(
     last = int(acting[-1])
     if last + 1 == len(force):
         return 0.0, np.nan, shared[0], float(overlap[last]), *shared[1:]
-    share = _share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
+    share = share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
     duration = (last + share) * time_step - touch
     residual = overlap[last] + share * (overlap[last + 1] - overlap[last])
     return float(-rate[last + 1] / velocity), duration, shared[0], residual, *shared[1:]
 
 
-def _share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
+def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
     """Share s of a step from the last force to the moment it vanishes.
 
     From the last three forces, F = a t + b t^1.5 at the times t = s, s + 1, s + 2 before the end: a straight spring, a

@@ -1,0 +1,69 @@
+"""`granflow accuracy`: error against run time."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.arguments import quantity
+from granflow.cli.messages import show_table, write_study
+from granflow.errors import GranflowError
+
+
+def accuracy(options: argparse.Namespace) -> int:
+    """`granflow accuracy`: what accuracy costs, in collisions of two bodies or in a scene."""
+    if not 0.0 < options.target < 1.0:
+        raise GranflowError(f"--target is {options.target:g}, but an error between 0 and 1 is asked, such as 0.01.")
+    return _two_bodies(options) if options.scene is None else _scene(options)
+
+
+def _two_bodies(options: argparse.Namespace) -> int:
+    for given, name in ((options.overrides, "--set"), (options.until, "--until"), (options.whole, "--whole")):
+        if given:
+            raise GranflowError(f"{name} goes with a SCENE, which is not given.")
+    from granflow.study.accuracy import measure_two_bodies, write_two_bodies
+    from granflow.study.accuracy.recommend import default_sentence, table_heads, table_rows
+
+    study = measure_two_bodies(options.target, options.full, _say)
+    show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
+    print(default_sentence(study.lines, options.target))
+    write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
+    print(study.recommendation)
+    return 0
+
+
+def _scene(options: argparse.Namespace) -> int:
+    from granflow.study.accuracy import measure_scene, write_scene
+    from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
+    from granflow.study.accuracy.scene_runs import Task, cut_down
+
+    task = Task(options.scene, tuple(options.overrides), options.until)
+    fewer = [] if options.whole else cut_down(task.scene())
+    if fewer:
+        print(f"A smaller scene, to be done in minutes: {', '.join(fewer)}; --whole runs it as it is.")
+    study = measure_scene(task.with_overrides(*fewer), options.target, options.full, _say)
+    show_table(study.title, scene_heads(study), scene_rows(study))
+    print(noise_sentence(study))
+    write_study(options.out or Path("out") / f"accuracy_{options.scene.stem}", write_scene, study)
+    print(scene_recommendation(study))
+    return 0
+
+
+def _say(words: str) -> None:
+    print(f"{words} ...", flush=True)
+
+
+def add_accuracy(verbs: Any) -> None:
+    """`granflow accuracy` and its arguments."""
+    summary = "show what accuracy costs: error against run time for every law, precision and time step"
+    parser = verbs.add_parser("accuracy", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("scene", metavar="SCENE", nargs="?", type=Path, help="study this scene, not two bodies")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where page, figures and CSV go (out/accuracy)")
+    parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="relative error aimed at (0.01)")
+    parser.add_argument("--full", action="store_true", help="more steps, more repeats, more seeds, a finer reference")
+    parser.add_argument("--whole", action="store_true", help="all particles of the scene, which may take hours")
+    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop the scene at this simulated time")
+    parser.add_argument(
+        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
+        help="put a value in place of the scene's; may be repeated",
+    )  # fmt: skip
+    parser.set_defaults(verb=accuracy)

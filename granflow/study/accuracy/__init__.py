@@ -1,0 +1,7 @@
+"""Error against run time: collisions of two bodies, and whole scenes."""
+
+from granflow.study.accuracy.report import measure_two_bodies, write_two_bodies
+from granflow.study.accuracy.scene_points import measure_scene
+from granflow.study.accuracy.scene_report import write_scene
+
+__all__ = ["measure_scene", "measure_two_bodies", "write_scene", "write_two_bodies"]

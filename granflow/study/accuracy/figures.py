@@ -1,0 +1,90 @@
+"""The pictures of the study of two bodies."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from granflow.study.accuracy.orders import fitted_order
+from granflow.study.accuracy.points import QUANTITIES, WORDS, Line
+from granflow.study.figures import COLORS, MARKERS
+
+LOOKS = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
+"""Line and marker of a precision; laws and integrators have colours."""
+LOWEST = 1e-9
+HIGHEST = 3.0
+WORK_HEIGHT = 3.9
+QUANTITY_HEIGHT = 5.6
+
+
+def _names(lines: Sequence[Line]) -> list[tuple[str, str]]:
+    return list(dict.fromkeys((line.law, line.integrator) for line in lines))
+
+
+def _label(line: Line, lines: Sequence[Line]) -> str:
+    several = len({each.integrator for each in lines}) > 1
+    return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
+
+
+def _plot(axes: Any, line: Line, lines: Sequence[Line], x: np.ndarray, error: np.ndarray, **more: Any) -> None:
+    place = _names(lines).index((line.law, line.integrator))
+    style, marker = LOOKS.get(line.precision, ("-", MARKERS[-1]))
+    axes.plot(
+        x, error, linestyle=style, marker=marker, color=COLORS[place % len(COLORS)], linewidth=0.9,
+        markersize=3.0, markerfacecolor="white", markeredgewidth=0.8, **more,
+    )  # fmt: skip
+
+
+def draw_work(lines: Sequence[Line], target: float) -> Callable[[Any], None]:
+    """Error of the restitution against wall time, and against the time step with fitted slopes."""
+
+    def draw(figure: Any) -> None:
+        work, steps = figure.subplots(1, 2, sharey=True)
+        for line in sorted(lines, key=lambda line: _names(lines).index((line.law, line.integrator))):
+            error = np.maximum(line.error("restitution"), LOWEST)
+            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_label(line, lines))
+            work.hlines(
+                error, 1e6 * line.seconds("min"), 1e6 * line.seconds("max"), color="0.8", linewidth=0.5, zorder=0
+            )
+            _plot(steps, line, lines, 1.0 / line.steps, error)
+            order = fitted_order(line.steps, line.error("restitution"))
+            if order is not None and line.precision == "f64":
+                ends = np.array([order.first, order.last])
+                steps.annotate(
+                    f"{order.order:.2f}", (1.0 / ends[1], max(order.at(ends)[1], LOWEST)), xytext=(-3, 1),
+                    textcoords="offset points", ha="right", fontsize=7.0,
+                    color=COLORS[_names(lines).index((line.law, line.integrator)) % len(COLORS)],
+                )  # fmt: skip
+        for axes in (work, steps):
+            axes.set(xscale="log", yscale="log", ylim=(0.3 * LOWEST, HIGHEST))
+            axes.axhline(target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+        work.set(
+            xlabel="wall time of a collision (µs)", ylabel="error of the restitution", title="(a) work and precision"
+        )
+        steps.set(
+            xlabel="time step over duration of the collision", title="(b) orders, fitted in f64", xlim=(5e-5, 0.4)
+        )
+        figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.0)
+
+    return draw
+
+
+def draw_quantities(lines: Sequence[Line]) -> Callable[[Any], None]:
+    """Every error against the time step, in double precision, with its fitted order."""
+    exact = [line for line in lines if line.precision == "f64"] or list(lines)
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(2, 2, sharex=True, sharey=True)
+        for letter, axes, quantity in zip("abcd", panels.flat, QUANTITIES, strict=True):
+            for line in exact:
+                order = fitted_order(line.steps, line.error(quantity))
+                label = f"{_label(line, exact)}: {order.order:.2f}" if order else _label(line, exact)
+                _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
+            axes.set(xscale="log", yscale="log", ylim=(0.3 * LOWEST, HIGHEST), title=f"({letter}) {WORDS[quantity]}")
+            axes.legend(loc="lower right", fontsize=7.0)
+        for axes in panels[1]:
+            axes.set_xlabel("time step over duration of the collision")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("relative error")
+
+    return draw

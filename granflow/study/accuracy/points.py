@@ -1,0 +1,154 @@
+"""Points of the study of two bodies: errors of one kind of collision at one time step, and what it costs."""
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import astuple, dataclass, fields
+from functools import cached_property
+from multiprocessing import get_context
+
+import numpy as np
+
+from granflow.device.backend import start
+from granflow.errors import SceneError
+from granflow.plan.plan import meetings_of
+from granflow.plan.time_step import shortest_phase
+from granflow.study.accuracy.axes import STEPS, Contender, Integrator, Kind
+from granflow.study.accuracy.collisions import REPEATS, Bench, Reached
+
+QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
+WORDS = {"restitution": "restitution", "duration": "duration", "overlap_max": "largest overlap", "energy": "energy"}
+
+
+@dataclass(frozen=True)
+class Point:
+    """One row of the CSV, in SI.
+
+    `steps`: duration of the collision over the time step; `share`: time step over the shorter of loading and unloading,
+    which is what `numerics.time_step_safety` of a scene is. Errors are relative to the exact value, that of the energy
+    kept to the energy brought; root mean square and worst over the phases of first touch. `seconds`: of one collision.
+    """
+
+    law: str
+    integrator: str
+    precision: str
+    steps: float
+    time_step: float
+    restitution: float
+    velocity: float
+    share: float
+    restitution_error: float
+    duration_error: float
+    overlap_max_error: float
+    energy_error: float
+    restitution_error_worst: float
+    duration_error_worst: float
+    overlap_max_error_worst: float
+    energy_error_worst: float
+    seconds_median: float
+    seconds_min: float
+    seconds_max: float
+    repeats: int
+
+
+@dataclass(frozen=True)
+class Line:
+    """All points of one law, integrator and precision."""
+
+    law: str
+    integrator: str
+    precision: str
+    points: tuple[Point, ...]
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Steps of a collision, rising (n,)."""
+        return np.array(sorted({point.steps for point in self.points}))
+
+    def error(self, quantity: str) -> np.ndarray:
+        """Largest error of any kind of collision (n,); nan where one was not seen to its end."""
+        return self._over_kinds(f"{quantity}_error")
+
+    def seconds(self, which: str = "median") -> np.ndarray:
+        """Wall time of a collision [s] (n,)."""
+        return self._over_kinds(f"seconds_{which}")
+
+    def kinds(self) -> list[list[Point]]:
+        """Points of each kind of collision by rising steps."""
+        names = dict.fromkeys((point.restitution, point.velocity) for point in self.points)
+        alike = [[p for p in self.points if (p.restitution, p.velocity) == name] for name in names]
+        return [sorted(points, key=lambda point: point.steps) for points in alike]
+
+    def _over_kinds(self, name: str) -> np.ndarray:
+        return np.array([max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps])
+
+
+def max_or_nan(values: Iterable[float]) -> float:
+    """Largest value, nan if one is."""
+    return float(np.max(np.array(list(values))))
+
+
+def columns(points: Sequence[Point]) -> dict[str, np.ndarray]:
+    """Columns of the CSV."""
+    names = [each.name for each in fields(Point)]
+    return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
+
+
+def worker() -> ProcessPoolExecutor:
+    """One process beside this one: Taichi can be started with one precision a process."""
+    return ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
+
+
+def line_of(
+    contender: Contender,
+    integrator: Integrator,
+    precision: str,
+    steps: Sequence[float] = STEPS,
+    repeats: int = REPEATS,
+) -> tuple[Line, list[str]]:
+    """Measure all points of one line on one CPU thread; also words for the steps that were refused."""
+    bench = Bench(contender, integrator, start("cpu", precision, 1))  # type: ignore[arg-type]
+    points: list[Point] = []
+    refused: list[float] = []
+    for count in steps:
+        try:
+            points += _points(bench, bench.run(count, repeats), precision)
+        except SceneError:
+            refused.append(count)
+    bench.free()
+    words = [f"{contender.name} with {', '.join(f'{n:g}' for n in refused)} steps a collision"]
+    return Line(contender.name, integrator.name, precision, tuple(points)), words if refused else []
+
+
+def _points(bench: Bench, reached: Reached, precision: str) -> list[Point]:
+    seconds = reached.seconds
+    shared = {"law": bench.contender.name, "integrator": bench.integrator.name, "precision": precision,
+              "steps": float(reached.steps), "time_step": reached.time_step, "repeats": len(seconds),
+              "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
+              "seconds_max": float(seconds.max())}  # fmt: skip
+    found = []
+    for index, kind in enumerate(bench.kinds):
+        errors = dict(zip(QUANTITIES, _errors(reached, kind, index), strict=True))
+        typical = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
+        worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
+        own = {"restitution": kind.restitution, "velocity": kind.velocity,
+               "share": reached.time_step / _phase(bench, kind)}  # fmt: skip
+        found.append(Point(**shared, **own, **typical, **worst))  # type: ignore[arg-type]
+    return found
+
+
+def _errors(reached: Reached, kind: Kind, index: int) -> tuple[np.ndarray, ...]:
+    """In the order of QUANTITIES, each (phases,)."""
+    exact, e = kind.exact, reached.restitution[index]
+    return (
+        e / exact.restitution - 1.0,
+        reached.duration[index] / exact.duration - 1.0,
+        reached.overlap_max[index] / exact.overlap_max - 1.0,
+        e**2 - exact.restitution**2,
+    )
+
+
+def _phase(bench: Bench, kind: Kind) -> float:
+    """Shorter of loading and unloading of a kind [s], as a plan reckons it."""
+    alike = [m for m in meetings_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
+    scaled = shortest_phase(alike[0], bench.plan.law, kind.velocity) / (2.0 * alike[0].radius)
+    return scaled * kind.diameter

@@ -1,0 +1,200 @@
+"""From the runs of a scene to errors, the noise they stand in, and a recommendation."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from granflow.study.accuracy.axes import PRECISIONS
+from granflow.study.accuracy.points import worker
+from granflow.study.accuracy.scene_runs import (
+    Family,
+    Outcome,
+    Task,
+    families,
+    ordered,
+    phase_of,
+    restitution_error,
+    run_task,
+    seeds_of,
+)
+
+SHARES = (0.4, 0.28, 0.2, 0.14, 0.1)
+"""Time steps over the shortest phase of a contact."""
+SINGLE_SHARES = (0.2, 0.1)
+"""Of runs in other than double precision."""
+REFERENCE = 0.05
+"""The share that all others are compared with, in double precision."""
+SEEDS = 3
+FULL_SEEDS = 5
+FINER = 0.5
+"""`full` takes a reference this much finer."""
+SIGMAS = 2.0
+"""The noise told is this many standard errors."""
+LEDGER = "energy_error"
+
+
+@dataclass(frozen=True)
+class ScenePoint:
+    """One step of a scene in one precision: values and errors by quantity, wall seconds of each run (seeds,)."""
+
+    family: str
+    precision: str
+    share: float
+    time_step: float
+    restitution_error: float
+    values: dict[str, float]
+    errors: dict[str, float]
+    seconds: np.ndarray
+    simulated: float
+    stopped: str
+
+    @property
+    def cost(self) -> tuple[float, float, float]:
+        """Wall seconds per simulated second: median, least, most."""
+        if self.stopped:
+            return inf, inf, inf
+        shared = self.seconds / self.simulated
+        return float(np.median(shared)), float(shared.min()), float(shared.max())
+
+
+@dataclass(frozen=True)
+class SceneStudy:
+    """All points of a scene.
+
+    `noise`: by quantity, what two means over the seeds differ by without any error (SIGMAS standard errors); `spread`:
+    standard deviation from seed to seed of the reference; both relative, like the errors. `own_share`: what the scene
+    itself takes.
+    """
+
+    title: str
+    points: tuple[ScenePoint, ...]
+    noise: dict[str, float]
+    spread: dict[str, float]
+    own_share: float
+    own_time_step: float
+    particle_count: int
+    seed_count: int
+    target: float
+
+    @property
+    def quantities(self) -> list[str]:
+        """Those with an error against the reference."""
+        return list(self.noise)
+
+    def meets(self, point: ScenePoint) -> bool:
+        """Whether restitution, ledger and every quantity are within the target, or not told from noise."""
+        if point.stopped:
+            return False
+        inside = all(point.errors[name] <= max(self.target, self.noise[name]) for name in self.noise)
+        return inside and max(point.restitution_error, point.errors[LEDGER]) <= self.target
+
+    @property
+    def best(self) -> ScenePoint | None:
+        """The cheapest point that meets the target."""
+        return min(filter(self.meets, self.points), key=lambda point: point.cost[0], default=None)
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """All seeds with one step, in one precision."""
+
+    family: str
+    precision: str
+    share: float
+    time_step: float
+    restitution_error: float
+    outcomes: list[Outcome]
+
+    @property
+    def stopped(self) -> str:
+        """Why there are no values, if there are none."""
+        return next((outcome.stopped for outcome in self.outcomes if outcome.stopped), "")
+
+    def value(self, name: str) -> np.ndarray:
+        """Of every seed (seeds,)."""
+        return np.array([outcome.values[name] for outcome in self.outcomes])
+
+
+def measure_scene(
+    task: Task,
+    target: float,
+    full: bool = False,
+    say: Callable[[str], None] = lambda words: None,
+    shares: Sequence[float] = SHARES,
+    precisions: Sequence[str] = PRECISIONS,
+) -> SceneStudy:
+    """Run the scene with every step and precision; `full` takes more seeds and a finer reference.
+
+    Raises SceneError for a scene that cannot be run.
+    """
+    task = task.with_overrides("output.energy=true")
+    scene = task.scene()
+    phase, own_share = phase_of(scene)
+    seeds = seeds_of(scene, FULL_SEEDS if full else SEEDS)
+    finest = REFERENCE * (FINER if full else 1.0)
+    runs: list[_Runs] = []
+    for precision in precisions:
+        wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
+        plain = [(family, share) for family in families() for share in wanted]
+        if precision == "f64":
+            plain += [(families()[0], finest / FINER)] * full + [(families()[0], finest)]
+        with worker() as process:
+            for family, share in plain:
+                say(f"{family.name} step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
+                runs.append(_run(process, task, family, share, phase, precision, seeds))
+    count = sum(group.count for group in scene.particles.values())
+    return _study(runs, finest, scene.title, (own_share, own_share * phase), count, len(seeds), target)
+
+
+def _run(
+    process: ProcessPoolExecutor,
+    task: Task,
+    family: Family,
+    share: float,
+    phase: float,
+    precision: str,
+    seeds: Sequence[int],
+) -> _Runs:
+    """All seeds, and the restitution, in that process."""
+    stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
+    outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
+    error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()
+    return _Runs(family.name, precision, share, share * phase, error, outcomes)
+
+
+def _study(
+    runs: Sequence[_Runs], finest: float, title: str, own: tuple[float, float], count: int, seeds: int, target: float
+) -> SceneStudy:
+    reference = next(each for each in runs if each.share == finest and each.precision == "f64")
+    quantities = [name for name in ordered([o.values for r in runs for o in r.outcomes if not o.stopped])
+                  if name != LEDGER]  # fmt: skip
+    scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}
+    noise = {name: _noise(runs, reference, name) / scales[name] for name in quantities}
+    spread = {name: float(reference.value(name).std(ddof=1)) / scales[name] for name in quantities}
+    points = tuple(_point(each, reference, scales) for each in runs)
+    return SceneStudy(title, points, noise, spread, *own, count, seeds, target)
+
+
+def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
+    """SIGMAS standard errors of a mean difference to the reference, its scatter from all steps together."""
+    scatter = []
+    for each in runs:
+        if not each.stopped and each is not reference:
+            differences = each.value(name) - reference.value(name)
+            scatter.append(float(differences.var(ddof=1)))
+    return SIGMAS * float(np.sqrt(np.mean(scatter) / len(reference.outcomes))) if scatter else 0.0
+
+
+def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoint:
+    values, errors = {}, {}
+    if not runs.stopped:
+        values = {name: float(runs.value(name).mean()) for name in (LEDGER, *scales)}
+        errors = {LEDGER: float(np.abs(runs.value(LEDGER)).max())}
+        errors |= {name: abs(values[name] - float(reference.value(name).mean())) / scales[name] for name in scales}
+    return ScenePoint(
+        runs.family, runs.precision, runs.share, runs.time_step, runs.restitution_error, values, errors,
+        np.array([outcome.seconds for outcome in runs.outcomes]), runs.outcomes[0].simulated, runs.stopped,
+    )  # fmt: skip

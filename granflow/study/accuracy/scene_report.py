@@ -1,0 +1,178 @@
+"""`granflow accuracy SCENE`: sentences, table, CSV, figure and page of one scene's study."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.study.accuracy.figures import LOOKS
+from granflow.study.accuracy.scene_points import LEDGER, SIGMAS, ScenePoint, SceneStudy
+from granflow.study.figures import COLORS, draw_to, require_plotting, write_columns
+from granflow.study.page import Page, Picture, Section, Table, write_page
+
+PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
+HEIGHT = 3.9
+LOWEST = 1e-7
+
+LEAD = (
+    "What accuracy costs in this scene: the same run with one time step after another, several seeds each, against the "
+    "finest step."
+)
+
+
+def scene_recommendation(study: SceneStudy) -> str:
+    """The one sentence that the study ends in."""
+    best, asked = study.best, f"{100.0 * study.target:g} % error in restitution"
+    if best is None:
+        return f"No time step of this study keeps to {asked} and the rest of the scene within that or its noise."
+    median, least, most = best.cost
+    step = f"dt = {best.time_step:.3g} s (time_step_safety {best.share:g})"
+    if best.family != "fixed":
+        step = f"run.time_step {best.family} with time_step_safety {best.share:g}"
+    return (
+        f"For {asked} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
+        f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The scene as it stands takes "
+        f"dt = {study.own_time_step:.3g} s (time_step_safety {study.own_share:.3g})."
+    )
+
+
+def noise_sentence(study: SceneStudy) -> str:
+    """How far seeds differ, and how many errors drown in that."""
+    told = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
+            study.quantities]  # fmt: skip
+    spreads = ", ".join(f"{_words(name)} {_percent(spread)}" for name, spread in study.spread.items())
+    return (
+        f"Grains forget where they were: one seed differs from another by {spreads} (standard deviation with the "
+        f"finest step, {study.seed_count} seeds). Of {len(told)} errors of these quantities, {sum(told)} rise above "
+        f"the noise of {SIGMAS:g} standard errors; the others, marked n, are noise."
+    )
+
+
+def _words(name: str) -> str:
+    kind, _, meter = name.partition(".")
+    return kind.replace("_", " ") + (f", {meter}" if meter else "")
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}"
+
+
+def scene_heads(study: SceneStudy) -> tuple[str, ...]:
+    """Heads of `scene_rows`."""
+    return (
+        "time step", "precision", "safety", "dt s", "restitution", "ledger",
+        *(_words(name) for name in study.quantities), "s per simulated s", "meets",
+    )  # fmt: skip
+
+
+def scene_rows(study: SceneStudy) -> list[tuple[str, ...]]:
+    """A row a point: relative errors, n where they are below the noise."""
+    return [_row(study, point) for point in study.points]
+
+
+def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
+    first = (point.family, point.precision, f"{point.share:g}", f"{point.time_step:.3g}")
+    if point.stopped:
+        return (*first, *["–"] * (2 + len(study.quantities)), "–", "stopped")
+    errors = []
+    for name in study.quantities:
+        below = point.errors[name] <= study.noise[name]
+        errors.append(_percent(point.errors[name]) + (" n" if below else ""))
+    median, least, most = point.cost
+    return (
+        *first, _percent(point.restitution_error), _percent(point.errors[LEDGER]), *errors,
+        f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.meets(point) else "no",
+    )  # fmt: skip
+
+
+def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
+    """Columns of the CSV; nan where a run stopped."""
+    rows = []
+    for point in study.points:
+        row: dict[str, Any] = {name: getattr(point, name) for name in
+                               ("family", "precision", "share", "time_step", "restitution_error")}  # fmt: skip
+        row["energy_error"] = point.errors.get(LEDGER, np.nan)
+        for name in study.quantities:
+            row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
+            row |= {f"{name}_noise": study.noise[name], f"{name}_spread": study.spread[name]}
+        row |= dict(zip(("seconds_median", "seconds_min", "seconds_max"), point.cost, strict=True))
+        rows.append(row | {"seeds": study.seed_count, "stopped": point.stopped})
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def write_scene(out: Path, study: SceneStudy) -> None:
+    """Write CSV and page, with a figure where matplotlib is installed; raises GranflowError at the end where not."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_columns(out / POINTS, scene_columns(study))
+    missing: GranflowError | None = None
+    try:
+        require_plotting()
+        draw_to(out / FIGURE, draw_scene(study), HEIGHT)
+    except GranflowError as error:
+        missing = error
+    write_page(_page(out, study, drawn=missing is None), out / PAGE)
+    if missing is not None:
+        raise missing
+
+
+def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
+    """Every error against wall time in double precision; the restitution in all."""
+
+    def draw(figure: Any) -> None:
+        left, right = figure.subplots(1, 2, sharey=True)
+        for name, color in zip(("restitution", LEDGER, *study.quantities), COLORS, strict=False):
+            for precision, (style, marker) in LOOKS.items():
+                _draw_errors(left, right, study, name, precision, color, style, marker)
+        for axes, title, x in ((left, "(a) restitution and ledger", "s"), (right, "(b) bed, against its noise", "s")):
+            axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
+            axes.axhline(study.target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+            axes.legend(loc="best", fontsize=7.0)
+        left.set_ylabel("relative error")
+
+    return draw
+
+
+def _draw_errors(
+    left: Any, right: Any, study: SceneStudy, name: str, precision: str, color: str, style: str, marker: str
+) -> None:
+    points = [p for p in study.points if p.precision == precision and not p.stopped]
+    if not points:
+        return
+    axes = right if name in study.quantities else left
+    errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
+    shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
+    if shown:
+        label = f"{'energy ledger' if name == LEDGER else _words(name)}, {precision}"
+        line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
+        axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
+    if precision == "f64" and name in study.quantities:
+        axes.axhline(study.noise[name], color=color, linewidth=0.6, alpha=0.6)
+
+
+def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
+    caption = (
+        "Errors relative to the finest step (restitution: to what the pairs are asked; ledger: to the energy that "
+        "passed); n: below the noise."
+    )
+    parts: list[str | Table | Picture] = [scene_recommendation(study), noise_sentence(study)]
+    if drawn:
+        words = (
+            "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy ledger. (b) "
+            "Quantities of the bed; thin lines: the noise of each, below which nothing is told. "
+            f"Dotted: {100.0 * study.target:g} %."
+        )
+        parts.append(Picture(out / FIGURE, words, (FIGURE, POINTS)))
+    parts.append(Table(caption, scene_heads(study), scene_rows(study)))
+    stopped = [f"{p.precision}, safety {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
+    method = (
+        f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: the largest error of any "
+        "pair of materials, over phases of first touch, from a tenth of the largest velocity on, as `granflow "
+        "restitution` measures it. Centre height: of the mass, above the bottom of the domain, and coordination "
+        "number: averaged over the run. Mass flow: while the middle half of the mass passes. Wall time: search, "
+        "forces and motion, after compiling; median, least and most of the seeds."
+    )
+    return Page(f"Error against run time: {study.title}", LEAD, [
+        Section("Work and precision", parts), Section("How this was computed", [method, *stopped]),
+    ])  # fmt: skip

@@ -1,0 +1,160 @@
+"""Runs of one scene with one time step after another, each with several seeds: what they reach and cost."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from granflow.errors import RunError, SceneError
+from granflow.observe import every
+from granflow.observe.build import stage_durations
+from granflow.plan import plan_for
+from granflow.plan.plan import meetings_of
+from granflow.plan.time_step import shortest_phase
+from granflow.scene import Scene
+from granflow.scene import load as load_scene
+from granflow.scene.schema import Run
+from granflow.simulation import Simulation
+from granflow.snapshot import Snapshot
+from granflow.study.restitution import QUICK_VELOCITIES
+from granflow.study.restitution import measure as measure_restitution
+
+FEW = 800
+"""Particles that a scene is cut down to, unless the whole is asked for."""
+LOOKS = 200
+"""Moments over which centre of mass and coordination number are averaged."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """A way to choose the step: its name, and the overrides that make it this share of the shortest phase [s]."""
+
+    name: str
+    overrides: Callable[[float, float], list[str]]
+
+
+def _fixed(share: float, phase: float) -> list[str]:
+    return [f"run.time_step={share * phase!r}"]
+
+
+def _adaptive(share: float, _phase: float) -> list[str]:
+    return ["run.time_step=adaptive", f"numerics.time_step_safety={share!r}"]
+
+
+def families() -> tuple[Family, ...]:
+    """One step throughout; and one that follows the scene, where scenes know that."""
+    fixed = Family("fixed", _fixed)
+    try:
+        Run.model_validate({"time_step": "adaptive"})
+    except ValidationError:
+        return (fixed,)
+    return fixed, Family("adaptive", _adaptive)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scene file with overrides, and the simulated time to stop at [s]."""
+
+    path: Path
+    overrides: tuple[str, ...]
+    until: float | None
+
+    def with_overrides(self, *more: str) -> "Task":
+        """The same with more overrides."""
+        return Task(self.path, (*self.overrides, *more), self.until)
+
+    def scene(self) -> Scene:
+        """Read it."""
+        return load_scene(self.path, self.overrides)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Values by quantity, wall seconds of search, forces and motion, and steps; or why there are none."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    step_count: float = 0.0
+    simulated: float = 0.0
+    stopped: str = ""
+
+
+def cut_down(scene: Scene, most: int = FEW) -> list[str]:
+    """Overrides that leave no more than `most` particles in the groups whose count the scene states."""
+    counted = {name: group.count for name, group in scene.particles.items() if scene.gives("particles", name, "count")}
+    total = sum(counted.values())
+    if total <= most:
+        return []
+    return [f"particles.{name}.count={max(round(count * most / total), 1)}" for name, count in counted.items()]
+
+
+def phase_of(scene: Scene) -> tuple[float, float]:
+    """Shortest phase of any contact [s], and the time step over it that the scene's own plan takes."""
+    plan = plan_for(scene)
+    phase = min(shortest_phase(meeting, plan.law, plan.velocity_max) for meeting in meetings_of(scene))
+    return phase, plan.time_step / phase
+
+
+class _Means:
+    """Averages over the run of what a moment shows."""
+
+    def __init__(self, scene: Scene) -> None:
+        gravity = np.array(scene.gravity)
+        strength = float(np.linalg.norm(gravity))
+        self._up = -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
+        corners = np.array([scene.domain.min, scene.domain.max]) * self._up
+        self._ground = float(corners.min(axis=0).sum())
+        self._seen: dict[str, list[float]] = {"centre_height": [], "coordination_number": []}
+
+    def look(self, snapshot: Snapshot) -> None:
+        """Take in one moment; one without particles says nothing."""
+        mass = snapshot.particles["mass"] if snapshot.particles else np.zeros(0)
+        if not len(mass):
+            return
+        heights = snapshot.particles["position"] @ self._up
+        self._seen["centre_height"].append(float(mass @ heights / mass.sum()) - self._ground)
+        self._seen["coordination_number"].append(snapshot.totals["coordination_number"])
+
+    def values(self) -> dict[str, float]:
+        """By quantity."""
+        return {name: float(np.mean(seen)) for name, seen in self._seen.items() if seen}
+
+
+def run_task(task: Task) -> Outcome:
+    """One run. A step that is not stable and a guard that trips are told in the outcome."""
+    scene = task.scene()
+    means = _Means(scene)
+    whole = sum(duration for _, duration in stage_durations(scene))
+    interval = min(whole, task.until or whole) / LOOKS
+    try:
+        simulation = Simulation(scene, observers=[every(interval, means.look, ("particles", "totals"))])
+        result = simulation.run(until=task.until)
+    except (SceneError, RunError) as error:
+        return Outcome(stopped=str(error))
+    simulation.free()
+    numbers = result.numbers
+    flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.meters.items()}
+    values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
+    seconds = numbers["step_count"] / numbers["steps_per_second"]
+    return Outcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
+
+
+def restitution_error(task: Task) -> float:
+    """Largest relative error of the restitution of any pair of materials, from a tenth of the largest velocity on."""
+    rows, _ = measure_restitution(task.scene())
+    fastest = max(row.velocity for row in rows)
+    slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
+    return max(abs(row.difference) for row in rows if row.velocity >= slowest)
+
+
+def seeds_of(scene: Scene, count: int) -> list[Any]:
+    """Seeds from the scene's own on."""
+    return [scene.seed + k for k in range(count)]
+
+
+def ordered(values: Sequence[dict[str, float]]) -> list[str]:
+    """Quantities that all runs have, in their order."""
+    return [name for name in values[0] if all(name in each for each in values)]
