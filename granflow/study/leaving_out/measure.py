@@ -20,7 +20,7 @@ from granflow.walls.motion import Motion
 
 SHARE_BEFORE = 1.0 / 3.0
 """Of the scene's longest run, simulated before the timing unless another time is given."""
-ROUNDS = 15
+ROUNDS = 25
 STEPS_BEFORE, STEPS = 10, 40
 """Of each timing: steps in which contacts begin to remember, and steps that are timed."""
 
