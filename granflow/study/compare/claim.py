@@ -42,7 +42,7 @@ def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) ->
 
 def judge(columns: Mapping[str, np.ndarray], runs: Sequence[Run]) -> list[Judgement]:
     """The claim in parts: for binary collisions, and for the scene."""
-    return [*judge_collisions(columns), _in_the_scene(runs)]
+    return [*judge_collisions(columns), *_in_the_scene(runs)]
 
 
 def judge_collisions(columns: Mapping[str, np.ndarray]) -> list[Judgement]:
@@ -76,6 +76,12 @@ def _mended(columns: Mapping[str, np.ndarray]) -> Judgement:
         f"every velocity: a contact time off by {_percent(here.duration)} and a largest overlap off by "
         f"{_percent(here.overlap_max)}, from the straight spring (pi against 2.94 in units of dmax/v) and its dashpot."
     )
+    below = drift(columns, PER_CONTACT, 1.0 / DECADE**2)
+    if below is not None:
+        why += (
+            f" Another decade down, below the velocity at which the law stops softening its springs, they change by "
+            f"{_percent(below.duration)} and {_percent(below.overlap_max)}."
+        )
     return Judgement(part, worst < WRONG, why)
 
 
@@ -98,23 +104,41 @@ def _unstable(columns: Mapping[str, np.ndarray]) -> Judgement:
     return Judgement(part, fast.restitution > WRONG, why)
 
 
-def _in_the_scene(runs: Sequence[Run]) -> Judgement:
-    """Overlaps of the bed at its densest, over those of Hertz, or of the first law without it; and runs stopped."""
-    part = "In this scene one spring gives wrong overlaps, Eq. 19 per contact better ones"
+def _in_the_scene(runs: Sequence[Run]) -> list[Judgement]:
+    """Both springs in the scene: stopped or not, and the overlaps of the bed over those of Hertz."""
+    fails, mends = "In this scene one spring fails", "In this scene Eq. 19 per contact mends it"
+    one, each = (next((run for run in runs if run.variant.key == key), None) for key in (ONE_SPRING, PER_CONTACT))
+    if one is None or each is None:
+        why = "linear was not among the laws, or could not run."
+        return [Judgement(fails, None, why), Judgement(mends, None, why)]
+    found = []
+    for part, run in ((fails, one), (mends, each)):
+        off, words = _bed_overlap(run, runs)
+        wrong = bool(run.stopped) or abs(off) > WRONG
+        measured = bool(run.stopped) or bool(np.isfinite(off))
+        found.append(Judgement(part, (wrong if run is one else not wrong) if measured else None, words))
+    return found
+
+
+def _bed_overlap(run: Run, runs: Sequence[Run]) -> tuple[float, str]:
+    """Mean overlap of the densest bed over that of Hertz, or of the first law without it, less 1; and in words."""
     stage = densest_stage(runs)
-    overlap = {run.variant.key: at_end(stage, "overlap_mean")(run) for run in runs}
-    exact = "hertz" if "hertz" in overlap else runs[0].variant.key
-    off = {key: value / overlap[exact] - 1.0 for key, value in overlap.items() if overlap[exact] > 0.0}
-    stopped = "".join(f" {run.variant.title} was stopped: {run.stopped}" for run in runs if run.stopped)
-    if not {ONE_SPRING, PER_CONTACT} <= off.keys():
-        return Judgement(part, None, f"Not both springs ran to where the bed has contacts.{stopped}")
-    one, each = off[ONE_SPRING], off[PER_CONTACT]
-    why = (
-        f"Mean overlap at the end of the stage {stage} against {exact}: one spring {_percent(one)}, per contact "
-        f"{_percent(each)}. Springs are chosen for impacts, but grains at rest lean on them, too.{stopped}"
+    exact = next((other for other in runs if other.variant.key == "hertz"), runs[0])
+    values = [at_end(stage, "overlap_mean")(each) for each in (run, exact)]
+    off = values[0] / values[1] - 1.0 if values[1] > 0.0 else float("nan")
+    if run.stopped:
+        return off, f"A guard stopped it at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}."
+    if not np.isfinite(off):
+        return off, f"Nothing touches at the end of the stage {stage}."
+    flow = "".join(
+        f" Mass flow through {meter}: {_percent(run.mass_flow(meter) / exact.mass_flow(meter) - 1.0)}."
+        for meter in run.meters
+        if exact.mass_flow(meter) != 0.0
     )
-    holds = abs(one) > WRONG and abs(each) < abs(one)
-    return Judgement(part, holds if np.isfinite([one, each]).all() else None, why)
+    return off, (
+        f"It ran to the end. Mean overlap at the end of the stage {stage} against {exact.variant.key}: "
+        f"{_percent(off)}; grains at rest lean on springs that were chosen for impacts.{flow}"
+    )
 
 
 def _percent(share: float, signed: bool = True) -> str:

@@ -44,7 +44,7 @@ def _look(number: int) -> dict[str, Any]:
 
 def _legend(figure: Any, axes: Any) -> None:
     handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=4)
+    figure.legend(handles, names, loc="outside upper center", ncols=5)
 
 
 def draw_course(figure: Any, runs: Sequence[Run]) -> None:

@@ -98,7 +98,7 @@ def write_script(out: Path, scene: Scene, runs: Sequence[Run], speed: float) -> 
     top = 0.5 * (low + high)
     top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
     path = out / SCRIPT
-    names = {run.variant.key: run.variant.title for run in runs}
+    names = {run.variant.key: run.variant.title + (" (stopped)" if run.stopped else "") for run in runs}
     path.write_text(_TEXT.format(
         title=scene.title.replace('"', "'"), names=", ".join(names.values()), script=SCRIPT, here=str(out.resolve()),
         shift=shift.tolist(), names_by_key=names, speed=speed, top=top.tolist(),

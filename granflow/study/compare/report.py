@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.device.backend import start
 from granflow.errors import GranflowError
+from granflow.observe.report import readable
 from granflow.scene import Scene
 from granflow.study.compare.claim import Judgement, judge
 from granflow.study.compare.collisions import (
@@ -171,7 +172,7 @@ def size_words(found: Comparison) -> str:
 
 def star_words(found: Comparison) -> str:
     """Which stage the starred rows are from."""
-    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts (forces: all of it)."
+    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces over all of it."
 
 
 def ends_words(found: Comparison) -> list[str]:
@@ -206,13 +207,13 @@ def _course_section(found: Comparison, out: Path, drawn: Sequence[str], missing:
 
 
 def _contact_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
-    spacing = hertz_duration(found.scene, found.reference_velocity) / LOOKS_PER_CONTACT
+    spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / LOOKS_PER_CONTACT
     method = (
         f"Durations: in {BURSTS} bursts spread evenly over the run all contacts with a force were looked at {LOOKS} "
-        f"times in steps of {1e6 * spacing:.3g} µs, an eighth of an elastic collision at the reference velocity. "
-        f"Followed are those that began during a burst; what was still there when it ended "
-        f"({1e6 * spacing * (LOOKS - 1):.3g} µs) counts as longer (Kaplan and Meier 1958). A contact shorter than the "
-        "distance of two looks can be missed, and no duration is known better than that."
+        f"times in steps of {spacing:.3g} µs, an eighth of an elastic collision at the reference velocity. Followed "
+        f"are those that began in a burst; what was still there when it ended, after {readable(spacing * (LOOKS - 1))} "
+        "µs, counts as longer (Kaplan and Meier 1958). A contact shorter than the distance of two looks can be "
+        "missed, and no duration is known better than that."
     )
     counted = [
         f"{run.variant.title}: {len(run.followed.arrays()[0])} contacts began, {int(run.followed.arrays()[1].sum())} "

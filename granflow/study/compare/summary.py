@@ -42,8 +42,8 @@ class Row:
 
 
 def densest_stage(runs: Sequence[Run]) -> str:
-    """The stage at whose end the first run has the most contacts: where a bed is, if there ever is one."""
-    columns = runs[0].columns
+    """The stage at whose end the first run that came to its end has the most contacts: where the bed is."""
+    columns = next((run for run in runs if not run.stopped), runs[0]).columns
     ends = {stage: count for stage, count in zip(columns["stage"].tolist(), columns["contact_count"], strict=True)}
     return max(ends, key=lambda stage: ends[stage])
 
@@ -134,8 +134,8 @@ def _energies(runs: Sequence[Run]) -> list[Row]:
 
 
 def heads(runs: Sequence[Run]) -> list[str]:
-    """Heads of the table as text."""
-    first, *others = (run.variant.title for run in runs)
+    """Heads of the table; titles of several words stand in two lines."""
+    first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
     return ["", "unit", first, *(head for title in others for head in (title, "ratio"))]
 
 
