@@ -13,6 +13,7 @@ from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import complain, exit_code_of, refuse
 from granflow.cli.scenes import add_cache, add_run, check, schema
+from granflow.cli.stability import add_stability
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
 from granflow.errors import GranflowError
 
@@ -51,6 +52,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_paper(verbs)
     add_accuracy(verbs)
     add_compare(verbs)
+    add_stability(verbs)
     add_cache(verbs)
     return parser
 

@@ -69,6 +69,7 @@ def build(damped: bool) -> NormalLaw:
         phase_durations=phase_durations,
         unloading_stiffness=theory.hertz_tangent,
         stable_stiffness=theory.hertz_tangent,
+        damping=damping,
     )
 
 
@@ -83,6 +84,13 @@ def twin(touch: Touch) -> tuple[float, np.ndarray]:
     viscous = touch.constants[2] * np.sqrt(touch.mass_eff * k) * touch.overlap**0.25 * touch.overlap_rate
     elastic = k * touch.overlap**1.5
     return float(elastic if touch.constants[2] == 0.0 else max(elastic + viscous, 0.0)), touch.history
+
+
+def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    """Viscous force over the rate of overlap at the largest overlap [N s/m], see `force`."""
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+    largest = float(theory.overlap_max(k, mass_eff, velocity))
+    return pair_constants(pair)[2] * float(np.sqrt(mass_eff * k) * largest**0.25)
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:

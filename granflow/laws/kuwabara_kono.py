@@ -52,6 +52,11 @@ def build(reference_velocity: float) -> NormalLaw:
         _, loading, unloading = rebound(pair, velocity)
         return unit * loading, unit * unloading
 
+    def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        largest = float(theory.overlap_max(k, mass_eff, velocity))
+        return pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
+
     return NormalLaw(
         name="kuwabara_kono",
         source="Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, "
@@ -71,6 +76,7 @@ def build(reference_velocity: float) -> NormalLaw:
         phase_durations=phase_durations,
         unloading_stiffness=theory.hertz_tangent,
         stable_stiffness=theory.hertz_tangent,
+        damping=damping,
         restitution=restitution,
     )
 

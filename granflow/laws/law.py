@@ -104,6 +104,12 @@ class NormalLaw:
     """Steepest tangent [N/m] met in a binary collision."""
     stable_stiffness: CollisionFigure
     """Tangent [N/m] that a grain held between others can feel at the largest overlap; it bounds the time step."""
+    lateral_tangent: CollisionFigure | None = None
+    """Tangent [N/m] that 4 G/E of is the lateral stiffness at the largest overlap; None: `stable_stiffness`."""
+    damping: CollisionFigure | None = None
+    """Viscous force over the rate of overlap, at the largest overlap of a collision [N s/m]; None: there is none."""
+    unloading_angle: float = 0.0
+    """theta of a law that bounds its unloading tangent by theta^2 M/dt^2; 0 where there is no such bound."""
     unresolved_unloading: float = 0.0
     """Unloading faster than this share of loading needs no resolving steps: the law bounds its tangent itself."""
     restitution: CollisionFigure = asked_restitution
@@ -119,6 +125,15 @@ class NormalLaw:
 
     branch_free: bool = False
     """True where `force` has no branch, so that contacts can be worked out in batches; others list all partners."""
+
+    def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Tangent [N/m] at the largest overlap that the lateral stiffness goes with."""
+        tangent = self.lateral_tangent or self.stable_stiffness
+        return tangent(pair, radius_eff, mass_eff, velocity)
+
+    def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Viscous force over the rate of overlap, at the largest overlap of a collision [N s/m]."""
+        return 0.0 if self.damping is None else self.damping(pair, radius_eff, mass_eff, velocity)
 
     @property
     def attracts(self) -> bool:

@@ -51,6 +51,10 @@ def build(spring: Spring) -> NormalLaw:
         quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, quarter
 
+    def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        stiffness = spring.of(pair, radius_eff, mass_eff, velocity)
+        return 2.0 * pair_constants(pair)[2] * float(np.sqrt(stiffness * mass_eff))
+
     return NormalLaw(
         name="linear",
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
@@ -70,6 +74,7 @@ def build(spring: Spring) -> NormalLaw:
         phase_durations=phase_durations,
         unloading_stiffness=spring.of,
         stable_stiffness=spring.of,
+        damping=damping,
     )
 
 

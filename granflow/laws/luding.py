@@ -130,6 +130,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         phase_durations=lambda *bodies: collision(*bodies).durations(),
         unloading_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
         stable_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
+        lateral_tangent=spring.of,
         restitution=lambda *bodies: collision(*bodies).restitution,
         attraction=attraction if pulls else None,
     )

@@ -103,6 +103,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         phase_durations=phase_durations,
         unloading_stiffness=steepest,
         stable_stiffness=steepest,
+        lateral_tangent=spring.of,
         restitution=restitution,
     )
 

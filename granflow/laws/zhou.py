@@ -168,6 +168,10 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         largest = theory.overlap_max(k, mass_eff, velocity)
         return float(min(theory.least_restitution(k, mass_eff, largest, time_step, unloading_angle), 1.0))
 
+    def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        tangent = theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
+        return 2.0 * damping_ratio * float(np.sqrt(tangent * mass_eff))
+
     return NormalLaw(
         name="zhou",
         source="Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12",
@@ -188,6 +192,8 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         phase_durations=phase_durations,
         unloading_stiffness=unloading_stiffness,
         stable_stiffness=theory.hertz_tangent,
+        damping=damping,
+        unloading_angle=unloading_angle,
         unresolved_unloading=theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION,
         least_restitution=least_restitution_reached,
     )

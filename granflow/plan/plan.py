@@ -259,7 +259,8 @@ def meetings_of(scene: Scene) -> list[Meeting]:
         body = solid(scene, group.material)
         like = PairMaterial(modulus_eff(body, body), shear_modulus_eff(body, body), 1.0, 0.0)
         found.append(_meeting(scene, f"{name}-{name}", like, group, group))
-    return found
+    contacts = max(sum(group.count for _, group in groups) + len(scene.walls) - 1, 1)
+    return [replace(meeting, contact_count=contacts) for meeting in found]
 
 
 def _meeting(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> Meeting:

@@ -1,5 +1,6 @@
 """The time step: from the stiffest phase of any contact the scene can have, or given and then checked."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,6 +9,15 @@ import numpy as np
 from granflow.laws import theory
 from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial, Solid
+
+MOST_CONTACTS = 12
+"""Equal spheres that one of them can touch at once."""
+
+NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
+"""Square of the highest frequency of densely packed equal spheres, 12 contacts each, over K/M and Kt/M of a contact."""
+
+STABLE_SHARE = 0.99
+"""Largest step over the one at which the stiffest mode begins to grow."""
 
 STEPS_OF_RESOLUTION = 1000
 """An overlap should be this many times what the precision resolves, so that its force is good to 0.15 %."""
@@ -23,6 +33,8 @@ class Meeting:
     mass_eff: float
     radius: float
     solid: Solid
+    contact_count: int = MOST_CONTACTS
+    """Contacts that a grain can have at once: as many as there are other grains and walls."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +65,19 @@ def choose_time_step(
     resolved, name = min((safety * shortest_phase(meeting, law, velocity), meeting.name) for meeting in meetings)
     rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in meetings)
     stable, stable_name = min((stable_step(meeting, law, velocity), meeting.name) for meeting in meetings)
-    value = given if given is not None else min(resolved, rayleigh)
+    chosen = min(resolved, rayleigh, stable)
+    value = given if given is not None else chosen
     limited = f"{safety:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
-    if rayleigh < resolved:
+    if chosen == rayleigh:
         limited = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
+    if chosen == stable:
+        limited = f"the largest stable step, {stable_name} at {velocity:.3g} m/s"
     if given is not None:
         limited = "given in the scene"
     if value > stable:
         raise ValueError(
             f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
-            f"Lower it to {min(resolved, rayleigh):.2g} s or leave it out."
+            f"Lower it to {chosen:.2g} s or leave it out."
         )
     least, warnings = _restitution_reached(value, meetings, law, velocity)
     return TimeStep(value, limited, stable, stable_name, least, warnings)
@@ -97,9 +112,38 @@ def shortest_phase(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
 
 
 def stable_step(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
-    """Step [s] above which a grain held between others gains energy: half of 2 sqrt(M/K) on the law's tangent."""
-    stiffness = law.stable_stiffness(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-    return float(np.sqrt(meeting.mass_eff / stiffness))
+    """Step [s] above which a grain held by others can gain energy, in the stiffest way it can be held.
+
+    The leapfrog carries a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, its viscous force being half a step
+    late. Masses M on z contacts of stiffness K and viscosity c, and Kt = 4 G/E K across where there is friction, have
+
+        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      where neighbours move against each other
+        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    where all turn the same way, and contacts slip
+
+    at most; the second is the higher one with friction, and halves the step. A law that bounds its unloading has
+    K dt^2 = theta^2 M there.
+    """
+    bodies = (meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
+    count, mass = min(meeting.contact_count, MOST_CONTACTS), meeting.mass_eff
+    pushing, sliding = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
+    sticks = meeting.pair.friction > 0.0 or meeting.pair.rolling_friction > 0.0
+    share = 4.0 * meeting.pair.shear_modulus_eff / meeting.pair.modulus_eff if sticks else 0.0
+    lateral, viscosity = share * law.loading_stiffness(*bodies), law.viscosity(*bodies)
+    room = 4.0 - pushing * law.unloading_angle**2
+    steps = (
+        _largest_step(law.stable_stiffness(*bodies) + 2.0 * lateral, viscosity, mass / pushing, 4.0),
+        _largest_step(2.0 * lateral, viscosity, mass / pushing, room),
+        _largest_step(lateral, 0.0, mass / sliding, 4.0),
+    )
+    return STABLE_SHARE * min(steps)
+
+
+def _largest_step(stiffness: float, viscosity: float, mass: float, room: float) -> float:
+    """The step [s] at which K/M dt^2 + 4 c/M dt comes to `room`."""
+    if stiffness == viscosity == 0.0:
+        return math.inf
+    held = 0.25 * mass * room
+    return 2.0 * held / (viscosity + math.sqrt(viscosity**2 + stiffness * held))
 
 
 def rayleigh_time(solid: Solid, radius: float) -> float:

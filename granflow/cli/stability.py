@@ -1,0 +1,36 @@
+"""`granflow stability`: stiff and extreme cases with a verdict each."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.messages import show_table
+
+
+def stability(options: argparse.Namespace) -> int:
+    """`granflow stability`: run every case to its end; 1 where any of them is a defect."""
+    from granflow.study.stability.report import HEADS, PAGE, defects, headline, summary_rows
+    from granflow.study.stability.report import stability as study
+
+    outcomes, missing = study(
+        options.out, options.full, lambda each: print(f"{each.row}, {each.column}: {each.verdict}", flush=True)
+    )
+    show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
+    print(headline(outcomes))
+    found = defects(outcomes)
+    for line in (*found, missing):
+        if line:
+            print(line)
+    print(f"Open {options.out / PAGE} in a browser; every case is a row of stability.csv beside it.")
+    return 1 if found else 0
+
+
+def add_stability(verbs: Any) -> None:
+    """`granflow stability` and its arguments."""
+    summary = "run stiff and extreme cases, give each a verdict, and find the real bound of the time step"
+    parser = verbs.add_parser("stability", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("out/stability"), help="where it goes (out/stability)"
+    )
+    parser.add_argument("--full", action="store_true", help="all moduli, sizes and ratios, not every other one")
+    parser.set_defaults(verb=stability)

@@ -1,0 +1,62 @@
+"""Grains that touch as closely as they can, for the real bound of the time step: lone, in rows, and packed.
+
+Grains at the rim are anchors, far too heavy to move: what they hold is pressed as in the midst of a bed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+CHAIN_LENGTH = 10
+HALF_CELLS = 6
+"""Size of the block of densely packed grains in halves of its cubic cell."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Centres (n, 3) over the distance of neighbours, and which of them are anchors (n,)."""
+
+    centres: np.ndarray
+    anchored: np.ndarray
+
+    @property
+    def contacts_possible(self) -> int:
+        """Contacts that one of these grains can have at once, as far as `check` can tell."""
+        return len(self.centres) - 1
+
+    @property
+    def even(self) -> bool:
+        """Whether free grains touch each other; else they touch anchors alone."""
+        return int(np.sum(~self.anchored)) > 1
+
+
+def _cage(directions: np.ndarray) -> Lattice:
+    """One free grain between anchors in these directions (n, 3)."""
+    unit = directions / np.linalg.norm(directions, axis=1)[:, None]
+    return Lattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
+
+
+def _chain() -> Lattice:
+    place = np.arange(CHAIN_LENGTH + 2)
+    return Lattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
+
+
+def _block() -> Lattice:
+    """Densest packing, face-centred cubic, within anchors."""
+    points = np.array([p for p in product(range(HALF_CELLS + 1), repeat=3) if sum(p) % 2 == 0])
+    return Lattice(points / np.sqrt(2.0), np.any((points == 0) | (points == HALF_CELLS), axis=1))
+
+
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+_DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
+
+LATTICES: Mapping[str, Lattice] = {
+    "between 2": _cage(_AXES[[2, 5]]),
+    "between 6": _cage(_AXES),
+    "between 12": _cage(_DIAGONALS),
+    "chain of 10": _chain(),
+    "densest packing": _block(),
+}
+"""By name: a grain held between others, a straight chain of equal grains, and a block of them with 12 contacts each."""
