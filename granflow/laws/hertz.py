@@ -7,8 +7,11 @@ from granflow.laws import theory
 from granflow.laws.law import Asked, NormalLaw, Touch
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
+from granflow.laws.within_step import build_step_mean, mean_power
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "viscosity")
+DAMPING_POWER = 0.25
+"""The viscous force goes with this power of the overlap."""
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
@@ -37,18 +40,23 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 def build(damped: bool) -> NormalLaw:
     """Hertz's law; `damped` where any pair has a restitution below 1."""
+    root_over_step = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """Elastic force with Tsuji's damping, cut where it would pull.
 
         F = k d^1.5 + sqrt(5) zeta sqrt(M k) d^(1/4) d'       (Tsuji 1992; Antypov & Elliott 2011)
+
+        with d^(1/4) averaged over the step.
         """
-        tangent = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap)
-        elastic = tangent * overlap
+        stiffness = 4.0 / 3.0 * constants[0]
+        elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap
         viscous = 0.0 * elastic
         if ti.static(damped):
-            viscous = ti.max(constants[2] * ti.sqrt(mass_eff * tangent) * overlap_rate, -elastic)
+            place, weight = root_over_step(overlap, overlap_rate, time_step)
+            secant = stiffness * ti.sqrt(radius_eff * place)
+            viscous = ti.max(constants[2] * weight * ti.sqrt(mass_eff * secant) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history
 
     return NormalLaw(
@@ -81,7 +89,8 @@ def law_for(asked: Asked) -> NormalLaw:
 def twin(touch: Touch) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`."""
     k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
-    viscous = touch.constants[2] * np.sqrt(touch.mass_eff * k) * touch.overlap**0.25 * touch.overlap_rate
+    root = mean_power(DAMPING_POWER, touch.overlap, touch.overlap_rate, touch.time_step)
+    viscous = touch.constants[2] * np.sqrt(touch.mass_eff * k) * root * touch.overlap_rate
     elastic = k * touch.overlap**1.5
     return float(elastic if touch.constants[2] == 0.0 else max(elastic + viscous, 0.0)), touch.history
 

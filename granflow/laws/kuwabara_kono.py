@@ -15,8 +15,11 @@ from granflow.laws.hertz import lost_energy, stored_energy
 from granflow.laws.law import Asked, NormalLaw, Touch
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
+from granflow.laws.within_step import build_step_mean, mean_power
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
+DAMPING_POWER = 0.5
+"""The dissipative force goes with this power of the overlap."""
 EXPONENT = 0.2
 """The dissipation of a collision goes with this power of its velocity."""
 STEPS = 500
@@ -81,13 +84,19 @@ def build(reference_velocity: float) -> NormalLaw:
     )
 
 
+_root_over_step = build_step_mean(DAMPING_POWER)
+
+
 @ti.func
 def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    """F = k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', cut where it would pull; g = dissipation at 1 m/s."""
+    """F = k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', cut where it would pull; g = dissipation at 1 m/s.
+
+    d^(1/2) of the damping is averaged over the step.
+    """
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-    root = ti.sqrt(overlap)
-    elastic = k * root * overlap
-    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * root * overlap_rate
+    elastic = k * ti.sqrt(overlap) * overlap
+    place, weight = _root_over_step(overlap, overlap_rate, time_step)
+    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(place) * overlap_rate
     viscous = ti.max(viscous, -elastic)
     return elastic + viscous, viscous, history
 
@@ -96,7 +105,8 @@ def twin(touch: Touch) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`."""
     k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
     damping = touch.constants[2] * k**0.6 * touch.mass_eff**0.4
-    dissipative = damping * np.sqrt(touch.overlap) * touch.overlap_rate
+    root = mean_power(DAMPING_POWER, touch.overlap, touch.overlap_rate, touch.time_step)
+    dissipative = damping * root * touch.overlap_rate
     return float(max(k * touch.overlap**1.5 + dissipative, 0.0)), touch.history
 
 

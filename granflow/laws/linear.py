@@ -7,6 +7,7 @@ from granflow.laws import theory
 from granflow.laws.law import Asked, NormalLaw, Touch, Twin
 from granflow.laws.material import PairMaterial
 from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
+from granflow.laws.within_step import build_step_mean, mean_power
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
@@ -25,14 +26,19 @@ def law_for(asked: Asked) -> NormalLaw:
 
 def build(spring: Spring) -> NormalLaw:
     """Linear law with this spring."""
+    share_of_step = build_step_mean(0.0)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens."""
+        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens.
+
+        In the first step the dashpot counts for the time since first touch.
+        """
         memory = history
         stiffness = spring.held(memory)
         elastic = stiffness * overlap
-        viscous = ti.max(2.0 * constants[2] * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
+        _place, share = share_of_step(overlap, overlap_rate, time_step)
+        viscous = ti.max(2.0 * constants[2] * share * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
         return elastic + viscous, viscous, memory
 
     @ti.func
@@ -58,7 +64,7 @@ def build(spring: Spring) -> NormalLaw:
     return NormalLaw(
         name="linear",
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
-        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch",
+        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch, as no solid's does",
         constant_names=CONSTANTS,
         history_names=spring.history_names,
         rate_dependent=True,
@@ -83,7 +89,8 @@ def _twin(spring: Spring) -> Twin:
 
     def twin(touch: Touch) -> tuple[float, np.ndarray]:
         stiffness, kept = spring.touched(touch)
-        viscous = 2.0 * touch.constants[2] * np.sqrt(stiffness * touch.mass_eff) * touch.overlap_rate
+        rate = mean_power(0.0, touch.overlap, touch.overlap_rate, touch.time_step) * touch.overlap_rate
+        viscous = 2.0 * touch.constants[2] * np.sqrt(stiffness * touch.mass_eff) * rate
         return float(max(stiffness * touch.overlap + viscous, 0.0)), np.array(kept or touch.history)
 
     return twin

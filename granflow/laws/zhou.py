@@ -14,6 +14,7 @@ from granflow.laws import theory
 from granflow.laws.law import Asked, NormalLaw, Touch, Twin
 from granflow.laws.material import PairMaterial, VelocityRestitution
 from granflow.laws.mindlin import mindlin_stiffness
+from granflow.laws.within_step import build_step_mean, mean_above, mean_positive, mean_power, turned_at, turning_point
 
 RestitutionFrom = Literal["onset", "peak", "constant"]
 
@@ -21,6 +22,8 @@ CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", 
 HISTORY = ("overlap_max", "restitution", "recovery")
 LEAST_RESOLVED = 0.1
 """Unloading faster than at this restitution is left to the bound on the unloading tangent."""
+DAMPING_POWER = 0.25
+"""The viscous force goes with this power of the overlap."""
 NEWTON_STEPS = 5
 """From y = (4/5) e^2 as many reach machine precision in float64 for every e; four leave 25 ulps at e = 1."""
 
@@ -72,15 +75,15 @@ def least_restitution(k, mass, overlap_max, time_step, angle):
 
 
 @ti.func
-def unloading_force(stiffness, radius, overlap_max, e, y, overlap):
+def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
     """Force on the unloading branch [N], zero below the residual overlap.
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
-    with k = stiffness sqrt(radius), stiffness = (4/3) E. Steeper than loading by up to 1/e^2; bounded by the time
-    step as e -> 0.
+    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the contact may
+    part. Steeper than loading by up to 1/e^2; bounded by the time step as e -> 0.
     """
-    above = ti.max(overlap - overlap_max * (1.0 - y), 0.0)
+    above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
     cube = e * e * e
     slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
     return stiffness * above * (slope + cube * ti.sqrt(radius * above))
@@ -105,6 +108,7 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
     force 2 zeta sqrt(K M) times the rate of overlap on the elastic branch, with K the Hertz tangent.
     """
     peak, damped = restitution_from == "peak", damping_ratio > 0.0
+    root_over_step = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def resolve(constants, radius_eff, mass_eff, time_step, history):
@@ -121,12 +125,17 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
 
     @ti.func
     def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """Restitution of a contact that opens; restitution and recovery of one that begins to unload."""
+        """Restitution of a contact that opens; largest overlap, restitution and recovery where unloading begins."""
         memory = history
         if ti.static(not peak):
             if memory[0] == 0.0:
                 memory[1] = restitution_at(constants, overlap_rate)
         if overlap < memory[0] and memory[2] == 0.0:
+            largest_force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * memory[0]) * memory[0]
+            late_rate = overlap_rate
+            if ti.static(damped):  # the rate is that of the moment itself
+                late_rate += 0.5 * time_step * largest_force / mass_eff
+            memory[0] = turning_point(memory[0], largest_force, mass_eff, time_step, late_rate)
             e, y = resolve(constants, radius_eff, mass_eff, time_step, memory)
             memory[1] = e
             memory[2] = y
@@ -138,12 +147,15 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         contact_radius = ti.sqrt(radius_eff * overlap)
         overlap_max, e, recovery = history[0], history[1], history[2]
         loading = overlap >= overlap_max
-        unloading = unloading_force(stiffness, radius_eff, overlap_max, e, ti.select(loading, 1.0, recovery), overlap)
+        unloading = unloading_force(
+            stiffness, radius_eff, overlap_max, e, ti.select(loading, 1.0, recovery), overlap, overlap_rate, time_step
+        )
         normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
         if ti.static(damped):
-            tangent = 1.5 * stiffness * contact_radius
-            viscous = 2.0 * damping_ratio * ti.sqrt(tangent * mass_eff) * overlap_rate
+            place, weight = root_over_step(overlap, overlap_rate, time_step)
+            tangent = 1.5 * stiffness * ti.sqrt(radius_eff * place)
+            viscous = 2.0 * damping_ratio * weight * ti.sqrt(tangent * mass_eff) * overlap_rate
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
         memory = ti.Vector([ti.max(overlap, overlap_max), e, ti.select(loading, 0.0, recovery)])
         return normal_force + viscous, viscous, memory
@@ -239,17 +251,20 @@ def _twin(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
             elastic, memory = k * overlap**1.5, np.array([overlap, e, 0.0])
         else:
             if y == 0.0:
+                force = k * largest**1.5
+                late = touch.overlap_rate + (0.5 * touch.time_step * force / mass if damping_ratio > 0.0 else 0.0)
+                largest = turned_at(largest, force, mass, touch.time_step, late)
                 if restitution_from == "peak":
                     e = restitution(touch.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
                 bound = theory.least_restitution(k, mass, largest, touch.time_step, unloading_angle)
                 e = min(max(e, bound), 1.0)
                 y = float(theory.recovery(e))
-            above = max(overlap - largest * (1.0 - y), 0.0)
+            above = mean_positive(overlap - largest * (1.0 - y), touch.overlap_rate, touch.time_step)
             lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
             elastic, memory = lam * above + e**3 * k * above**1.5, np.array([largest, e, y])
         if elastic > 0.0 and damping_ratio > 0.0:
-            tangent = 1.5 * k * np.sqrt(overlap)
-            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(tangent * mass) * touch.overlap_rate, 0.0)
+            root = mean_power(DAMPING_POWER, overlap, touch.overlap_rate, touch.time_step)
+            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(1.5 * k * mass) * root * touch.overlap_rate, 0.0)
         return float(elastic), memory
 
     return twin

@@ -27,6 +27,8 @@ from granflow.scene.yaml12 import parse
 WALL = "wall"
 HALVINGS = 60
 """As many leave an overlap exact in float64."""
+SHORT = 1e-3
+"""Over so small a share of a step a law averages nothing that would be seen."""
 LONGEST = 20.0
 """A collision not over after this many durations is given up."""
 
@@ -243,7 +245,8 @@ def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, 
     def force(overlap: float, rate: float) -> float:
         if overlap <= 0.0:
             return 0.0
-        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, overlap, rate, memory)[0]
+        moment = SHORT * step
+        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, moment, overlap, rate, memory)[0]
 
     def slope(state: np.ndarray) -> np.ndarray:
         return np.array([state[1], -force(*state) / impact.mass_eff])

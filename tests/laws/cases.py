@@ -151,6 +151,7 @@ PLAIN = (
     case("zhou_onset", "zhou", fit, zhou("onset"), plastic=True),
     case("zhou_peak", "zhou", fit, zhou("peak"), plastic=True),
     case("zhou_constant", "zhou", number(0.6), plastic=True),
+    case("zhou_small", "zhou", number(0.05), plastic=True),
     case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
     case("zhou_elastic", "zhou", number(1.0)),
     case("zhou_damped", "zhou", fit, zhou("onset", 0.2), plastic=True),
@@ -178,6 +179,10 @@ STICKY = ("zhou_onset", "hertz_elastic", "linear_number", "thornton", "walton_br
 CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*STICKY, "kuwabara_kono")))
 
 
+CONTINUOUS = tuple(each for each in CASES if each.name != "zhou_without_rebound")
+"""Laws that are defined without a time step: at restitution 0 unloading is as steep as the step allows."""
+
+
 @dataclass(frozen=True)
 class Walk:
     """What contacts gave along their overlaps: arrays (contacts, steps), history (contacts, steps, numbers)."""
@@ -195,14 +200,17 @@ class Walk:
         return self.force - self.viscous
 
 
-def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS):
-    """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets."""
+def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME_STEP):
+    """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets.
+
+    With a time step of 0 [s] nothing is averaged over a step: the law as it is written in the source.
+    """
     law = case.law(units)
     shape = overlap.shape
     found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(law.history_count, 1)))
     constants = np.array(law.pair_constants(case.pair(units)))
-    bodies = (radius * units.metre, mass * units.kilogram, TIME_STEP * units.second)
+    bodies = (radius * units.metre, mass * units.kilogram, time_step * units.second)
     given = (overlap * units.metre, rate * units.velocity)
     kernel_for(law, len(constants))(constants, *bodies, *(np.ascontiguousarray(g) for g in given), *found, history)
     return Walk(*found, history)

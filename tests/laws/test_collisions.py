@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import taichi as ti
-from laws.cases import CASES, COHESION, MASS, PLAIN, RADIUS, walk
+from laws.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, walk
 
 from granflow.laws.whole import whole_force
 
@@ -19,6 +19,7 @@ TABLE = ti.types.ndarray(ti.f64, 1)
 def kernel_for(law, constant_count):
     """A kernel that lets one pair collide for each velocity, by leapfrog as the many-particle step does."""
     memory_size, force_of = max(law.history_count, 1), whole_force(law)
+    since_parting = 1.0 if law.name == "zhou" else 0.5  # steps; a mean over the step ends half a step later
 
     @ti.kernel
     def collide(
@@ -40,7 +41,7 @@ def kernel_for(law, constant_count):
                     viscous_work += viscous * rate * dt[i]
                     if force == 0.0 and before > 0.0:
                         free = 1
-                        duration[i] = time - 0.5 * dt[i]
+                        duration[i] = time - since_parting * dt[i]
                     half -= dt[i] * force / mass
                     if overlap + dt[i] * half <= 0.0:
                         over = 1
@@ -91,17 +92,13 @@ def promised(case, steps):
 
 @pytest.mark.parametrize("case", [case for case in PLAIN if case.name != "zhou_damped"], ids=str)
 def test_restitution_is_reached_in_second_order(taichi_f64, case):
-    """Within 0.1 % at 200 steps, where the force does not jump at first touch and unloading is resolved.
+    """Within 1e-4 at 200 steps, whatever the law: first touch, turning point and parting are met inside a step.
 
-    A dashpot that starts at full velocity (linear), a root of the overlap in the damping (hertz, kuwabara_kono) and
-    a bounded unloading (zhou at e = 0) are of first order or a little better.
+    At a restitution of 0 it is the least that the step can reach, which falls with the step: of first order.
     """
     coarse, fine = (np.abs(collisions(case, steps)[0] - promised(case, steps)).max() for steps in (COARSE, FINE))
-    jumps = case.name.startswith("linear") and case.pair().restitution < 1.0
-    bounded = case.name == "zhou_without_rebound"
-    assert coarse <= (2e-3 if jumps or bounded else 1e-3 * 0.4)
-    least_order = 1.0 if jumps or bounded or case.law().rate_dependent else 1.6
-    assert coarse / fine >= 0.9 * 4.0**least_order
+    assert coarse <= 1e-4
+    assert coarse / fine >= 0.9 * 4.0 ** (1.0 if case.name == "zhou_without_rebound" else 2.0)
 
 
 @pytest.mark.parametrize(
@@ -127,17 +124,17 @@ def test_energy_is_accounted_for_in_second_order(taichi_f64, case):
     assert coarse / fine >= 9.0
 
 
-@pytest.mark.parametrize("case", PLAIN, ids=str)
+@pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)
 def test_steepest_tangent_is_the_one_met(taichi_f64, case):
     """The time step rests on it: the steepest chord of the elastic force around the largest overlap of a collision."""
     law, pair, velocity = case.law(), case.pair(), 1.0
     steepest = law.unloading_stiffness(pair, RADIUS, MASS, velocity)
     rising = np.linspace(0.0, 1.2e-3, 12001)[1:]
     rate = np.full((1, len(rising)), velocity)
-    force = walk(case, rising[None, :], rate).elastic[0]
+    force = walk(case, rising[None, :], rate, time_step=0.0).elastic[0]
     turn = int(np.searchsorted(np.cumsum(force) * rising[0], 0.5 * MASS * velocity**2))
     path = np.concatenate([rising[: turn + 1], rising[:turn][::-1]])
-    elastic = walk(case, path[None, :], rate[:, :1] * np.ones((1, len(path)))).elastic[0]
+    elastic = walk(case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0).elastic[0]
     met = np.abs(np.diff(elastic) / np.diff(path)).max()
     assert met <= 1.002 * steepest
     if np.isfinite(steepest):
