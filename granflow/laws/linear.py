@@ -64,7 +64,7 @@ def build(spring: Spring) -> NormalLaw:
     return NormalLaw(
         name="linear",
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
-        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch, as no solid's does",
+        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch",
         constant_names=CONSTANTS,
         history_names=spring.history_names,
         rate_dependent=True,

@@ -33,7 +33,7 @@ def turning_point(largest, force, mass_eff, time_step, late_rate):
 def mean_above(above, rate, time_step):
     """Mean of max(d - ds, 0) over the step around this moment [m]: a contact that parts does so inside a step.
 
-        mean of max(u, 0) over [u - h/2, u + h/2],  h = |d'| dt     =  u,  (u + h/2)^2 / (2 h),  or  0
+    mean of max(u, 0) over [u - h/2, u + h/2],  h = |d'| dt     =  u,  (u + h/2)^2 / (2 h),  or  0
     """
     half = 0.5 * ti.abs(rate) * time_step
     inside = ti.min(ti.max(above + half, 0.0), 2.0 * half)
