@@ -114,7 +114,7 @@ def bouncing_box(time_step, normal="zhou", rolling="epsd"):
 @pytest.mark.parametrize(("normal", "rolling"), [("zhou", "epsd"), ("zhou", "cdt"), ("hertz", "epsd")])
 def test_energy_ledger_closes_better_with_a_shorter_step(taichi_f64, normal, rolling):
     """First order in the step: an eighth of it leaves about an eighth of the error or less."""
-    coarse, fine = (finished(bouncing_box(step, normal, rolling))[0].totals for step in (8e-6, 1e-6))
+    coarse, fine = (finished(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))
     dissipated = "plastic_dissipation" if normal == "zhou" else "damping_dissipation"
     for part in ("friction_dissipation", "rolling_dissipation", dissipated):
         assert fine[part] > 0.01 * fine["kinetic_energy"], part

@@ -43,7 +43,7 @@ def test_heights_of_a_bouncing_ball(taichi_f64, law):
     scene = trial(
         {"ball": balls([[0.0, 0.0, 0.5]], 0.2)}, walls={"floor": FLOOR}, materials={"glass": stiff},
         pair={"restitution": 0.9}, normal=law, gravity=[0.0, 0.0, -GRAVITY],
-        run={"duration": 2.4, "velocity_max": 2.9}, domain=room(1.0),
+        run={"duration": 2.4, "velocity_max": 2.9}, domain=room(1.0), numerics={"time_step_safety": 0.02},
     )  # fmt: skip
     seen = watched(scene, 0.01)
     z, speed = column(seen, "position")[:, 0, 2], column(seen, "velocity")[:, 0, 2]
