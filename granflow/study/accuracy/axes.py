@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from granflow.device.backend import Precision
 from granflow.laws.material import Solid
 from granflow.scene.presets import PRESETS
 from granflow.scene.schema import Numerics
@@ -13,7 +14,7 @@ from granflow.study.accuracy.exact import EXACT, Exact
 from granflow.study.paper.cases import Case
 from granflow.study.paper.encounters import Encounter
 
-PRECISIONS = ("f64", "mixed", "f32")
+PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
 """Of one collision: its duration over the time step."""
 FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))

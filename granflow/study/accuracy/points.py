@@ -8,7 +8,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from granflow.device.backend import start
+from granflow.device.backend import Backend, Precision, start
 from granflow.errors import SceneError
 from granflow.plan.plan import meetings_of
 from granflow.plan.time_step import shortest_phase
@@ -99,24 +99,31 @@ def worker() -> ProcessPoolExecutor:
 
 
 def line_of(
+    contender: Contender, integrator: Integrator, precision: Precision, steps: Sequence[float], repeats: int
+) -> tuple[Line, list[str]]:
+    """`measured_line` on one CPU thread, in a process that has not started Taichi otherwise."""
+    return measured_line(contender, integrator, start("cpu", precision, 1), steps, repeats)
+
+
+def measured_line(
     contender: Contender,
     integrator: Integrator,
-    precision: str,
+    backend: Backend,
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
 ) -> tuple[Line, list[str]]:
-    """Measure all points of one line on one CPU thread; also words for the steps that were refused."""
-    bench = Bench(contender, integrator, start("cpu", precision, 1))  # type: ignore[arg-type]
+    """Measure all points of one line; also words for the steps that were refused as not stable."""
+    bench = Bench(contender, integrator, backend)
     points: list[Point] = []
     refused: list[float] = []
     for count in steps:
         try:
-            points += _points(bench, bench.run(count, repeats), precision)
+            points += _points(bench, bench.run(count, repeats), backend.precision)
         except SceneError:
             refused.append(count)
     bench.free()
     words = [f"{contender.name} with {', '.join(f'{n:g}' for n in refused)} steps a collision"]
-    return Line(contender.name, integrator.name, precision, tuple(points)), words if refused else []
+    return Line(contender.name, integrator.name, backend.precision, tuple(points)), words if refused else []
 
 
 def _points(bench: Bench, reached: Reached, precision: str) -> list[Point]:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import (
     CONTENDERS,
@@ -61,7 +62,7 @@ def measure_two_bodies(
     full: bool = False,
     say: Callable[[str], None] = lambda words: None,
     contenders: Sequence[Contender] = CONTENDERS,
-    precisions: Sequence[str] = PRECISIONS,
+    precisions: Sequence[Precision] = PRECISIONS,
     steps: Sequence[float] | None = None,
 ) -> Study:
     """Measure every combination, each precision in a process of its own; `full` takes more steps and repeats."""

@@ -7,6 +7,7 @@ from math import inf
 
 import numpy as np
 
+from granflow.device.backend import Precision
 from granflow.study.accuracy.axes import PRECISIONS
 from granflow.study.accuracy.points import worker
 from granflow.study.accuracy.scene_runs import (
@@ -124,7 +125,7 @@ def measure_scene(
     full: bool = False,
     say: Callable[[str], None] = lambda words: None,
     shares: Sequence[float] = SHARES,
-    precisions: Sequence[str] = PRECISIONS,
+    precisions: Sequence[Precision] = PRECISIONS,
 ) -> SceneStudy:
     """Run the scene with every step and precision; `full` takes more seeds and a finer reference.
 

@@ -1,0 +1,150 @@
+"""Error against run time of a scene: what a run is reduced to, errors and their noise, the recommendation."""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from granflow.errors import GranflowError
+from granflow.scene import load
+from granflow.scene.generate import initial_grains
+from granflow.study.accuracy import measure_scene, write_scene
+from granflow.study.accuracy.scene_points import LEDGER, SIGMAS, _Runs, _study
+from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
+from granflow.study.accuracy.scene_runs import Outcome, Task, cut_down, families, phase_of, restitution_error, run_task
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+
+DROP = """
+title: A few beads fall on a floor
+gravity: [0, 0, -9.81]
+materials:
+  glass: {young_modulus: 5 MPa, poisson_ratio: 0.2, density: 2500}
+pairs:
+  glass-glass: {restitution: 0.5, friction: 0.3}
+contact: {normal: zhou, tangential: mindlin, rolling: none}
+walls:
+  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
+particles:
+  beads:
+    material: glass
+    count: 12
+    diameter: 10 mm
+    place: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
+domain: {min: [-50 mm, -50 mm, -10 mm], max: [50 mm, 50 mm, 200 mm], leaving: error}
+run: {duration: 0.25 s}
+output: {interval: 50 ms}
+"""
+
+
+@pytest.fixture
+def drop(tmp_path):
+    """The scene of the fall, as a file."""
+    path = tmp_path / "drop.yaml"
+    path.write_text(DROP, encoding="utf-8")
+    return path
+
+
+def test_fewer_particles_where_the_scene_counts_them(drop):
+    scene = load(drop)
+    assert cut_down(scene, most=12) == []
+    assert cut_down(scene, most=6) == ["particles.beads.count=6"]
+    assert cut_down(load(SCENES / "two_spheres.yaml"), most=1) == []
+
+
+def test_the_share_is_what_time_step_safety_says(drop):
+    scene = load(drop, ["numerics.time_step_safety=0.07"])
+    phase, own = phase_of(scene)
+    assert own == pytest.approx(0.07)
+    (override,) = families()[0].overrides(0.2, phase)
+    assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
+
+
+def test_one_run_of_free_fall(taichi_f64, drop):
+    """Until they land, the centre of mass is on average g T^2 / 6 below where it began, and nothing touches."""
+    until = 0.1  # a fall of 49 mm, from 100 mm
+    task = Task(drop, ("output.energy=true", "run.time_step=5e-5"), until)
+    fallen = run_task(task)
+    start = initial_grains(task.scene()).position[:, 2].mean() + 0.01  # above the bottom of the domain
+    assert fallen.values["centre_height"] == pytest.approx(start - 9.81 * until**2 / 6.0, abs=5e-5)
+    assert fallen.values["coordination_number"] == 0.0
+    assert abs(fallen.values[LEDGER]) < 1e-9
+    assert fallen.simulated == pytest.approx(until, abs=5e-5)
+    assert fallen.seconds > 0.0
+
+
+def test_a_step_that_is_not_stable_is_told(taichi_f64, drop):
+    assert "run.time_step" in run_task(Task(drop, ("output.energy=true", "run.time_step=1"), None)).stopped
+
+
+def outcome(ledger, height, seconds=2.0):
+    return Outcome({LEDGER: ledger, "centre_height": height}, seconds, 100.0, 0.5)
+
+
+def made_up_study(target=0.01):
+    """Three steps: a fine one, one within noise of it but off in restitution, one with a bed clearly too high."""
+    reference = _Runs("fixed", "f64", 0.05, 5e-6, 0.001, [outcome(1e-5, h) for h in (1.00, 1.02, 0.98)])
+    noisy = _Runs("fixed", "f64", 0.1, 1e-5, 0.008, [outcome(2e-5, h, 1.0) for h in (1.03, 1.00, 0.97)])
+    wrong = _Runs("fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)])
+    bouncy = _Runs("fixed", "f64", 0.2, 2e-5, 0.03, [outcome(2e-5, h, 0.5) for h in (1.00, 1.02, 0.98)])
+    stopped = _Runs("fixed", "f64", 0.9, 9e-5, np.inf, [Outcome(stopped="not stable")] * 3)
+    return _study([stopped, wrong, bouncy, noisy, reference], 0.05, "made up", (0.1, 1e-5), 12, 3, target)
+
+
+def test_errors_are_told_from_noise():
+    study = made_up_study()
+    # differences to the reference: .03, -.02, -.01 (variance 7e-4), and none or always .5 (variance 0), twice
+    assert study.noise["centre_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
+    assert study.spread["centre_height"] == pytest.approx(0.02)
+    stopped, wrong, bouncy, noisy, reference = study.points
+    assert wrong.errors["centre_height"] == pytest.approx(0.5)
+    assert [study.meets(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [True] * 2
+    assert study.best is noisy
+
+
+def test_the_recommendation_is_a_row_of_the_table():
+    study = made_up_study()
+    sentence, rows = scene_recommendation(study), scene_rows(study)
+    chosen = rows[3]
+    assert f"time_step_safety {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
+    assert f"{chosen[-2].split()[0]} s per simulated second" in sentence  # 1.0 s for 0.5 s
+    assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
+    assert all(len(row) == len(scene_heads(study)) for row in rows)
+    assert "1 rise above the noise" in noise_sentence(study)
+    assert "No time step" in scene_recommendation(made_up_study(target=1e-6))
+
+
+def test_files_without_matplotlib(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    study = made_up_study()
+    with pytest.raises(GranflowError, match="pip install"):
+        write_scene(tmp_path, study)
+    with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {"family", "precision", "share", "time_step", "restitution_error", "energy_error", "centre_height_error",
+            "centre_height_noise", "seconds_median", "seconds_min", "seconds_max"} <= set(rows[0])  # fmt: skip
+    assert [float(row["share"]) for row in rows] == [0.9, 0.4, 0.2, 0.1, 0.05]
+    assert rows[0]["stopped"] == "not stable"
+    assert scene_recommendation(study) in (tmp_path / "accuracy.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_small_scene_from_end_to_end(drop, tmp_path):
+    study = measure_scene(Task(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
+    coarse, fine, reference = study.points
+    assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
+    assert study.best is not None and len(coarse.seconds) == 3
+    pytest.importorskip("matplotlib")
+    write_scene(tmp_path / "out", study)
+    assert (tmp_path / "out" / "accuracy.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_what_the_hopper_ships_with_keeps_to_one_percent(taichi_f64):
+    """Its own step does, and four times that does not: it is not wastefully fine."""
+    task = Task(SCENES / "hopper.yaml", (), None)
+    phase, own = phase_of(task.scene())
+    assert restitution_error(task) <= 0.01
+    assert restitution_error(task.with_overrides(*families()[0].overrides(4.0 * own, phase))) > 0.01
