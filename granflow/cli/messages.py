@@ -123,7 +123,7 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
 
     table = Table(title=Text(title), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
     for column, head in enumerate(heads):
-        table.add_column(head, justify="left" if column == 0 else "right")
+        table.add_column(head, justify="left" if column == 0 else "right", no_wrap=column > 0)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
