@@ -139,15 +139,26 @@ class Bench:
         overlap, rate, force = course.T
         parted = force[-1] == 0.0 and rate[-1] < 0.0
         restitution = float(-rate[-1] / self.velocity[pair]) if parted else 0.0
+        largest = _top(overlap)
         acting = np.flatnonzero(force)
         last = int(acting[-1]) if len(acting) else 0
         if not parted or last < 2 or numbers[last + 1] - numbers[last - 2] != 3:
-            return restitution, np.nan, float(overlap.max())
+            return restitution, np.nan, largest
         freed = freed_at(self.contender.law, self.kinds[pair // PHASES].restitution)
         if freed is None:
             end = numbers[last] + share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
         else:  # from there on it flew freely
-            missed = (freed * overlap.max() - overlap[last + 1]) / -rate[last + 1]
+            missed = (freed * largest - overlap[last + 1]) / -rate[last + 1]
             end = numbers[last + 1] - missed / self.plan.time_step
         touch = (pair % PHASES + 0.5) / PHASES
-        return restitution, float(end - touch) * self.plan.time_step, float(overlap.max())
+        return restitution, float(end - touch) * self.plan.time_step, largest
+
+
+def _top(overlap: np.ndarray) -> float:
+    """Largest overlap [m]: the top of the parabola through the largest seen and its neighbours."""
+    index = int(np.argmax(overlap))
+    if not 0 < index < len(overlap) - 1:
+        return float(overlap[index])
+    before, top, after = overlap[index - 1 : index + 2]
+    bend = 2.0 * top - before - after
+    return float(top + (after - before) ** 2 / (8.0 * bend)) if bend > 0.0 else float(top)

@@ -1,15 +1,17 @@
 """Points of the study of two bodies: errors of one kind of collision at one time step, and what it costs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 
 import numpy as np
 
 from granflow.device.backend import Backend, Precision, start
-from granflow.errors import SceneError
+from granflow.errors import GranflowError, SceneError
 from granflow.plan.plan import meetings_of
 from granflow.plan.time_step import shortest_phase
 from granflow.study.accuracy.axes import STEPS, Contender, Integrator, Kind
@@ -93,9 +95,23 @@ def columns(points: Sequence[Point]) -> dict[str, np.ndarray]:
     return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
 
 
-def worker() -> ProcessPoolExecutor:
-    """One process beside this one: Taichi can be started with one precision a process."""
-    return ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
+@contextmanager
+def worker() -> Iterator[ProcessPoolExecutor]:
+    """One process beside this one: Taichi can be started with one precision a process.
+
+    It ends with what stands inside, also where that is interrupted. Raises GranflowError where it dies.
+    """
+    process = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
+    try:
+        yield process
+    except BrokenProcessPool:
+        raise GranflowError("A process of this study died, perhaps for want of memory: try it again.") from None
+    except BaseException:
+        for child in active_children():
+            child.terminate()
+        raise
+    finally:
+        process.shutdown(cancel_futures=True)
 
 
 def line_of(

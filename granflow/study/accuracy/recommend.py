@@ -113,7 +113,7 @@ def table_rows(lines: Iterable[Line], target: float) -> list[tuple[str, ...]]:
             median, low, high = (MANY * each for each in need.seconds)
             needed = (f"{need.steps:g}", f"{need.share:.2g}", f"{median:.3g} ({low:.3g}–{high:.3g})")
         rows.append((
-            line.law, line.integrator, line.precision, order.words if order else "–", f"{least:.1e}", *needed,
+            line.law, line.integrator, line.precision, order.words if order else "–", _short(least), *needed,
         ))  # fmt: skip
     return rows
 
@@ -132,3 +132,8 @@ def velocity_rows(lines: Iterable[Line], target: float) -> tuple[tuple[str, ...]
             cells.append(f"{need.steps:g}" if need else "–")
         rows.append((line.law, line.integrator, line.precision, *cells))
     return ("law", "integrator", "precision", *(f"{velocity:g} m/s" for velocity in velocities)), rows
+
+
+def _short(value: float) -> str:
+    """Two digits and a power of ten, with a minus that does not break a line."""
+    return f"{value:.1e}".replace("-", "−")

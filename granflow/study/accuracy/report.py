@@ -151,7 +151,7 @@ def _method() -> str:
         "error is the root mean square over the phases; a line shows the largest of all its collisions. That of the "
         "energy is of the share of the energy kept. Exact: Zhou (2011), Eqs. 5 and 13-15; the oscillator let go at "
         "zero force (Schwager & Poeschel 2007), onto which Hertz with Tsuji's damping is mapped (Antypov & Elliott "
-        "2011). Largest overlap: of those seen at the ends of steps. Wall time: of the steps of one duration, on one "
+        "2011). Largest overlap: between steps by a parabola. Wall time: of the steps of one duration, on one "
         "thread, after compiling, shared among all pairs; below some thirty steps, starting the kernels shows."
     )
 
