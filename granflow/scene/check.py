@@ -18,15 +18,28 @@ from granflow.scene.words import problem_of
 Finding = tuple[KeyPath, Fault]
 Check = Callable[[Draft], Iterator[Finding]]
 _AXES = "xyz"
+_MOST = {"materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "stages": 1000, "expect": 1000}
+"""Entries of a section: what is worked out for every two of them must stay quick."""
 
 
 def checked(draft: Draft) -> list[Problem]:
     """All that is wrong within and between the parts of the draft."""
     findings = list(draft.faults())
-    for needed, check in _CHECKS:
+    crowded = list(_crowds(draft))
+    findings += crowded
+    for needed, check in _CHECKS if not crowded else ():
         if draft.whole.issuperset(needed):
             findings += check(draft)
     return [problem_of(draft.document, path, fault) for path, fault in findings]
+
+
+def _crowds(draft: Draft) -> Iterator[Finding]:
+    """Sections with more entries than a scene can hold."""
+    for section, most in _MOST.items():
+        node = draft.document.root.child(section)
+        found = len(node.entries or node.items or ()) if node is not None else 0
+        if found > most:
+            yield (section,), Fault((), f"has {found} entries, but a scene holds at most {most} of them", whole=True)
 
 
 def _unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Finding:

@@ -11,7 +11,7 @@ _LONGEST_SHOWN = 60  # characters of a value shown in a message
 KeyPath = tuple[str | int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """A place in a file, or an override (`line` 0)."""
 
@@ -28,7 +28,7 @@ class Place:
         return self.line == 0, self.line, self.column
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Problem:
     """One sentence about one place."""
 
@@ -48,7 +48,7 @@ class DocumentError(Exception):
         self.problem = problem
 
 
-@dataclass
+@dataclass(slots=True)
 class Node:
     """A value: a scalar with the text it was written as, a list of nodes, or a mapping of entries."""
 
@@ -96,7 +96,7 @@ class Node:
         return text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
 
 
-@dataclass
+@dataclass(slots=True)
 class Entry:
     """A value in a mapping, with the place of its key."""
 

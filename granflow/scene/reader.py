@@ -17,7 +17,8 @@ from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
 from granflow.scene.yaml12 import parse
 
-_LARGEST_FILE = 64 * 2**20  # bytes
+_LARGEST_FILE = 10 * 2**20  # bytes
+_MOST_SHOWN = 100  # problems
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
@@ -40,9 +41,16 @@ def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:
     problems += found
     if scene is None or problems:
         ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
-        raise SceneError(str(problem) for problem in ordered)
+        raise SceneError([*map(str, ordered[:_MOST_SHOWN]), *_unsaid(ordered)])
     scene._document = document
     return scene
+
+
+def _unsaid(problems: Sequence[Problem]) -> list[str]:
+    """A sentence about those beyond the ones that are shown."""
+    more = len(problems) - _MOST_SHOWN
+    last = problems[-1].place
+    return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
 
 
 def _document(path: Path) -> Document:

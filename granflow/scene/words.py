@@ -13,6 +13,7 @@ from granflow.scene.schema import Scene
 from granflow.scene.suggest import known_or_meant, nearest
 
 _FOLLOWS = "default_factory_not_called"  # a value copied from another one that is wrong itself
+_MOST_PUT_IN_WORDS = 1000  # complaints; the file is beyond mending by then
 _SHAPES_OF_TYPES = {
     "dict_type": "names with their values are asked here, name: {...}",
     "tuple_type": "a list is asked here, [ ... ]",
@@ -53,8 +54,8 @@ def as_written(document: Document, path: Iterable[str | int]) -> KeyPath:
 
 
 def problems_of(document: Document, error: ValidationError) -> list[Problem]:
-    """All complaints of the schema as problems, without those that only follow from another."""
-    details = error.errors(include_url=False, include_input=False)
+    """The complaints of the schema as problems, without those that only follow from another; a thousand at most."""
+    details = error.errors(include_url=False, include_input=False)[:_MOST_PUT_IN_WORDS]
     complaints = [_Complaint(document, each["type"], each["loc"], each["msg"], each.get("ctx")) for each in details]
     meant = {path for complaint in complaints for path in complaint.meant()}
     return [

@@ -4,6 +4,7 @@ Only the core schema: mappings, lists, text, numbers, true, false and null; anch
 keys. A duplicate key is a problem; so is an alias that contains itself, or aliases that multiply beyond reason.
 """
 
+import itertools
 import math
 import re
 from collections.abc import Iterator
@@ -26,6 +27,8 @@ from granflow.scene.document import Document, DocumentError, Entry, Node, Place,
 
 DEEPEST = 40  # a scene is at most 9 deep
 _MOST_ALIASED = 100_000  # nodes that aliases may add
+_MOST_VALUES = 250_000  # sixty thousand positions; as many errors take 0.7 GB
+_MOST_KEYS = 5000  # in one mapping
 _LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
 _YAML_TAGS = "tag:yaml.org,2002:"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -55,6 +58,7 @@ class _Composer:
         self.placed = placed
         self.anchors: dict[str, Node | None] = {}
         self.aliased = 0
+        self.count = 0
         self.problems: list[Problem] = []
 
     def compose(self, text: str) -> Document:
@@ -107,6 +111,9 @@ class _Composer:
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
             raise self._error(event, f"the tag {tag} is not used in scenes; leave it out")
+        self.count += 1
+        if self.count > _MOST_VALUES:
+            raise self._error(event, f"there are more than {_MOST_VALUES} values by here, too many for a scene")
         if event.anchor:
             self.anchors[event.anchor] = None
         node = self._untagged(event, events, depth)
@@ -148,7 +155,11 @@ class _Composer:
 
     def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
         entries: dict[str, Entry] = {}
-        while not isinstance(event := next(events), MappingEndEvent):
+        for count in itertools.count():
+            if isinstance(event := next(events), MappingEndEvent):
+                break
+            if count == _MOST_KEYS:
+                raise self._error(event, f"there are more than {_MOST_KEYS} keys in one mapping, too many for a scene")
             key = self._key(event)
             entry = Entry(self._at(event), self._node(next(events), events, depth + 1))
             if entry.node.empty:
