@@ -56,11 +56,10 @@ def head_on():
 @pytest.fixture(scope="module")
 def found(taichi_f64, tmp_path_factory):
     out = tmp_path_factory.mktemp("compare")
-    patch = pytest.MonkeyPatch()
-    patch.setitem(sys.modules, "matplotlib", None)
-    patch.setattr(reporting, "sweeps_of", lambda *_: [])
-    yield compare(head_on(), ["linear", "hertz"], out), out
-    patch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "matplotlib", None)
+        patch.setattr(reporting, "sweeps_of", lambda *_: [])
+        return compare(head_on(), ["linear", "hertz"], out), out
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +102,13 @@ def test_a_run_that_a_guard_stops_is_a_result(found, table):
     assert "linear of 0.1 m/s was stopped at" in (out / "compare.html").read_text(encoding="utf-8")
 
 
+def test_the_claim_is_judged_in_the_scene(found):
+    """One spring fails where a guard stops it; two spheres make no bed to judge the other by."""
+    fails, mends = found[0].judgements[-2:]
+    assert fails.holds and fails.why.startswith("A guard stopped it at") and fails.why.endswith("of its radius.")
+    assert mends.holds is None and "too few grains touch" in mends.why
+
+
 def test_energy_is_kept(table):
     assert table["largest energy error", "hertz"][0] < 5e-3
     assert table["kinetic energy, end", "hertz"][0] == pytest.approx(0.5 * MASS_EFF * SPEED**2, rel=1e-4)
@@ -126,9 +132,7 @@ def test_script_for_paraview_names_every_run(found):
     assert all(repr(run.variant.key) in text for run in comparison.runs)
 
 
-def test_figures_are_drawn_where_they_can(found, tmp_path, monkeypatch):
-    monkeypatch.undo()
-    sys.modules.pop("matplotlib", None)
+def test_figures_are_drawn_where_they_can(found, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.study.compare.drawing import draw_all
 

@@ -50,3 +50,29 @@ def test_claim_is_judged_from_the_numbers(columns):
     assert wrong.holds and f"+{100.0 * (10.0**0.2 - 1.0):.1f} %" in wrong.why
     assert mended.holds and f"+{100.0 * (np.pi / 2.9432751838 - 1.0):.1f} %" in mended.why
     assert unstable.holds is None
+
+
+def test_collisions_are_drawn(columns, tmp_path):
+    pytest.importorskip("matplotlib")
+    from granflow.study.compare.drawing import draw_collisions
+    from granflow.study.figures import draw_to
+
+    subject = subject_of(head_on(), REFERENCE)
+    draw_to(tmp_path / "a.png", lambda figure: draw_collisions(figure, subject, columns, []), 5.0)
+    assert (tmp_path / "a.png").stat().st_size > 20_000
+
+
+def made_up(restitution):
+    """Columns of one spring at ten times its velocity: `restitution` by step, 0.8 asked."""
+    rows = [{"law": "linear_reference", "step": step, "velocity_over_reference": 10.0, "restitution": reached}
+            for step, reached in restitution.items()]  # fmt: skip
+    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    ones = {name: np.ones(len(rows)) for name in ("duration", "duration_exact", "overlap_max", "overlap_max_exact")}
+    return found | ones | {"restitution_exact": np.full(len(rows), 0.8)}
+
+
+def test_stability_is_judged_against_the_fine_step():
+    """A law that promises another restitution than asked is not unstable; one that gains by the coarse step is."""
+    assert judge_collisions(made_up({"fine": 1.0, "coarse": 1.05}))[2].holds is False
+    gained = judge_collisions(made_up({"fine": 0.8, "coarse": 1.0}))[2]
+    assert gained.holds and "+25.0 %" in gained.why

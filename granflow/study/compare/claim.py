@@ -8,6 +8,7 @@ import numpy as np
 from granflow.study.compare.collisions import COARSE_STEPS, Deviation, deviation
 from granflow.study.compare.runs import Run
 from granflow.study.compare.summary import at_end, densest_stage
+from granflow.study.compare.watch import LEAST_CONTACTS
 
 WRONG = 0.1
 """A relative change across a decade of velocity that counts as wrong."""
@@ -87,21 +88,26 @@ def _mended(columns: Mapping[str, np.ndarray]) -> Judgement:
 
 def _unstable(columns: Mapping[str, np.ndarray]) -> Judgement:
     part = "A spring from one velocity goes unstable an order of magnitude away from it"
-    fast = deviation(dict(columns), ONE_SPRING, "coarse", DECADE)
-    if fast is None:
+    laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
+    lost = {law: _lost_to_the_step(columns, law) for law in laws}
+    one = lost.pop(ONE_SPRING, None)
+    if one is None:
         return Judgement(part, None, "linear was not among the laws.")
-    others = []
-    for law in dict.fromkeys(columns["law"].tolist()):
-        found = deviation(dict(columns), law, "coarse", DECADE)
-        if law != ONE_SPRING and found is not None:
-            others.append(f"{law} {_percent(found.restitution)}")
+    others = ", ".join(f"{law} {_percent(off)}" for law, off in lost.items() if off is not None)
     why = (
         f"With {COARSE_STEPS} steps to a contact at the reference velocity and that step kept, it rebounds from ten "
-        f"times the velocity with a restitution off by {_percent(fast.restitution)}: its contact time, and with it "
-        f"the stable step, are the same at every velocity. The laws that stiffen lose steps instead: "
-        f"{', '.join(others) or 'none was run'}."
+        f"times the velocity with a restitution {_percent(one)} off that with a fine step: its contact time, and with "
+        f"it the stable step, are the same at every velocity. Contacts of other laws stiffen: {others or 'none'}."
     )
-    return Judgement(part, fast.restitution > WRONG, why)
+    return Judgement(part, one > WRONG, why)
+
+
+def _lost_to_the_step(columns: Mapping[str, np.ndarray], law: str) -> float | None:
+    """Restitution with the reference step over that with a fine one, less 1, a decade above the reference velocity."""
+    coarse, fine = (deviation(dict(columns), law, step, DECADE) for step in ("coarse", "fine"))
+    if coarse is None or fine is None or fine.restitution <= -1.0:
+        return None
+    return (1.0 + coarse.restitution) / (1.0 + fine.restitution) - 1.0
 
 
 def _in_the_scene(runs: Sequence[Run]) -> list[Judgement]:
@@ -123,13 +129,15 @@ def _in_the_scene(runs: Sequence[Run]) -> list[Judgement]:
 def _bed_overlap(run: Run, runs: Sequence[Run]) -> tuple[float, str]:
     """Mean overlap of the densest bed over that of Hertz, or of the first law without it, less 1; and in words."""
     stage = densest_stage(runs)
-    exact = next((other for other in runs if other.variant.key == "hertz"), runs[0])
-    values = [at_end(stage, "overlap_mean")(each) for each in (run, exact)]
-    off = values[0] / values[1] - 1.0 if values[1] > 0.0 else float("nan")
+    finished = [other for other in runs if not other.stopped] or list(runs)
+    exact = next((other for other in finished if other.variant.key == "hertz"), finished[0])
+    off, count = float("nan"), at_end(stage, "contact_count")(exact)
+    if count >= LEAST_CONTACTS:
+        off = at_end(stage, "overlap_mean")(run) / at_end(stage, "overlap_mean")(exact) - 1.0
     if run.stopped:
         return off, f"A guard stopped it at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}."
     if not np.isfinite(off):
-        return off, f"Nothing touches at the end of the stage {stage}."
+        return off, f"It ran to the end, but too few grains touch at the end of the stage {stage} to speak of a bed."
     flow = "".join(
         f" Mass flow through {meter}: {_percent(run.mass_flow(meter) / exact.mass_flow(meter) - 1.0)}."
         for meter in run.meters
