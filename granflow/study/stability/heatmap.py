@@ -66,7 +66,7 @@ def _panel(axis: Any, outcomes: Sequence[Outcome]) -> None:
 def _broken(label: str) -> str:
     """A label on two lines where it is long."""
     words, middle = label.split(" "), len(label) // 2
-    if len(label) < 10 or len(words) == 1:
+    if len(label) < 12 or len(words) == 1:
         return label
     cuts = range(1, len(words))
     cut = min(cuts, key=lambda n: abs(len(" ".join(words[:n])) - middle))

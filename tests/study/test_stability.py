@@ -1,0 +1,177 @@
+"""The stability study in a reduced form: verdicts, rebounds, weights and bounds against theory worked out here."""
+
+import csv
+import math
+import os
+import sys
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from granflow.cli import main
+from granflow.errors import GranflowError
+from granflow.simulation import Simulation
+from granflow.study.stability import piles, report
+from granflow.study.stability.bounds import POISSON, real_bounds
+from granflow.study.stability.cases import Case, Finding, attempt
+from granflow.study.stability.families import all_cases
+from granflow.study.stability.lanes import run_cases
+from granflow.study.stability.pairs import Pair, rebound, rebound_finding
+
+
+def case_of(work, column="the column"):
+    return Case("family", "the row", column, "theory", work)
+
+
+def finding(reached, error, *warnings):
+    return Finding("restitution", 0.5, reached, error, 1e-6, warnings)
+
+
+def raising(error):
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("work", "kind", "verdict"),
+    [
+        (lambda: finding(0.503, 0.003), "accurate", "stable and accurate"),
+        (lambda: finding(0.52, 0.02), "error", "stable, error 2 % (restitution 0.52 for 0.5)"),
+        (lambda: finding(0.9, 0.4, "x is so"), "error", "stable, error 40 % (restitution 0.9 for 0.5), said: x is so"),
+        (lambda: finding(0.9, 0.4), "defect", "defect: silent error 40 % (restitution 0.9 for 0.5)"),
+        (lambda: finding(math.nan, 0.0), "defect", "defect: restitution is not a number, and nothing stopped the run"),
+        (lambda: raising(GranflowError("Too soft.\nRaise it.")), "refused", "refused: Too soft. Raise it."),
+        (lambda: raising(IndexError("off the end")), "defect", "defect: IndexError: off the end"),
+    ],
+)  # fmt: skip
+def test_verdicts(work, kind, verdict):
+    judged = attempt(case_of(work))
+    assert (judged.kind, judged.verdict) == (kind, verdict)
+
+
+def test_a_case_that_ends_its_process_is_a_defect_and_the_next_one_runs():
+    last, well = run_cases([case_of(partial(os._exit, 3), "a"), case_of(partial(finding, 0.5, 0.0), "b")], print, 60.0)
+    assert last.verdict == "defect: its process ended without an answer"
+    assert well.verdict == "stable and accurate"
+
+
+def test_a_case_that_hangs_is_given_up():
+    (hung,) = run_cases([case_of(partial(time.sleep, 300.0))], print, 1.0)
+    assert hung.verdict == "defect: not finished in 1 s"
+
+
+def test_pairs_reach_their_restitution_or_the_one_their_step_allows(taichi_f64):
+    """At theta = 0.5 the step allows e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
+    pairs = (
+        Pair(restitution=0.0),
+        Pair(restitution=0.5),
+        Pair(restitution=1.0),
+        Pair(restitution=0.5, radius_ratio=5.0),
+    )
+    found = rebound(pairs)
+    assert found.restitution[1:] == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
+    assert np.all(found.momentum < 1e-12)
+    mass = 4 / 3 * math.pi * 1e-9 * 2500.0 / 2.0
+    k = 4 / 3 * 1e8 / (2.0 * (1.0 - 0.25**2)) * math.sqrt(0.5e-3)
+    tangent = k * math.sqrt((5.0 * mass / (4.0 * k)) ** 0.4) / 0.8
+    least = math.sqrt(tangent * found.time_step**2 / (0.25 * mass))
+    assert found.restitution[0] == pytest.approx(least, rel=0.05)
+    asked_nothing = rebound_finding(pairs, 0)
+    assert asked_nothing.error == pytest.approx(least, rel=0.05)
+    assert [words.split(":")[0] for words in asked_nothing.warnings] == ["a0-b0"]
+    assert rebound_finding(pairs, 1).warnings == ()
+
+
+def test_a_step_above_the_bound_is_refused(taichi_f64):
+    refused = attempt(case_of(partial(rebound_finding, (Pair(),), 0, "f64", 2.0)))
+    assert refused.kind == "refused"
+    assert "above the stable" in refused.verdict
+
+
+def test_the_real_bound_is_that_of_theory_and_the_check_lies_below_it(taichi_f64):
+    """Elastic spheres that stick: 2 sqrt(M / (S Kt)), S of a grain that turns between others, Kt / K by Mindlin.
+
+    Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All of a straight chain
+    turn the same way, so that contacts slip twice as much; M = m/2: S = 5 again.
+    """
+    ratio = 2.0 * (1.0 - POISSON) / (2.0 - POISSON)
+    modes = {"between 2": 5.0, "between 6": 10.0, "between 12": 20.0, "chain of 10": 5.0}
+    found = {bound.lattice: bound for bound in real_bounds("hertz, e 1", True)}
+    for name, count in modes.items():
+        assert found[name].real / found[name].scale == pytest.approx(2.0 / math.sqrt(count * ratio), rel=0.03), name
+    for bound in found.values():
+        assert 1.0 / 1.02 < bound.ratio < 2.0 * 1.02, bound
+
+
+def test_a_weight_a_million_times_as_heavy_is_carried(taichi_f64, monkeypatch):
+    """Steadily, but for what each contact loses when it first turns: its largest overlap grows by F/M dt^2/8 at most.
+
+    The light grain's mass M, and the tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
+    """
+    monkeypatch.setattr(piles, "STILL_STEPS", 2000)
+    found = piles.resting("zhou", (2.5e3, 2.5e9), 1e11)
+    volume = 4 / 3 * math.pi * 1e-9
+    weight = 9.81 * volume * (2.5e3 + 2.5e9)
+    assert found.expected == pytest.approx(weight)
+    lost = 0.0
+    for radius_eff in (1e-3, 0.5e-3):
+        k = 4 / 3 * 1e11 / (2.0 * (1.0 - piles.POISSON**2)) * math.sqrt(radius_eff)
+        tangent = 3.35 * 1.5 * weight / (weight / k) ** (2 / 3)
+        lost += tangent * found.time_step**2 / (8.0 * 2.5e3 * volume)
+    assert lost < 3e-3
+    assert found.reached == pytest.approx(weight, rel=lost)
+
+
+def test_grains_made_half_overlapping_part_with_what_their_law_gives_back(taichi_f64):
+    """Zhou's law gives back e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
+    grains = {"grains": piles.listed([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
+    weightless = {"gravity": 0.0, "walls": {}}
+    scene = piles.scene_with("zhou", grains, 1e-3, **weightless, numerics={"overlap_limit": 1.0})
+    simulation = Simulation(scene)
+    simulation.run()
+    k = 4 / 3 * piles.YOUNG / (2.0 * (1.0 - piles.POISSON**2)) * math.sqrt(0.5e-3)
+    energy = 0.25 * 0.4 * k * 0.5e-3**2.5
+    mass = 4 / 3 * math.pi * 1e-9 * piles.DENSITY
+    speed = simulation.snapshot().particles["velocity"][1, 0]
+    assert speed == pytest.approx(math.sqrt(energy / mass), rel=0.02)
+    simulation.free()
+
+
+def test_every_case_has_a_place_of_its_own():
+    for cases in (all_cases(), all_cases(full=True)):
+        assert len({(case.family, case.row, case.column) for case in cases}) == len(cases)
+    named = " ".join(case.name for case in all_cases(full=True))
+    for part in ("1e+05 Pa", "1e+12 Pa", "e = 0,", "e = 0.001", "1e-06 m/s", "density 1 : 1e+06", "radius 1 : 100",
+                 "R = 1e-06 m", "R = 1 m", "f32", "heavy on light", "column of 100", "squeezed", "50 % overlapping",
+                 "1 km/s", "friction 0", "friction 10", "no gravity", "Γ = 100", "0.01", ", 5"):  # fmt: skip
+        assert part in named, part
+
+
+def test_without_matplotlib_all_but_the_figure_comes(monkeypatch, tmp_path, capsys):
+    """And the command says what is a defect, by its exit code too."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    works = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
+    monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(works)])
+    monkeypatch.setattr(report, "run_cases", lambda cases, tell: [attempt(case) for case in cases])
+    monkeypatch.setitem(report.EXPLANATIONS, "family", "What it is.")
+    assert main(["stability", "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert "pip install granflow[plot]" in said
+    assert "family: the row, 1: defect: silent error 40 %" in said
+    with (tmp_path / "stability.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["verdict"] for row in rows] == [
+        "stable and accurate",
+        "defect: silent error 40 % (restitution 0.9 for 0.5)",
+    ]
+    assert "What it is." in (tmp_path / "stability.html").read_text(encoding="utf-8")
+    assert not (tmp_path / "stability.png").exists()
+
+
+@pytest.mark.slow
+def test_no_case_is_a_defect(tmp_path):
+    pytest.importorskip("matplotlib")
+    outcomes, missing = report.stability(tmp_path, False, lambda each: None)
+    assert not report.defects(outcomes)
+    assert not missing and (tmp_path / "stability.png").exists()
