@@ -42,7 +42,10 @@ def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) ->
 
 
 def judge(columns: Mapping[str, np.ndarray], runs: Sequence[Run]) -> list[Judgement]:
-    """The claim in parts: for binary collisions, and for the scene."""
+    """The claim in parts: for binary collisions, and for the scene; nothing where no linear spring was compared."""
+    compared = {run.variant.key for run in runs}.union(columns["law"].tolist() if columns else ())
+    if not compared & {ONE_SPRING, PER_CONTACT}:
+        return []
     return [*judge_collisions(columns), *_in_the_scene(runs)]
 
 

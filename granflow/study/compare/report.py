@@ -230,9 +230,9 @@ def _contact_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Sect
 
 def _claim_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
     judged = [(each.part, each.verdict, each.why) for each in found.judgements]
-    table = Table("What the numbers say.", ("claim", "verdict", "numbers"), judged)
+    said = [Table("What the numbers say.", ("claim", "verdict", "numbers"), judged)] if judged else []
     if found.subject is None:
-        return Section("Is one spring enough?", [table])
+        return Section("Is one spring enough?", said)
     subject = found.subject
     caption = (
         f"Head-on collisions of two spheres of {1e3 * subject.diameter:.3g} mm ({subject.pair_key}), over Zhou's exact "
@@ -248,7 +248,7 @@ def _claim_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Sectio
     ]
     return Section(
         "Is one spring enough?",
-        [table, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
+        [*said, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
     )
 
 

@@ -129,7 +129,7 @@ def _energies(runs: Sequence[Run]) -> list[Row]:
         return lambda run: run.columns[name][-1]
 
     rows = [_row(runs, label, "J", last(name), "energy") for label, name in names.items()]
-    error = _row(runs, "largest energy error", "", lambda run: np.abs(run.columns["energy_error"]).max(), "share")
+    error = _row(runs, "energy error, end", "", lambda run: abs(run.columns["energy_error"][-1]), "share")
     return [*(row for row in rows if any(row.values)), error]
 
 
