@@ -26,6 +26,7 @@ from granflow.observe import (
     write_scene_as_run,
 )
 from granflow.plan import Plan, explain, plan_for
+from granflow.plan.room import refuse_too_many, refuse_without_memory
 from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wall_presence
 from granflow.scene import Scene
 from granflow.scene.generate import Rain, initial_grains, rains
@@ -66,6 +67,9 @@ class Simulation:
         began = clock.perf_counter()
         backend = start(arch, scene.run.precision, threads)
         self.plan: Plan = plan_for(scene, on_gpu=not backend.on_cpu)
+        refuse_too_many(self.plan)
+        if backend.on_cpu:
+            refuse_without_memory(self.plan)
         grains = initial_grains(scene)
         self._rains: tuple[Rain, ...] = rains(scene)
         self.engine = Engine(self.plan, backend)

@@ -51,9 +51,15 @@ def check(options: argparse.Namespace) -> int:
     """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
     scene = load(options)
     from granflow.plan import plan_for
+    from granflow.plan.room import fits, memory_warning, refuse_too_many
     from granflow.scene.generate import initial_grains, rains
 
-    warn(plan_for(scene).step.warnings)
+    plan = plan_for(scene)
+    refuse_too_many(plan)
+    warn([*plan.step.warnings, *filter(None, [memory_warning(plan)])])
+    if not fits(plan):
+        print(f"{options.scene}: no problems found, but placing the particles was not tried.")
+        return 0
     initial_grains(scene)
     rains(scene)
     print(f"{options.scene}: no problems found.")

@@ -1,0 +1,92 @@
+"""A run that will not fit is refused before it takes memory; what is free is read from the machine and its groups."""
+
+import pytest
+
+from granflow.cli import main
+from granflow.errors import SceneError
+from granflow.plan import plan_for, room
+from granflow.scene import load
+from plan.scenes import TEXT, line_of
+
+GIB = 2**30
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """A made-up machine: say what it has free and its control groups, by path and file."""
+    proc, groups = tmp_path / "proc", tmp_path / "cgroup"
+    monkeypatch.setattr(room, "PROC", proc)
+    monkeypatch.setattr(room, "CGROUPS", groups)
+
+    def build(free, mine="0::/", **files):
+        (proc / "self").mkdir(parents=True)
+        (proc / "meminfo").write_text(f"MemTotal: {2 * free // 1024} kB\nMemAvailable:   {free // 1024} kB\n")
+        (proc / "self" / "cgroup").write_text(mine + "\n")
+        for name, text in files.items():
+            path = groups / name.replace("__", "/")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.with_name(path.name.replace("_of_", ".")).write_text(f"{text}\n")
+
+    return build
+
+
+def test_free_memory_is_that_of_the_machine_where_no_group_limits_it(machine):
+    machine(3 * GIB, "0::/me", me__memory_of_max="max", me__memory_of_current=GIB, me__memory_of_stat="file 0")
+    assert room.memory_free() == 3 * GIB
+
+
+def test_a_group_further_up_may_leave_less_and_cached_files_count_as_free(machine):
+    machine(
+        8 * GIB, "1:cpu:/x\n0::/job/step",
+        job__step__memory_of_max=6 * GIB, job__step__memory_of_current=GIB, job__step__memory_of_stat="inactive_file 0",
+        job__memory_of_max=4 * GIB, job__memory_of_current=3 * GIB, job__memory_of_stat=f"inactive_file {GIB // 2}",
+    )  # fmt: skip
+    assert room.memory_free() == 4 * GIB - 3 * GIB + GIB // 2
+
+
+def test_groups_of_the_first_version(machine):
+    files = {
+        "memory__a__memory_of_limit_in_bytes": 2 * GIB,
+        "memory__a__memory_of_usage_in_bytes": GIB,
+        "memory__a__memory_of_stat": "cache 5\ntotal_inactive_file 4096",
+    }
+    machine(8 * GIB, "9:pids:/\n4:cpu,memory:/a", **files)
+    assert room.memory_free() == GIB + 4096
+
+
+def lattice(folder, count):
+    path = folder / "many.yaml"
+    path.write_text(TEXT.replace("count: 10\n", f"count: {count}\n"))
+    return path
+
+
+def test_a_run_that_does_not_fit_is_refused_before_any_particle_is_made(machine, tmp_path):
+    machine(GIB)
+    path = lattice(tmp_path, 300_000_000)
+    with pytest.raises(SceneError) as refused:
+        room.refuse_without_memory(plan_for(load(path)))
+    (sentence,) = refused.value.problems
+    assert sentence.startswith(f"{path}:{line_of('count: 10')}:12: 300000000 particles need about ")
+    assert "GB of memory, and there are only 1.07 GB free here: lower the count to about " in sentence
+    assert sentence.endswith("set run.precision to mixed, or use a machine with more.")
+    fitting = int(sentence.partition("count to about ")[2].partition(",")[0])
+    assert 0.7 * GIB < room.memory_needed(plan_for(load(lattice(tmp_path, fitting)))) < GIB
+
+
+@pytest.mark.parametrize(("free", "warned"), [(0.9, True), (1.1, True), (1.3, False)])
+def test_check_warns_and_places_no_particles_where_they_do_not_fit(machine, tmp_path, capsys, free, warned):
+    path = lattice(tmp_path, 10)
+    needed = room.memory_needed(plan_for(load(path)))
+    machine(int(free * needed))
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr()
+    assert ("particles need about" in said.err) == warned
+    assert ("was not tried" in said.out) == (free < 1.0)
+
+
+def test_more_than_can_be_numbered_are_refused_at_once_whatever_the_machine(tmp_path, capsys):
+    path = lattice(tmp_path, 2_000_000_000)
+    assert main(["check", str(path)]) == 2
+    sentence, closing = capsys.readouterr().err.splitlines()
+    assert "2000000000 particles are asked for, but about " in sentence
+    assert closing == "1 problem found."
