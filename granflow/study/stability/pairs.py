@@ -74,7 +74,7 @@ def rebound(pairs: tuple[Pair, ...], precision: Precision = "f64", share: float 
 
     Raises SceneError where the step is refused, RunError where a guard stops the run.
     """
-    step = None if share is None else share * plan_for(scene_of(pairs, precision)).step.stable_below
+    step = None if share is None else share * _largest_step(pairs)
     simulation = Simulation(scene_of(pairs, precision, step))
     simulation.run()
     velocity = simulation.snapshot().particles["velocity"][:, 0].astype(float).reshape(-1, 2)
@@ -84,6 +84,12 @@ def rebound(pairs: tuple[Pair, ...], precision: Precision = "f64", share: float 
     speeds = np.array([pair.velocity for pair in pairs])
     drift = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
     return Rebound((velocity[:, 1] - velocity[:, 0]) / speeds, drift, chosen.value, chosen.warnings)
+
+
+@cache
+def _largest_step(pairs: tuple[Pair, ...]) -> float:
+    """The largest step that is allowed [s]."""
+    return plan_for(scene_of(pairs, "f64")).step.stable_below
 
 
 def scene_of(pairs: Sequence[Pair], precision: Precision, time_step: float | None = None) -> Scene:
