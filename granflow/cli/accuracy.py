@@ -58,7 +58,7 @@ def add_accuracy(verbs: Any) -> None:
     summary = "show what accuracy costs: error against run time for every law, precision and time step"
     parser = verbs.add_parser("accuracy", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("scene", metavar="SCENE", nargs="?", type=Path, help="study this scene, not two bodies")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where page, figures and CSV go (out/accuracy)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where files go (out/accuracy, or out/accuracy_SCENE)")
     parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="relative error aimed at (0.01)")
     parser.add_argument("--full", action="store_true", help="more steps, more repeats, more seeds, a finer reference")
     parser.add_argument("--whole", action="store_true", help="all particles of the scene, which may take hours")

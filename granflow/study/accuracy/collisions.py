@@ -31,8 +31,8 @@ AROUND = 12
 """Steps before and after these that are looked at: an error of first order moves them by a step or so."""
 OVERTIME = 1.6
 """Collisions not over after this many of their durations are given up."""
-SKIN = 0.2
-"""Over the smallest diameter; the same at every time step, so that the kernels are."""
+SKIN = 1.0
+"""Over the smallest diameter: no search falls into a collision; the same at every time step, as the kernels are."""
 FINEST = 5000
 """Steps a collision with which the scene is made; every law is stable then."""
 REPEATS = 5

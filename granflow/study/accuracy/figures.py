@@ -26,6 +26,11 @@ def _label(line: Line, lines: Sequence[Line]) -> str:
     return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
 
 
+def _with_order(line: Line, lines: Sequence[Line]) -> str:
+    order = fitted_order(line.steps, line.error("restitution")) if line.precision == "f64" else None
+    return _label(line, lines) + (f": order {order.order:.2f}" if order else "")
+
+
 def _plot(axes: Any, line: Line, lines: Sequence[Line], x: np.ndarray, error: np.ndarray, **more: Any) -> None:
     place = _names(lines).index((line.law, line.integrator))
     style, marker = LOOKS.get(line.precision, ("-", MARKERS[-1]))
@@ -42,28 +47,18 @@ def draw_work(lines: Sequence[Line], target: float) -> Callable[[Any], None]:
         work, steps = figure.subplots(1, 2, sharey=True)
         for line in sorted(lines, key=lambda line: _names(lines).index((line.law, line.integrator))):
             error = np.maximum(line.error("restitution"), LOWEST)
-            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_label(line, lines))
+            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line, lines))
             work.hlines(
                 error, 1e6 * line.seconds("min"), 1e6 * line.seconds("max"), color="0.8", linewidth=0.5, zorder=0
             )
             _plot(steps, line, lines, 1.0 / line.steps, error)
-            order = fitted_order(line.steps, line.error("restitution"))
-            if order is not None and line.precision == "f64":
-                ends = np.array([order.first, order.last])
-                steps.annotate(
-                    f"{order.order:.2f}", (1.0 / ends[1], max(order.at(ends)[1], LOWEST)), xytext=(-3, 1),
-                    textcoords="offset points", ha="right", fontsize=7.0,
-                    color=COLORS[_names(lines).index((line.law, line.integrator)) % len(COLORS)],
-                )  # fmt: skip
         for axes in (work, steps):
             axes.set(xscale="log", yscale="log", ylim=(0.3 * LOWEST, HIGHEST))
             axes.axhline(target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
         work.set(
             xlabel="wall time of a collision (µs)", ylabel="error of the restitution", title="(a) work and precision"
         )
-        steps.set(
-            xlabel="time step over duration of the collision", title="(b) orders, fitted in f64", xlim=(5e-5, 0.4)
-        )
+        steps.set(xlabel="time step over duration of the collision", title="(b) convergence", xlim=(5e-5, 0.4))
         figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.0)
 
     return draw

@@ -8,6 +8,7 @@ from math import inf
 import numpy as np
 
 from granflow.device.backend import Precision
+from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import PRECISIONS
 from granflow.study.accuracy.points import worker
 from granflow.study.accuracy.scene_runs import (
@@ -170,6 +171,8 @@ def _study(
     runs: Sequence[_Runs], finest: float, title: str, own: tuple[float, float], count: int, seeds: int, target: float
 ) -> SceneStudy:
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
+    if reference.stopped:
+        raise GranflowError(f"Not even the finest step of this study runs to its end. {reference.stopped}")
     quantities = [name for name in ordered([o.values for r in runs for o in r.outcomes if not o.stopped])
                   if name != LEDGER]  # fmt: skip
     scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}

@@ -37,7 +37,7 @@ class Family:
 
 
 def _fixed(share: float, phase: float) -> list[str]:
-    return [f"run.time_step={share * phase!r}"]
+    return [f"run.time_step={float(share * phase)!r}"]
 
 
 def _adaptive(share: float, _phase: float) -> list[str]:
