@@ -26,6 +26,9 @@ PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
 RATIOS: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0)
 DENSITY_RATIOS = (1.0, 1e3, 1e6)
 
+SPREAD = 0.1
+"""Grains that fall begin as far apart, over their diameter."""
+
 STEPS = "time step against restitution"
 STIFFNESS = "stiffness against velocity"
 SIZES = "size against precision"
@@ -90,7 +93,7 @@ def _many_cases() -> Iterator[Case]:
 def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
     """Grains, duration [s] and what is changed, for each case judged by the energy ledger."""
     resting_bed = {"grains": listed(bed())}
-    falling = {"grains": listed(bed(spread=0.1))}
+    falling = {"grains": listed(bed(spread=SPREAD))}
     half = {"grains": listed([[-0.75 * RADIUS, 0, 1e-2], [0.75 * RADIUS, 0, 1e-2]])}
     bullet = [0.3 * RADIUS, 0.2 * RADIUS, SIDE + 2.0 * DIAMETER]
     shot = {**resting_bed, "bullet": listed([bullet], [0.0, 0.0, -1000.0])}
@@ -103,6 +106,7 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
     lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "grain", "motion": [piston]}
     shake = {"kind": "vibration", "direction": [0, 0, 1], "frequency": 50.0, "gamma": 100.0}
     open_guard = {"numerics": {"overlap_limit": 1.0}}
+    wide = box(spread=SPREAD)
     weightless = {"gravity": 0.0, "walls": {}}
     return {
         "squeezed": (resting_bed, 1.5 * depth / speed, {"walls": {**box(), "lid": lid}}),
@@ -110,10 +114,10 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
         "the same, guard off": (half, 1e-3, {**weightless, **open_guard}),
         "1 km/s, soft": (shot, 1e-4, {"walls": box()}),
         "1 km/s, 70 GPa, guard off": (shot, 3e-5, {"walls": box(), "young_modulus": 7e10, **open_guard}),
-        "friction 0": (falling, 0.02, {"walls": box(), "friction": 0.0}),
-        "friction 10": (falling, 0.02, {"walls": box(), "friction": 10.0}),
+        "friction 0": (falling, 0.02, {"walls": wide, "friction": 0.0}),
+        "friction 10": (falling, 0.02, {"walls": wide, "friction": 10.0}),
         "no gravity": (opposed, 0.01, weightless),
-        "shaken, Γ = 100": (falling, 0.04, {"walls": box([shake])}),
+        "shaken, Γ = 100": (falling, 0.04, {"walls": box([shake], SPREAD), "young_modulus": 1e9, "reach": 1.0}),
     }
 
 

@@ -50,9 +50,9 @@ def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[st
     return {"shape": "plane", "point": point, "normal": normal, "material": "grain", "motion": list(motion)}
 
 
-def box(motion: Any = ()) -> dict[str, Any]:
-    """A floor, which may move, and four walls around a bed."""
-    low, high = -0.5 * SIDE, 0.5 * SIDE
+def box(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
+    """A floor, which may move, and four walls around a bed of that spread."""
+    low, high = -0.5 * SIDE * (1.0 + spread), 0.5 * SIDE * (1.0 + spread)
     return {
         "floor": _plane([0, 0, 0], [0, 0, 1], motion),
         "west": _plane([low, 0, 0], [1, 0, 0]), "east": _plane([high, 0, 0], [-1, 0, 0]),
@@ -71,11 +71,11 @@ def listed(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "gra
 def bed(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
     """Places (n, 3) [m] of a cube of grains that just touch, its lowest at `height` over the floor.
 
-    With `spread` it is narrower by that share and higher by as much, and its grains are shifted at random.
+    With `spread` they stand apart by that share, shifted at random.
     """
     points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
     points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
-    points *= np.array([1.0 - spread, 1.0 - spread, 1.0 + spread])
+    points *= 1.0 + spread
     shift = np.random.default_rng(1).uniform(-1.0, 1.0, points.shape) * 0.25 * spread * RADIUS
     return points + shift + np.array([0.0, 0.0, height])
 
