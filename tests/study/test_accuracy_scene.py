@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granflow.errors import GranflowError
+from granflow.errors import GranflowError, SceneError
 from granflow.scene import load
 from granflow.scene.generate import initial_grains
 from granflow.study.accuracy import measure_scene, write_scene
@@ -143,8 +143,12 @@ def test_a_small_scene_from_end_to_end(drop, tmp_path):
 
 @pytest.mark.slow
 def test_what_the_hopper_ships_with_keeps_to_one_percent(taichi_f64):
-    """Its own step does, and four times that does not: it is not wastefully fine."""
+    """Its own step does; four times that does not or is not even stable: it is not wastefully fine."""
     task = Task(SCENES / "hopper.yaml", (), None)
     phase, own = phase_of(task.scene())
     assert restitution_error(task) <= 0.01
-    assert restitution_error(task.with_overrides(*families()[0].overrides(4.0 * own, phase))) > 0.01
+    coarse = task.with_overrides(*families()[0].overrides(4.0 * own, phase))
+    try:
+        assert restitution_error(coarse) > 0.01
+    except SceneError as error:
+        assert "above the stable" in str(error)

@@ -132,7 +132,9 @@ def run_task(task: Task) -> Outcome:
     try:
         simulation = Simulation(scene, observers=[every(interval, means.look, ("particles", "totals"))])
         result = simulation.run(until=task.until)
-    except (SceneError, RunError) as error:
+    except SceneError as error:
+        return Outcome(stopped=str(error).partition(": ")[2])  # the place is this study's own override
+    except RunError as error:
         return Outcome(stopped=str(error))
     simulation.free()
     numbers = result.numbers
