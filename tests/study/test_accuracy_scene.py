@@ -125,7 +125,7 @@ def test_the_recommendation_is_a_row_of_the_table():
     assert f"{chosen[-2].split()[0]} s per simulated second" in sentence  # 1.0 s for 0.5 s
     assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
     assert all(len(row) == len(scene_heads(study)) for row in rows)
-    assert "1 rise above the noise" in noise_sentence(study)
+    assert "2 standard errors: 1 of 4;" in noise_sentence(study)
     assert "No time step" in scene_recommendation(made_up_study(target=1e-6))
 
 

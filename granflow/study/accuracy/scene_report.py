@@ -45,8 +45,8 @@ def noise_sentence(study: SceneStudy) -> str:
     spreads = ", ".join(f"{_words(name)} {_percent(spread)}" for name, spread in study.spread.items())
     return (
         f"Grains forget where they were: one seed differs from another by {spreads} (standard deviation with the "
-        f"finest step, {study.seed_count} seeds). Of {len(told)} errors of these quantities, {sum(told)} rise above "
-        f"the noise of {SIGMAS:g} standard errors; the others, marked n, are noise."
+        f"finest step, {study.seed_count} seeds). Errors of these quantities above the "
+        f"noise of {SIGMAS:g} standard errors: {sum(told)} of {len(told)}; the others, marked n, are noise."
     )
 
 
@@ -56,7 +56,9 @@ def _words(name: str) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}"
+    if value == 0.0:
+        return "0"
+    return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}".replace("-", "−")
 
 
 def scene_heads(study: SceneStudy) -> tuple[str, ...]:
@@ -121,13 +123,14 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
     """Every error against wall time in double precision; the restitution in all."""
 
     def draw(figure: Any) -> None:
-        left, right = figure.subplots(1, 2, sharey=True)
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         for name, color in zip(("restitution", LEDGER, *study.quantities), COLORS, strict=False):
             for precision, (style, marker) in LOOKS.items():
                 _draw_errors(left, right, study, name, precision, color, style, marker)
         for axes, title, x in ((left, "(a) restitution and ledger", "s"), (right, "(b) bed, against its noise", "s")):
             axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
             axes.axhline(study.target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+            axes.xaxis.set_minor_formatter("")
             axes.legend(loc="best", fontsize=7.0)
         left.set_ylabel("relative error")
 
