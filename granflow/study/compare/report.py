@@ -177,7 +177,11 @@ def star_words(found: Comparison) -> str:
 
 def ends_words(found: Comparison) -> list[str]:
     """Runs that a guard stopped, and laws that could not serve the scene."""
-    words = [f"{run.variant.title} was stopped at {run.time:.6g} s: {run.stopped}" for run in found.runs if run.stopped]
+    words = [
+        f"{run.variant.title} was stopped at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
+        for run in found.runs
+        if run.stopped
+    ]
     return words + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
 
 

@@ -42,10 +42,15 @@ class Row:
 
 
 def densest_stage(runs: Sequence[Run]) -> str:
-    """The stage at whose end the first run that came to its end has the most contacts: where the bed is."""
-    columns = next((run for run in runs if not run.stopped), runs[0]).columns
+    """The stage at whose end the first run that came to its end has the most contacts: where the bed is.
+
+    Only stages that all such runs have rows of: one that waits for rest may be over before its first row.
+    """
+    finished = [run for run in runs if not run.stopped] or list(runs[:1])
+    columns = finished[0].columns
     ends = {stage: count for stage, count in zip(columns["stage"].tolist(), columns["contact_count"], strict=True)}
-    return max(ends, key=lambda stage: ends[stage])
+    shared = [stage for stage in ends if all(stage in run.columns["stage"] for run in finished)]
+    return max(shared or list(ends), key=lambda stage: ends[stage])
 
 
 def summary(runs: Sequence[Run]) -> list[Row]:
