@@ -104,4 +104,5 @@ def judged(finding: Finding) -> tuple[Kind, str]:
 
 def percent(share: float) -> str:
     """A fraction in percent, two digits."""
-    return f"{100.0 * share:.2g} %"
+    value = 100.0 * share
+    return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"
