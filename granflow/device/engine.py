@@ -6,8 +6,9 @@ from math import pi
 import numpy as np
 
 from granflow.device.backend import Backend
+from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
-from granflow.device.guards import GUARD_LEFT, GUARDS, Trip
+from granflow.device.guards import GUARD_LEFT, Trip
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -75,7 +76,7 @@ class Engine:
         code = self.stepper.guard_code
         if not code:
             return None
-        return Trip(GUARDS[code], int(self.state.control.guard_particle[0]))
+        return trip_behind(code, int(self.state.control.guard_particle[0]), self.state, self.transfer, self.time)
 
     def insert(self, grains: Grains) -> None:
         """Put grains in at the present time; their forces come with the next `refresh`."""

@@ -14,6 +14,16 @@ AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit from which on a contact counts as sliding."""
 
 
+def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Owner, slot and partner (-1 - wall) of everything in the rows; pairs across two chunks stand there twice."""
+    contacts = state.contacts
+    begin, end = (f.to_numpy()[: state.count] for f in (contacts.row_begin, contacts.row_end))
+    owner = np.repeat(np.arange(state.count), end - begin)
+    first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
+    slot = (first + np.arange(len(owner))).astype(np.int64)
+    return owner, slot, contacts.partner.to_numpy()[slot].astype(np.int64)
+
+
 class ContactRecords:
     """Forces and overlaps of all contacts, evaluated where the particles stand, histories left as they are."""
 
@@ -48,14 +58,10 @@ class ContactRecords:
 
     def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Owner, slot, partner and recorded numbers of every contact, each pair once."""
-        state, contacts = self.state, self.state.contacts
+        state = self.state
         if state.count:
             self._record(state.count, state.plan.time_step)
-        begin, end = (f.to_numpy()[: state.count] for f in (contacts.row_begin, contacts.row_end))
-        owner = np.repeat(np.arange(state.count), end - begin)
-        first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
-        slot = (first + np.arange(len(owner))).astype(np.int64)
-        partner = contacts.partner.to_numpy()[slot].astype(np.int64)
+        owner, slot, partner = listed_pairs(state)
         numbers = self.numbers.to_numpy()[slot].astype(float)
         kept = ((partner < 0) | (partner > owner)) & (numbers[:, OVERLAP] > 0.0)
         return owner[kept], slot[kept], partner[kept], numbers[kept]

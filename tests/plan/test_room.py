@@ -1,12 +1,12 @@
 """A run that will not fit is refused before it takes memory; what is free is read from the machine and its groups."""
 
 import pytest
+from plan.scenes import TEXT, line_of
 
 from granflow.cli import main
 from granflow.errors import SceneError
 from granflow.plan import plan_for, room
 from granflow.scene import load
-from plan.scenes import TEXT, line_of
 
 GIB = 2**30
 
