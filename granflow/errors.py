@@ -25,6 +25,12 @@ class SceneError(FileError):
     """A scene that cannot be run; its problems stand as `file:line:column: sentence`."""
 
 
+class OutputError(GranflowError):
+    """A run's files could not be written: the message says which, why, and from where it can go on."""
+
+    exit_code = 4
+
+
 class RunError(GranflowError):
     """A guard stopped a run: the message says where, when, the likely cause and what to change."""
 

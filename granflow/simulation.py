@@ -6,19 +6,30 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from math import ceil, inf, isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from granflow.device.backend import Arch, Precision, start
+from granflow.device.checkpoint import EngineKeeper
 from granflow.device.engine import Engine
 from granflow.device.guards import guard_message
-from granflow.errors import RunError
+from granflow.errors import OutputError, RunError
 from granflow.observe import (
+    Checkpoint,
+    CheckpointWriter,
+    Keepable,
     Observer,
     Result,
     TimeSeries,
+    accepted_change,
+    decided,
+    earlier_grains,
+    locked,
     observers_for,
     progress_for,
+    remove_after,
+    remove_parts,
     run_log,
     time_series_for,
     versions,
@@ -34,6 +45,9 @@ from granflow.scene.schema import Stage
 from granflow.snapshot import Snapshot
 from granflow.walls.catalogue import triangles
 
+PART_SECONDS = 0.2
+"""Wall seconds that the device is left alone; in between, signals are heard and checkpoints written."""
+
 REST_LOOKS = 200
 """How often a stage that waits for rest looks at the kinetic energy, over its longest duration."""
 
@@ -45,9 +59,10 @@ class Simulation:
     """One run of one scene.
 
     `out`: directory for the files of the scene's output block; without it nothing is written. `observers`: more of
-    them, such as `granflow.observe.every(interval, function)`. `precision`: in place of the scene's. Raises
-    SceneError for a scene that cannot be run, GranflowError where `arch` is absent, RunError from `run` when a
-    guard trips.
+    them, such as `granflow.observe.every(interval, function)`. `precision`: in place of the scene's. `resume`: go on
+    from this checkpoint, with `anyway` also where the scene differs in what may not change. Raises SceneError for a
+    scene that cannot be run, GranflowError where `arch` is absent or a run cannot go on, and from `run` RunError when
+    a guard trips, OutputError when files cannot be written.
     """
 
     def __init__(
@@ -59,6 +74,8 @@ class Simulation:
         out: Path | str | None = None,
         observers: Sequence[Observer] = (),
         progress: bool = False,
+        resume: Checkpoint | None = None,
+        anyway: bool = False,
     ) -> None:
         if precision is not None:
             scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
@@ -70,15 +87,28 @@ class Simulation:
         refuse_too_many(self.plan)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
-        grains = initial_grains(scene)
-        self._rains: tuple[Rain, ...] = rains(scene)
+        earlier = earlier_grains(scene) if resume is None else resume.kept["earlier"]
+        self._earlier = list(earlier)
+        self._rains: tuple[Rain, ...] = tuple(rain for rain in rains(scene) if rain.group_name not in earlier)
         self.engine = Engine(self.plan, backend)
-        self.engine.insert(grains)
+        self._keeper = EngineKeeper(self.engine)
         self.stage = scene.schedule[0].name
         self._stage_times: dict[str, tuple[float, float]] = {}
         self._observers = [*self._own_observers(progress), *observers]
         self._changes = wall_change_times(scene)
-        self._output_seconds = 0.0
+        self._output_seconds, self._seconds_before = 0.0, 0.0
+        self._began = began
+        self._look = inf
+        self._target: int | None = None
+        self._arrived = False
+        self._part = 1
+        self._stop_wanted: BaseException | None = None
+        self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
+        self._resumed = resume
+        if resume is None:
+            self.engine.insert(initial_grains(scene, earlier))
+        else:
+            self._put_back(resume, anyway)
         self._setup_seconds = clock.perf_counter() - began - self.engine.timing.compile
 
     @property
@@ -92,24 +122,54 @@ class Simulation:
 
     def run(self, until: float | None = None) -> Result:
         """Run all stages, or to the simulated time `until` [s]; returns the numbers of the run."""
+        try:
+            with ExitStack() as stack:
+                if self.out is not None:
+                    stack.enter_context(locked(self.out))
+                    stack.enter_context(run_log(self.out, go_on=self._resumed is not None))
+                    self._tidy(self.out)
+                stack.callback(self._finish_observers)
+                self._log_plan()
+                return self._run(until)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _run(self, until: float | None) -> Result:
+        self._began = clock.perf_counter()
+        if self._writer is not None:
+            self._writer.start(self.time)
         end = inf if until is None else until
-        with ExitStack() as stack:
-            if self.out is not None:
-                self.out.mkdir(parents=True, exist_ok=True)
-                stack.enter_context(run_log(self.out))
-                write_scene_as_run(self.out, self.scene)
-            stack.callback(self._finish_observers)
-            self._log_plan()
-            began = clock.perf_counter()
-            for stage in self.scene.schedule:
-                if self.time < end:
-                    self._run_stage(stage, end)
-            last = self._show_to(self._observers, TOTALS)
-            result = self._result(last, clock.perf_counter() - began, judged=self.time < end or until is None)
-            logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
-            if self.out is not None:
-                write_result(self.out, result)
+        for stage in self.scene.schedule:
+            _, ended = self._stage_times.get(stage.name, (0.0, inf))
+            if self.time < end and ended == inf:
+                self._run_stage(stage, end)
+        self._save()
+        last = self._show_to(self._observers, TOTALS)
+        result = self._result(last, judged=self.time < end or until is None)
+        logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
+        if self.out is not None:
+            write_result(self.out, result)
         return result
+
+    def ask_to_stop(self, error: BaseException) -> None:
+        """Have `run` finish its present steps, write a checkpoint and raise `error`; made for signal handlers."""
+        self._stop_wanted = error
+
+    @property
+    def rows_are_there(self) -> bool:
+        """Whether the time series still has all rows of the run that is gone on with."""
+        return all(observer.rows_are_there for observer in self._observers if isinstance(observer, TimeSeries))
+
+    def _tidy(self, out: Path) -> None:
+        """Leave of an earlier run only what this one goes on from."""
+        remove_parts(out)
+        remove_after(out, self._resumed.path if self._resumed else None)
+        write_scene_as_run(out, self.scene)
+        if self._resumed is not None:
+            (out / "result.json").unlink(missing_ok=True)
+            for observer in self._observers:
+                if isinstance(observer, Keepable):
+                    observer.cut_back()
 
     def _log_plan(self) -> None:
         """What is run and why, for the log of the run."""
@@ -123,6 +183,8 @@ class Simulation:
             log.info("%s", line)
         for warning in self.plan.step.warnings:
             log.warning("%s", warning)
+        if self._resumed is not None:
+            log.info("goes on from %s at %.6g s", self._resumed.path, self.time)
 
     def _own_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
@@ -139,27 +201,33 @@ class Simulation:
 
     def _run_stage(self, stage: Stage, end: float) -> None:
         """From the start of a stage to its end, or to `end` [s]."""
-        began = self.time
-        self._enter(stage, began)
-        logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, began)
         longest = stage.duration if stage.duration is not None else stage.at_most
         assert longest is not None
-        stop = min(began + longest, end)
-        look = began + longest / REST_LOOKS
-        while not self._reached(stop):
-            waiting = look if stage.kinetic_energy_below is not None else inf
-            self._advance_to(min(stop, waiting, self._next_event()))
+        if stage.name not in self._stage_times:
+            self._enter(stage, self.time + longest / REST_LOOKS)
+        began, _ = self._stage_times[stage.name]
+        stop = began + longest
+        while self._target is not None or not self._reached(min(stop, end)):
+            waiting = self._look if stage.kinetic_energy_below is not None else inf
+            self._advance_to(min(stop, end, waiting, self._next_event()))
             if self._reached(waiting):
-                look += longest / REST_LOOKS
-                assert stage.kinetic_energy_below is not None
-                if self.engine.mean_kinetic_energy() < stage.kinetic_energy_below and self._rain_is_over():
+                self._look += longest / REST_LOOKS
+                if self._at_rest(stage):
                     break
+        else:
+            if not self._reached(stop):
+                return
         self._stage_times[stage.name] = (began, self.time)
 
-    def _enter(self, stage: Stage, began: float) -> None:
+    def _at_rest(self, stage: Stage) -> bool:
+        limit = stage.kinetic_energy_below
+        return limit is not None and self.engine.mean_kinetic_energy() < limit and self._rain_is_over()
+
+    def _enter(self, stage: Stage, first_look: float) -> None:
         first = not self._stage_times
-        self.stage = stage.name
-        self._stage_times[stage.name] = (began, inf)
+        logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
+        self.stage, self._look = stage.name, first_look
+        self._stage_times[stage.name] = (self.time, inf)
         self._set_walls()
         self._pour()
         self.engine.refresh()
@@ -181,17 +249,53 @@ class Simulation:
         return min(due, default=inf)
 
     def _advance_to(self, time: float) -> None:
-        steps = max(ceil((time - self.time) / self.plan.time_step - 1e-6), 1) if isfinite(time) else 1
-        self.engine.advance(steps)
+        if self._target is None:
+            steps = self._steps_until(time) if isfinite(time) else 1
+            self._target, self._arrived = self.engine.step_count + steps, False
+        self._advance(self._target)
         if self.engine.trip is not None:
             self._stop()
+        if not self._arrived:
+            self._let_in()
+            self._arrived = True
+        due = [observer for observer in self._observers if self._reached(observer.next_time())]
+        if due:
+            self._show_to(due)
+        self._target = None
+
+    def _steps_until(self, time: float) -> int:
+        return max(ceil((time - self.time) / self.plan.time_step - 1e-6), 1)
+
+    def _advance(self, target: int) -> None:
+        """Do the steps up to number `target` in parts, between which signals are heard and checkpoints written."""
+        while self.engine.step_count < target and self.engine.trip is None:
+            began, before = clock.perf_counter(), self.engine.step_count
+            checkpoint = self._writer.next_time() if self._writer is not None else inf
+            in_time = self._steps_until(checkpoint) if isfinite(checkpoint) else self._part
+            self.engine.advance(min(self._part, target - before, in_time))
+            pace = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
+            self._part = max(min(int(pace * PART_SECONDS), 2 * self._part), 1)
+            if self.engine.trip is None:
+                self._look_up()
+
+    def _look_up(self) -> None:
+        if self._stop_wanted is not None:
+            self._save()
+            raise self._stop_wanted
+        if self._writer is not None and self._writer.due(self.time):
+            try:
+                self._save()
+            except OSError as error:
+                if self.out is None or not self.out.is_dir():
+                    raise
+                logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", self.time, error)
+
+    def _let_in(self) -> None:
+        """Particles that are due to come, walls that are due to appear or vanish."""
         if self._pour() or any(self._reached(change) for change in self._changes):
             self._changes = tuple(change for change in self._changes if not self._reached(change))
             self._set_walls()
             self.engine.refresh()
-        due = [observer for observer in self._observers if self._reached(observer.next_time())]
-        if due:
-            self._show_to(due)
 
     def _rain_is_over(self) -> bool:
         return all(rain.remaining == 0 for rain in self._rains)
@@ -227,7 +331,81 @@ class Simulation:
         self._show_to(self._observers)
         raise RunError(guard_message(trip, self.plan, self.time, self.out))
 
-    def _result(self, last: Snapshot, wall_clock: float, judged: bool) -> Result:
+    def _save(self) -> None:
+        """Write a checkpoint, if there is a directory to write to."""
+        if self._writer is not None:
+            began = clock.perf_counter()
+            self._writer.write(self.scene, self.time, self.engine.step_count, self._keep())
+            self._output_seconds += clock.perf_counter() - began
+
+    def _keep(self) -> dict[str, Any]:
+        """Everything that decides how the run goes on, but for the scene."""
+        return {
+            "stage": self.stage,
+            "stage_times": {name: list(times) for name, times in self._stage_times.items()},
+            "look": self._look,
+            "target": self._target,
+            "arrived": self._arrived,
+            "changes": list(self._changes),
+            "output_seconds": self._output_seconds,
+            "wall_clock": self._wall_clock(),
+            "plan": decided(self.plan),
+            "earlier": self._earlier,
+            "rains": {rain.group_name: rain.keep() for rain in self._rains},
+            "observers": {name: observer.keep() for name, observer in self._keepable()},
+            "engine": self._keeper.keep(),
+        }
+
+    def _put_back(self, checkpoint: Checkpoint, anyway: bool) -> None:
+        """Stand where the checkpoint stood, and let changes of the scene come into force."""
+        kept, change = checkpoint.kept, accepted_change(checkpoint, self.plan, anyway)
+        self.stage = kept["stage"]
+        self._stage_times = {name: (began, ended) for name, (began, ended) in kept["stage_times"].items()}
+        if change.of_stage(len(self._stage_times) - 1):
+            self._stage_times[self.stage] = (self._stage_times[self.stage][0], inf)
+        self._keeper.put_back(kept["engine"], wall_motions(self.scene, self._stage_times))
+        for rain in self._rains:
+            rain.put_back(kept["rains"][rain.group_name])
+        for name, observer in self._keepable():
+            if name in kept["observers"]:
+                observer.put_back(kept["observers"][name])
+        self._look, self._changes = kept["look"], tuple(kept["changes"])
+        self._output_seconds, self._seconds_before = kept["output_seconds"], kept["wall_clock"]
+        if not change.differences:
+            self._target, self._arrived = kept["target"], kept["arrived"]
+        if change.of_contacts:
+            self._changes = tuple(time for time in wall_change_times(self.scene) if not self._reached(time))
+            self._set_walls()
+            self.engine.refresh()
+
+    def _keepable(self) -> list[tuple[str, Keepable]]:
+        """Observers that go into checkpoints, each with a name of its own."""
+        found: dict[str, Keepable] = {}
+        for observer in self._observers:
+            if isinstance(observer, Keepable):
+                kind = type(observer).__name__
+                found[f"{kind} {sum(name.startswith(kind) for name in found)}"] = observer
+        return list(found.items())
+
+    def _unwritable(self, error: OSError) -> OutputError:
+        """What to say when files cannot be written, once the state has been saved if there is a way."""
+        where = f"{error.filename}: " if error.filename else f"{self.out}: "
+        try:
+            if self.out is not None and self._target is not None:
+                self.out.mkdir(parents=True, exist_ok=True)
+                self._save()
+        except OSError:
+            logging.getLogger("granflow").debug("nor can a checkpoint be written")
+        last = self._writer.last_time if self._writer is not None else None
+        remedy = f"Put that right; granflow resume {self.out} goes on from {last:.6g} s." if last is not None else ""
+        return OutputError(f"{where}{error.strerror}. Stopped at {self.time:.6g} s. {remedy}".rstrip())
+
+    def _wall_clock(self) -> float:
+        """Wall seconds of the run so far, those before it was gone on with included."""
+        now = clock.perf_counter() - self._began
+        return self._seconds_before + now + self._setup_seconds + self.engine.timing.compile
+
+    def _result(self, last: Snapshot, judged: bool) -> Result:
         timing = self.engine.timing
         computing = max(timing.search + timing.advance, 1e-9)
         particle_steps = timing.particle_steps
@@ -238,7 +416,7 @@ class Simulation:
             "steps_per_second": self.engine.step_count / computing,
             "particle_steps_per_second": particle_steps / computing,
             "search_count": float(timing.search_count),
-            "wall_clock": wall_clock + self._setup_seconds + timing.compile,
+            "wall_clock": self._wall_clock(),
         }
         seconds = {
             "search": timing.search,

@@ -12,6 +12,7 @@ from granflow.cli.arguments import add_scene_verb
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import complain, exit_code_of, refuse
+from granflow.cli.resume import add_resume
 from granflow.cli.scenes import add_cache, add_run, check, schema
 from granflow.cli.stability import add_stability
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
-    by a guard; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
+    by a guard; 4 stopped as files could not be written; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
     """
     options = build_parser().parse_args(arguments)
     try:
@@ -43,6 +44,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and leave")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     add_run(verbs)
+    add_resume(verbs)
     add_scene_verb(verbs, check, "find every problem of a scene without running it")
     add_explain(verbs)
     verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)

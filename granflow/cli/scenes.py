@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
-from granflow.cli.messages import complain, exit_code_of, show_result, sigterm_as_exception, warn
+from granflow.cli.messages import sigterm_as_exception, warn
 from granflow.errors import GranflowError
 
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
-    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log"),
+    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
 )
 """What a run writes into its directory, as patterns: tells an earlier run from other files."""
-EXIT_UNMET = 1
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,34 +21,35 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
     make_room(out, options.force)
+    from granflow.cli.resume import run_to_the_end
     from granflow.simulation import Simulation
     from granflow.study.restitution import warnings as restitution_warnings
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
         warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
-        try:
-            result = simulation.run(until=options.until)
-        except KeyboardInterrupt as stop:
-            return complain(f"stopped at {simulation.time:.6g} s, {out} holds the run up to there.", exit_code_of(stop))
-    show_result(scene.title, result, out)
-    if scene.expect and not result.expectations:
-        print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
-    return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
+    return run_to_the_end(simulation, scene, out, options.until)
 
 
 def make_room(out: Path, force: bool) -> None:
     """Refuse a directory that holds an earlier run, or with `force` remove that run's files and no others."""
-    earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
-    if earlier and not force:
-        raise GranflowError(f"{out} holds an earlier run: name another with --out, or replace it with --force.")
-    for path in earlier:
-        path.unlink()
+    from granflow.observe import locked
+
+    with locked(out):
+        earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
+        if earlier and not force:
+            raise GranflowError(
+                f"{out} holds an earlier run: name another with --out, replace it with --force, or go on with it: "
+                f"granflow resume {out}."
+            )
+        for path in earlier:
+            path.unlink()
 
 
 def check(options: argparse.Namespace) -> int:
     """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
     scene = load(options)
+    from granflow.observe import earlier_grains
     from granflow.plan import plan_for
     from granflow.plan.room import fits, memory_warning, refuse_too_many
     from granflow.scene.generate import initial_grains, rains
@@ -60,7 +60,7 @@ def check(options: argparse.Namespace) -> int:
     if not fits(plan):
         print(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
-    initial_grains(scene)
+    initial_grains(scene, earlier_grains(scene))
     rains(scene)
     print(f"{options.scene}: no problems found.")
     return 0

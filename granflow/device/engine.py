@@ -137,6 +137,11 @@ class Engine:
         """Do `steps` steps, fewer if a guard trips."""
         self.step_count += self.stepper.advance(steps, self.step_count)
 
+    def go_on_from(self, step_count: int) -> None:
+        """Count on from a step of an earlier run, whose particles and contacts have been put back."""
+        self.step_count = step_count
+        self._begun, self._walls_changed = True, False
+
     def mean_kinetic_energy(self) -> float:
         """Mean kinetic energy per particle, of centres and spins [J]."""
         arrays = self.synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))

@@ -76,7 +76,7 @@ class Stepper:
         self.state = state
         self.timing = Timing()
         self._on_gone = on_gone
-        self._steps_since_search = 0
+        self.steps_since_search = 0
         self._since_sample = 0
         self._crew = Crew(state.backend.worker_count)
         self._pose = WALL_BATCH if state.plan.features.moving_walls else 0
@@ -108,7 +108,7 @@ class Stepper:
                 self._on_gone(state.count - gone, state.count)
                 state.count -= gone
         self._fill_rows(pose)
-        self._steps_since_search = 0
+        self.steps_since_search = 0
         self.timing.search += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.search_count += 1
 
@@ -134,12 +134,13 @@ class Stepper:
             need = self._largest_need()
             if need <= state.contacts.kept_per_chunk:
                 return
-            self._grow(slots_to_keep(need))
+            self.grow(slots_to_keep(need))
 
     def _largest_need(self) -> int:
         return int(self.state.control.slots_needed[0])
 
-    def _grow(self, need: int) -> None:
+    def grow(self, need: int) -> None:
+        """Make room for so many contact slots in every chunk, and build all kernels anew."""
         self.timing.growth_count += 1
         self.state.grow_contacts(int(1.3 * need) + 8, self._build)
 
@@ -154,7 +155,7 @@ class Stepper:
             need = self._largest_need()
             if need <= state.contacts.slots_per_chunk:
                 return
-            self._grow(need)
+            self.grow(need)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
@@ -203,7 +204,7 @@ class Stepper:
             self.forces(pose=self._pose + done)
             done += 1
         else:
-            self._steps_since_search += done
+            self.steps_since_search += done
         if plan.features.moving_walls:
             self._pose += done
         self._since_sample += done
@@ -256,7 +257,7 @@ class Stepper:
         plan = self.state.plan
         if plan.wall_speed == 0.0:
             return WALL_BATCH
-        return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self._steps_since_search
+        return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self.steps_since_search
 
 
 def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:

@@ -1,23 +1,39 @@
 """Observers: they read snapshots and write files, never touch the state of a simulation."""
 
 from granflow.observe.build import observers_for, progress_for, time_series_for
+from granflow.observe.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    keep_last,
+    newest_checkpoint,
+    read_checkpoint,
+    remove_after,
+    write_checkpoint,
+)
+from granflow.observe.earlier import earlier_grains
 from granflow.observe.every import Every, every
 from granflow.observe.expect import Judgement, judge
-from granflow.observe.files import replacing, write_text
+from granflow.observe.files import remove_parts, replacing, write_text
+from granflow.observe.lock import locked
 from granflow.observe.log import run_log, versions, write_scene_as_run
 from granflow.observe.meters import FlowMeter
-from granflow.observe.observer import Observer
+from granflow.observe.observer import Keepable, Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.report import Result, closing_table, write_result
+from granflow.observe.resume import CheckpointWriter, accepted_change, decided
 from granflow.observe.schedule import Schedule
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 
 __all__ = [
+    "Checkpoint",
+    "CheckpointError",
+    "CheckpointWriter",
     "ContactFrames",
     "Every",
     "FlowMeter",
     "Judgement",
+    "Keepable",
     "Observer",
     "ParticleFrames",
     "ProgressDisplay",
@@ -25,15 +41,25 @@ __all__ = [
     "Schedule",
     "TimeSeries",
     "WallFrames",
+    "accepted_change",
     "closing_table",
+    "decided",
+    "earlier_grains",
     "every",
     "judge",
+    "keep_last",
+    "locked",
+    "newest_checkpoint",
     "observers_for",
     "progress_for",
+    "read_checkpoint",
+    "remove_after",
+    "remove_parts",
     "replacing",
     "run_log",
     "time_series_for",
     "versions",
+    "write_checkpoint",
     "write_result",
     "write_scene_as_run",
     "write_text",

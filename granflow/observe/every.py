@@ -1,6 +1,7 @@
 """A plain Python function as an observer."""
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from granflow.observe.observer import PARTICLES, TOTALS, WALLS
 from granflow.observe.schedule import Schedule
@@ -23,6 +24,17 @@ class Every:
         """Call the function."""
         if self._schedule.take(snapshot.time):
             self._function(snapshot)
+
+    def keep(self) -> dict[str, Any]:
+        """When the function was called last."""
+        return {"last_time": self._schedule.last_time}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on after that."""
+        self._schedule.go_on_after(kept["last_time"])
+
+    def cut_back(self) -> None:
+        """It has no files."""
 
     def finish(self) -> None:
         """Nothing is open."""

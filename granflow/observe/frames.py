@@ -1,13 +1,14 @@
 """A series of VTU files and the PVD file that lists them with their times."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import meshio
 import numpy as np
 
-from granflow.observe.files import replacing, write_text
+from granflow.observe.files import replacing, settle, write_text
 
 
 class FrameSeries:
@@ -21,23 +22,41 @@ class FrameSeries:
         self.directory = Path(directory)
         self.stem = stem
         self.frames: list[tuple[float, str]] = []
+        self.frame_count = 0
+        self._unsettled: list[Path] = []
 
     def write(self, mesh: meshio.Mesh, time: float) -> Path:
         """Write the mesh as the next frame, at `time` [s]; return its path."""
-        if not self.frames:
-            self._remove_old_frames()
-        path = self.directory / f"{self.stem}_{len(self.frames):04d}.vtu"
+        if not self.frame_count:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            self.cut_back()
+        path = self.directory / f"{self.stem}_{self.frame_count:04d}.vtu"
         write_vtu(path, mesh)
-        self.frames.append((float(time), path.name))
-        write_text(self.directory / f"{self.stem}.pvd", _pvd(self.frames))
+        frames = [*self.frames, (float(time), path.name)]
+        write_text(self.directory / f"{self.stem}.pvd", _pvd(frames))
+        self.frames, self.frame_count = frames, self.frame_count + 1
+        self._unsettled.append(path)
         return path
 
-    def _remove_old_frames(self) -> None:
-        self.directory.mkdir(parents=True, exist_ok=True)
+    def settle(self) -> None:
+        """Have all frames on the disk; those that somebody has taken away are left out."""
+        for path in self._unsettled:
+            with suppress(FileNotFoundError):
+                settle(path)
+        self._unsettled = []
+
+    def cut_back(self) -> None:
+        """Make the files those of the frames written so far: list those that exist, then remove all others."""
         own = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
-        for path in self.directory.iterdir():
-            if own.fullmatch(path.name):
-                path.unlink()
+        there = {path.name for path in self.directory.iterdir() if own.fullmatch(path.name)}
+        listed = self.directory / f"{self.stem}.pvd"
+        self.frames = [frame for frame in self.frames if frame[1] in there]
+        if self.frame_count:
+            write_text(listed, _pvd(self.frames))
+        else:
+            listed.unlink(missing_ok=True)
+        for name in there.difference(name for _, name in self.frames):
+            (self.directory / name).unlink()
 
 
 def write_vtu(path: Path, mesh: meshio.Mesh) -> None:

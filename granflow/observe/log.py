@@ -3,7 +3,7 @@
 import logging
 import platform
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Protocol
@@ -19,14 +19,14 @@ class HasText(Protocol):
 
 
 @contextmanager
-def run_log(directory: Path) -> Iterator[logging.Logger]:
+def run_log(directory: Path, go_on: bool = False) -> Iterator[logging.Logger]:
     """Write what the logger `granflow` says at INFO and above to `run.log` in the directory, while inside.
 
-    An older log is replaced. The exception that ends the block, if any, is the last entry.
+    An older log is replaced, or gone on with. The exception that ends the block, if any, is the last entry.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level
-    handler = _file_handler(Path(directory))
+    handler = _file_handler(Path(directory), "a" if go_on else "w")
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
@@ -37,7 +37,8 @@ def run_log(directory: Path) -> Iterator[logging.Logger]:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level_before)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
 
 
 def versions() -> str:
@@ -61,8 +62,15 @@ def write_scene_as_run(directory: Path, scene: HasText) -> Path:
     return path
 
 
-def _file_handler(directory: Path) -> logging.FileHandler:
+class _LogFile(logging.FileHandler):
+    """A log that cannot be written must not keep a run from saying what else cannot be, and ending in order."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Leave the record out."""
+
+
+def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
     directory.mkdir(parents=True, exist_ok=True)
-    handler = logging.FileHandler(directory / "run.log", mode="w", encoding="utf-8")
+    handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,9 @@ class _Look:
     mass: np.ndarray
     position: np.ndarray
     distance: np.ndarray
+
+
+_LOOK = ("id", "mass", "position", "distance")
 
 
 class FlowMeter:
@@ -60,6 +64,17 @@ class FlowMeter:
     def result(self) -> dict[str, float]:
         """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
         return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+
+    def keep(self) -> dict[str, Any]:
+        """Counts, history and the last look."""
+        last = {} if self._last is None else {name: getattr(self._last, name) for name in _LOOK}
+        return {"mass": self.mass, "count": self.count, "history": self.history, "last": last}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        self.mass, self.count = kept["mass"], kept["count"]
+        self.history = [(time, stage, mass) for time, stage, mass in kept["history"]]
+        self._last = _Look(**kept["last"]) if kept["last"] else None
 
     def _look_at(self, snapshot: Snapshot) -> _Look:
         particles = snapshot.particles

@@ -1,6 +1,6 @@
 """What everything that watches a simulation has in common."""
 
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from granflow.snapshot import Snapshot
 
@@ -23,3 +23,17 @@ class Observer(Protocol):
 
     def finish(self) -> None:
         """Close what is open; called once, after the last snapshot."""
+
+
+@runtime_checkable
+class Keepable(Protocol):
+    """An observer whose state goes into checkpoints, so that a run can go on where it was."""
+
+    def keep(self) -> dict[str, Any]:
+        """What it must know to go on: numbers, texts, numpy arrays, and dictionaries of them."""
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on from what was kept; files are not touched yet."""
+
+    def cut_back(self) -> None:
+        """Bring its files back to what they held when that was kept."""

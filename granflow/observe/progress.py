@@ -4,6 +4,7 @@ import math
 import time as clock
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -45,6 +46,18 @@ class ProgressDisplay:
         self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
         self._display.show(snapshot, self._plan.end, self._rates)
 
+    def keep(self) -> dict[str, Any]:
+        """Looks are part of a run: when the last one was; and when the run will be over."""
+        return {"last_time": self._schedule.last_time, "stage": self._plan.stage, "end": self._plan.end}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on after that; the end is worked out anew where the stages have changed."""
+        self._schedule.go_on_after(kept["last_time"])
+        self._plan.go_on_in(kept["stage"], kept["end"])
+
+    def cut_back(self) -> None:
+        """It has no files."""
+
     def finish(self) -> None:
         """Leave the terminal as it was."""
         self._display.close()
@@ -55,16 +68,20 @@ class StagePlan:
 
     def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
         self._stages = list(stages)
-        self._stage = self._stages[0][0]
+        self.stage = self._stages[0][0]
         self.end = sum(duration for _, duration in self._stages)
 
     def pass_to(self, stage: str, time: float) -> None:
         """Note that at `time` [s] the run is in this stage; its beginning moves the end."""
         names = [name for name, _ in self._stages]
-        if stage == self._stage or stage not in names:
+        if stage == self.stage or stage not in names:
             return
-        self._stage = stage
+        self.stage = stage
         self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
+
+    def go_on_in(self, stage: str, end: float) -> None:
+        """Go on in a stage of a run that was to be over at `end` [s]."""
+        self.stage, self.end = stage, max(end, self.end)
 
 
 class Rates:

@@ -25,6 +25,16 @@ class Schedule:
         """Time [s] of the next due moment."""
         return self.start + self._count * self.interval
 
+    @property
+    def last_time(self) -> float | None:
+        """The moment [s] taken last: all that a schedule remembers."""
+        return self._last_time
+
+    def go_on_after(self, last_time: float | None) -> None:
+        """Count on after a moment [s] of an earlier run, whatever the interval was there."""
+        if last_time is not None:
+            self.take(last_time)
+
     def take(self, time: float) -> bool:
         """Mark all moments up to `time` [s] as done; False if this very time was taken before."""
         if time == self._last_time:

@@ -1,8 +1,9 @@
 """`timeseries.csv`: one row of numbers per due time."""
 
 import csv
+import os
 from collections.abc import Mapping
-from io import TextIOWrapper
+from io import FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,9 @@ class TimeSeries:
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
         self._schedule = Schedule(interval, start)
         self._names: list[str] = []
-        self._file: TextIOWrapper | None = None
+        self._file: FileIO | None = None
+        self._size = 0
+        self._unwritten = b""
 
     def next_time(self) -> float:
         """Time [s] of the next row."""
@@ -47,8 +50,8 @@ class TimeSeries:
             meter.look(snapshot)
         if self.path is None:
             return
-        if self._file is None:
-            self._open(self.path, snapshot)
+        if not self._size and not self._unwritten:
+            self._head(snapshot)
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._write_row([snapshot.time, snapshot.stage, *totals, *self._readings()])
 
@@ -61,17 +64,55 @@ class TimeSeries:
         """Numbers of every meter at the end, by the meter's name."""
         return {name: meter.result() for name, meter in self.meters.items()}
 
-    def _open(self, path: Path, snapshot: Snapshot) -> None:
+    def keep(self) -> dict[str, Any]:
+        """The size of the file, all rows of which are brought to the disk first, and what the meters counted."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
+        return {
+            "last_time": self._schedule.last_time,
+            "columns": self._names,
+            "size": self._size,
+            "unwritten": self._unwritten.decode(),
+            "meters": {name: meter.keep() for name, meter in self.meters.items()},
+        }
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on with the same columns behind those rows."""
+        self._schedule.go_on_after(kept["last_time"])
+        self._names, self._size, self._unwritten = kept["columns"], kept["size"], kept["unwritten"].encode()
+        for name, meter in self.meters.items():
+            meter.put_back(kept["meters"][name])
+
+    @property
+    def rows_are_there(self) -> bool:
+        """Whether the file still holds all rows that were written when the state was kept."""
+        return self.path is None or _size_of(self.path) >= self._size
+
+    def cut_back(self) -> None:
+        """Remove the rows that came after; where rows before are gone, go on with those that are left."""
+        if self.path is not None and self._size:
+            self._size = min(self._size, _size_of(self.path))
+            if self._size:
+                os.truncate(self.path, self._size)
+
+    def _open(self, path: Path) -> FileIO:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return FileIO(path, "a" if self._size else "w")
+
+    def _head(self, snapshot: Snapshot) -> None:
         known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
         self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(path, "w", newline="", encoding="utf-8")
         self._write_row(["time [s]", "stage", *map(_label, self._names), *self._meter_labels()])
 
     def _write_row(self, row: list[Any]) -> None:
-        assert self._file is not None
-        csv.writer(self._file, lineterminator="\n").writerow(row)
-        self._file.flush()
+        line = StringIO()
+        csv.writer(line, lineterminator="\n").writerow(row)
+        self._unwritten += line.getvalue().encode()
+        assert self.path is not None
+        self._file = self._file or self._open(self.path)
+        while self._unwritten:
+            written = self._file.write(self._unwritten)
+            self._size, self._unwritten = self._size + written, self._unwritten[written:]
 
     def _readings(self) -> list[float]:
         meters = self.meters.values()
@@ -80,6 +121,10 @@ class TimeSeries:
     def _meter_labels(self) -> list[str]:
         quantities = METER_QUANTITIES.values()
         return [quantity.label_of(name) for name in self.meters for quantity in quantities]
+
+
+def _size_of(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
 
 
 def _label(name: str) -> str:

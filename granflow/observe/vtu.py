@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -46,11 +47,28 @@ class _Frames:
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one frame, due or not; the same moment shown twice gives one."""
-        if self._schedule.take(snapshot.time):
+        if snapshot.time != self._schedule.last_time:
             self.series.write(self.mesh(snapshot), snapshot.time)
+            self._schedule.take(snapshot.time)
 
     def finish(self) -> None:
         """Nothing is open: every frame is whole on disk once `observe` returns."""
+
+    def keep(self) -> dict[str, Any]:
+        """The frames written so far, which are brought to the disk first."""
+        series = self.series
+        series.settle()
+        return {"last_time": self._schedule.last_time, "frames": series.frames, "frame_count": series.frame_count}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on after those frames."""
+        self._schedule.go_on_after(kept["last_time"])
+        self.series.frames = [(time, name) for time, name in kept["frames"]]
+        self.series.frame_count = kept["frame_count"]
+
+    def cut_back(self) -> None:
+        """Remove the frames that came after."""
+        self.series.cut_back()
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
         """Make the mesh of one frame."""

@@ -3,6 +3,8 @@
 The same scene and seed give the same particles to the last bit on one machine, whatever the number of threads.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from granflow.errors import SceneError
@@ -19,16 +21,19 @@ PLACING_ORDER = ("list", "lattice", "pack")
 """Groups with given places first, those that find their own way last, so that each can keep clear of the others."""
 
 
-def initial_grains(scene: Scene) -> Grains:
+def initial_grains(scene: Scene, earlier: Mapping[str, Grains] | None = None) -> Grains:
     """Every particle that is there at t = 0, group by group in the order of the scene.
+
+    Groups in `earlier`, the particles of an earlier run, are not placed: the others keep clear of them.
 
     No two overlap, except where lists of positions say so. Raises SceneError with the shortfall of every group
     that does not fit.
     """
-    placed: dict[str, Grains] = {}
+    placed: dict[str, Grains] = dict(earlier or {})
+    to_place = {name: group for name, group in scene.particles.items() if name not in placed}
     problems: list[str] = []
     for kind in PLACING_ORDER:
-        for name in (name for name, group in scene.particles.items() if group.place.kind == kind):
+        for name in (name for name, group in to_place.items() if group.place.kind == kind):
             try:
                 placed[name] = place_group(scene, name, all_spheres(placed))
             except NoRoomError as error:

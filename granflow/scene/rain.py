@@ -1,6 +1,7 @@
 """Particles that arrive during the run: so many per second, at random in a region, wherever there is room."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,8 @@ EARLY = 1e-6
 
 RETRIED_BATCHES = 4
 """How many batches of waiting particles are tried again in one pour, so that a clogged region costs little."""
+
+KEPT = ("waiting", "due_count", "pour_count", "next_time")
 
 TRIES = (8, 56)
 """Places tried for a particle: first round, and second round for those without luck."""
@@ -53,6 +56,15 @@ class Rain:
         self.due_count = 0
         self.pour_count = 0
         self.next_time = self.start
+
+    def keep(self) -> dict[str, Any]:
+        """What decides how it goes on raining; random numbers follow from the number of the pour."""
+        return {name: getattr(self, name) for name in KEPT}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on from what was kept."""
+        for name in KEPT:
+            setattr(self, name, kept[name])
 
     @property
     def remaining(self) -> int:

@@ -24,12 +24,23 @@ _MOST_SHOWN = 100  # problems
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read the scene in a YAML file.
 
-    Each override, "key.path=value", replaces or adds a value before the scene is validated; the value is YAML.
+    The path in `start_from` counts from the file. Each override, "key.path=value", replaces or adds a value before
+    the scene is validated; the value is YAML.
     Raises `SceneError` with every problem at once, in the order of the file.
     """
     scene = scene_in(_document(Path(path)), overrides)
+    if scene.start_from is not None:
+        scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
     scene._path = Path(path)
     return scene
+
+
+def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene from text, such as that in a checkpoint. Raises as `load` does."""
+    try:
+        return scene_in(parse(text, source), overrides)
+    except DocumentError as error:
+        raise SceneError(str(error.problem)) from None
 
 
 def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:

@@ -15,6 +15,7 @@ from granflow.scene.fields import (
     AccelerationVector,
     AnyQuantity,
     Auto,
+    Count,
     Direction,
     Energy,
     Fault,
@@ -74,6 +75,7 @@ __all__ = [
     "AnyWall",
     "Box",
     "BoxRegion",
+    "Checkpoints",
     "ClassSizes",
     "Cone",
     "Contact",
@@ -179,6 +181,14 @@ class Meter(Model):
     radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
 
 
+class Checkpoints(Model):
+    """How often the whole state is written, from which `granflow resume` goes on; at the end it always is."""
+
+    wall_clock: PositiveTime = Field(600.0, description="wall clock between checkpoints [s]")
+    interval: PositiveTime | None = Field(None, description="simulated time between checkpoints [s], besides those")
+    keep: Count = Field(2, description="how many are kept, the newest ones")
+
+
 class Output(Model):
     """What is written, and how often."""
 
@@ -192,6 +202,7 @@ class Output(Model):
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
 class Expectation(Model):
@@ -233,6 +244,9 @@ class Scene(Model):
     contact: Contact = Field(description="the laws of contact, {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
+    start_from: Text | None = Field(
+        None, description="directory of an earlier run, whose last particles stand in for those of groups named alike"
+    )
     domain: Domain = Field(description="the box that is simulated")
     stages: Annotated[tuple[Stage, ...], listing()] = Field((), description="parts of the run, in order")
     run: Run = Field(Run(), description="how long and how finely to compute")

@@ -1,0 +1,153 @@
+"""Checkpoints: one file each with everything from which a run goes on, whole or not there, the last few kept.
+
+The format is npz without pickle: numpy reads it on every machine, it needs no further package, it is written in one
+go, and nothing in it can be made to run. (h5py is a large dependency, and a file that is damaged when the process is
+killed while it writes; zarr is many files, which cannot be renamed together.) A text in JSON stands beside the arrays:
+versions, scene, and all that is no array. The archive's comment, its last bytes, is the SHA-256 of all bytes before
+it, so that a file cut short or with a flipped bit is known before anything of it is believed.
+"""
+
+import hashlib
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.observe.files import replacing
+
+FORMAT = 1
+"""Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
+
+PATTERN = "checkpoint_*.npz"
+HEADER, ARRAYS = "header.json", ".npy"
+PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
+PIECE = 2**20
+"""Bytes that are read at a time to take the checksum."""
+
+
+class CheckpointError(GranflowError):
+    """A checkpoint that cannot be used; the message says which and why."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint that was read: its file, the version of granflow and the scene it was written with, and the rest.
+
+    `kept`: numbers, texts and numpy arrays in dictionaries within dictionaries.
+    """
+
+    path: Path
+    version: str
+    scene: str
+    time: float
+    kept: dict[str, Any]
+
+
+def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: dict[str, Any]) -> Path:
+    """Write `checkpoint_STEP.npz`, whole or not at all, and onto the disk before it gets its name."""
+    from granflow import __version__
+
+    path = Path(directory) / f"checkpoint_{step:012d}.npz"
+    rest, arrays = _parted(kept)
+    header = {"format": FORMAT, "granflow": __version__, "time": time, "scene": scene, "kept": rest}
+    with replacing(path, settled=True) as temporary:
+        with zipfile.ZipFile(temporary, "w") as archive:
+            archive.comment = PLACEHOLDER
+            archive.writestr(HEADER, json.dumps(header))
+            for name, array in arrays.items():
+                with archive.open(name + ARRAYS, "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+        with open(temporary, "r+b") as file:
+            checksum = _checksum(file)
+            file.write(checksum)
+    return path
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Read one. Raises CheckpointError if it is damaged, or of another format."""
+    try:
+        with open(path, "rb") as file:
+            if _checksum(file) != file.read():
+                raise CheckpointError(f"{path} is damaged: it is cut short, or bits of it have changed.")
+            with zipfile.ZipFile(file) as archive:
+                return _from_archive(path, archive)
+    except (OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise CheckpointError(f"{path} cannot be read: {error}.") from None
+
+
+def checkpoints(directory: Path) -> list[Path]:
+    """The checkpoints in a directory, the newest first."""
+    return sorted(Path(directory).glob(PATTERN), reverse=True)
+
+
+def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
+    """The newest that can be read, if there is one, and why those after it cannot."""
+    passed_over: list[str] = []
+    for path in checkpoints(directory):
+        try:
+            return read_checkpoint(path), passed_over
+        except CheckpointError as error:
+            passed_over.append(str(error))
+    return None, passed_over
+
+
+def remove_after(directory: Path, path: Path | None) -> None:
+    """Remove the checkpoints after this one, which could not be read, or all: what comes now must be the newest."""
+    for other in checkpoints(directory):
+        if path is None or other.name > path.name:
+            other.unlink()
+
+
+def keep_last(directory: Path, count: int) -> None:
+    """Remove all checkpoints but the newest `count`."""
+    for path in checkpoints(directory)[count:]:
+        path.unlink(missing_ok=True)
+
+
+def _from_archive(path: Path, archive: zipfile.ZipFile) -> Checkpoint:
+    header = json.loads(archive.read(HEADER))
+    if header["format"] != FORMAT:
+        found = f"{header['format']} by granflow {header['granflow']}"
+        raise CheckpointError(f"{path} is written in format {found}, but this granflow reads format {FORMAT}.")
+    kept = header["kept"]
+    for name in archive.namelist():
+        if name.endswith(ARRAYS):
+            with archive.open(name) as member:
+                _put(kept, name.removesuffix(ARRAYS), np.lib.format.read_array(member, allow_pickle=False))
+    return Checkpoint(path, header["granflow"], header["scene"], header["time"], kept)
+
+
+def _checksum(file: BinaryIO) -> bytes:
+    """Checksum of all but the room for it at the end, to whose beginning the file is moved."""
+    end = max(file.seek(0, 2) - len(PLACEHOLDER), 0)
+    file.seek(0)
+    digest = hashlib.sha256()
+    while file.tell() < end:
+        digest.update(file.read(min(PIECE, end - file.tell())))
+    return digest.hexdigest().encode()
+
+
+def _parted(kept: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The same dictionaries without arrays, and the arrays by their path of keys."""
+    rest: dict[str, Any] = {}
+    arrays: dict[str, np.ndarray] = {}
+    for key, value in kept.items():
+        if isinstance(value, dict):
+            rest[key], within = _parted(value, f"{path}{key}/")
+            arrays |= within
+        elif isinstance(value, np.ndarray):
+            arrays[f"{path}{key}"] = value
+        else:
+            rest[key] = value
+    return rest, arrays
+
+
+def _put(kept: dict[str, Any], path: str, array: np.ndarray) -> None:
+    *around, key = path.split("/")
+    for name in around:
+        kept = kept[name]
+    kept[key] = array

@@ -1,0 +1,94 @@
+"""A run that has everything in it that a checkpoint must bring back, and what two runs are compared by."""
+
+import hashlib
+import json
+
+import numpy as np
+from trials import balls, box, plane, trial
+
+from granflow.observe import newest_checkpoint
+from granflow.observe.checkpoint import read_checkpoint
+
+MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
+
+
+def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
+    """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
+
+    Friction, rolling springs, the ledger and a flow meter are on; a gate goes with the first stage, the floor and one
+    side with the second. Small beads leave the domain before they reach that side.
+    """
+    walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
+    walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
+    walls["high_x"]["stages"] = ["fill", "shake"]
+    walls["gate"] = plane([0, 0, 0.02], [0, 0, 1], "glass", stages=["fill"])
+    rng = np.random.default_rng(4)
+    places = 0.0065 * (np.argwhere(np.ones((7, 7, 3))) + 0.75) + [0.011, 0.0, 0.021]
+    lattice = balls(
+        places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal([0.8, 0.0, -0.6], 0.5, places.shape)
+    )
+    room = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    rain = {
+        "material": "steel", "count": 60, "diameter": 0.005,
+        "place": {"kind": "rain", "region": room, "rate": 8000.0},
+    }  # fmt: skip
+    third = duration / 3.0
+    middle = {"kinetic_energy_below": 1e-9, "at_most": third} if rest else {"duration": third}
+    given = {
+        "walls": walls, "rolling": "epsd", "normal": normal,
+        "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
+        "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "overlap_limit": 0.3},
+        "run": {"velocity_max": 2.0, "time_step": 4e-6},
+        "stages": [{"name": "fill", "duration": third}, {"name": "shake"} | middle, {"name": "out", "duration": third}],
+        "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "leaving": "delete"},
+        "output": {
+            "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy": True, "contacts": True,
+            "checkpoint": {"interval": duration / 11.0, "keep": 100},
+            "meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
+        },
+    }  # fmt: skip
+    return trial({"lattice": lattice, "rain": rain}, **(given | parts))
+
+
+def files_of(out):
+    """Digest of every file of results by name, but for what holds wall clock; of result.json the physics."""
+    found = {}
+    for path in out.iterdir():
+        if path.suffix in (".vtu", ".pvd", ".csv"):
+            found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    result = out / "result.json"
+    if result.exists():
+        said = json.loads(result.read_text())
+        found["totals"], found["meters"] = said["totals"], said["meters"]
+    return found
+
+
+def state_of(path):
+    """Everything in a checkpoint but wall clock, arrays as digests."""
+    kept = read_checkpoint(path).kept
+    for clocked in ("output_seconds", "wall_clock"):
+        del kept[clocked]
+    for clocked in ("search", "advance", "sampled_forces", "sampled_motion"):
+        del kept["engine"]["clocks"][clocked]
+    return _digested(kept)
+
+
+def last_state(out):
+    """What the newest checkpoint of a directory holds."""
+    checkpoint, passed_over = newest_checkpoint(out)
+    assert checkpoint is not None and not passed_over
+    return state_of(checkpoint.path)
+
+
+def _digested(kept):
+    if isinstance(kept, dict):
+        return {name: _digested(each) for name, each in kept.items()}
+    if isinstance(kept, np.ndarray):
+        kept = kept + np.zeros((), kept.dtype)  # a slot not in touch may hold 0 or -0, which no sum tells apart
+        return str(kept.dtype), kept.shape, hashlib.sha256(kept.tobytes()).hexdigest()
+    return kept
+
+
+def states_of(out):
+    """What all checkpoints of a directory hold, by name."""
+    return {path.name: state_of(path) for path in out.glob("checkpoint_*.npz")}

@@ -1,0 +1,198 @@
+"""Full disks, folders that go, damaged checkpoints, two runs at once, clocks that jump: what is seen, and what is left.
+
+After each, going on ends with the files of the run that nothing happened to.
+"""
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+
+import pytest
+from resume.faults import SCENE, assert_whole, granflow, started, wait_for
+
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="limits and signals of POSIX"),
+    pytest.mark.slow,
+    pytest.mark.timeout(1800),
+]
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("faults")
+    (directory / "beads.yaml").write_text(SCENE)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def reference(home):
+    done = granflow(home, "run", "beads.yaml", "--out", "reference")
+    assert done.returncode == 0, done.stderr
+    return home / "reference"
+
+
+def stopped_half_way(home, name):
+    """A run killed when it has written half of its frames."""
+    running = started(home, "run", "beads.yaml", "--out", name)
+    wait_for(home / name / "particles_0009.vtu", running)
+    running.kill()
+    running.communicate()
+    assert len(list((home / name).glob("checkpoint_*.npz"))) == 2
+    return home / name
+
+
+def gone_on_with(home, out, *more):
+    done = granflow(home, "resume", out.name, *more)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def largest_file(bytes_allowed):
+    """Before a process begins: no file of it may be larger, as with a quota."""
+
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_allowed, bytes_allowed))
+
+    return limit
+
+
+def sentences(done):
+    assert "Traceback" not in done.stderr and "--- Logging error ---" not in done.stderr, done.stderr
+    return [line for line in done.stderr.splitlines() if line.startswith("granflow:")]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.7, 0.95])
+def test_no_room_for_files_of_a_size(home, reference, share):
+    """The largest file is the checkpoint, then come frames of contacts and the log."""
+    size = max(path.stat().st_size for path in reference.glob("checkpoint_*.npz"))
+    out = home / f"quota{share}"
+    full = granflow(home, "run", "beads.yaml", "--out", out.name, preexec_fn=largest_file(int(share * size)))
+    assert full.returncode == 4, full.stderr
+    assert any("File too large" in sentence for sentence in sentences(full))
+    gone_on_with(home, out)
+    assert_whole(out, reference)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting needs root")
+@pytest.mark.parametrize("room", ["150k", "300k", "450k"])
+def test_a_full_disk(home, reference, room):
+    out = home / f"full{room}"
+    out.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(out)]).returncode:
+        pytest.skip("no tmpfs can be mounted here")
+    try:
+        full = granflow(home, "run", "beads.yaml", "--out", out.name)
+        assert full.returncode == 4, full.stderr
+        assert any("No space left on device" in sentence for sentence in sentences(full))
+        subprocess.run(["mount", "-o", "remount,size=50m", str(out)], check=True)
+        gone_on_with(home, out)
+        assert_whole(out, reference)
+    finally:
+        subprocess.run(["umount", str(out)], check=True)
+
+
+def test_a_place_that_cannot_be_written(home):
+    """Refused before anything is computed."""
+    closed = home / "closed"
+    closed.mkdir()
+    closed.chmod(0o555)
+    home.chmod(0o755)
+    as_nobody = (lambda: os.setuid(NOBODY)) if os.geteuid() == 0 else None
+    done = granflow(home, "run", str(home / "beads.yaml"), "--out", "closed/run", preexec_fn=as_nobody)
+    if "ModuleNotFoundError" in done.stderr or "No module named" in done.stderr:
+        pytest.skip("nobody may not read the package here")
+    assert done.returncode == 2, done.stderr
+    assert sentences(done) == ["granflow: closed/run: Permission denied."]
+
+
+def test_a_directory_that_vanishes(home, reference):
+    """The state is in memory still: it is written where the directory was. Rows and frames that are gone stay gone."""
+    out = home / "vanishing"
+    running = started(home, "run", "beads.yaml", "--out", out.name)
+    wait_for(out / "particles_0006.vtu", running)
+    os.rename(out, home / "moved")
+    _, said = running.communicate(timeout=120)
+    assert running.returncode == 4, said
+    assert "No such file or directory" in said and "granflow resume vanishing goes on from" in said
+    assert "Traceback" not in said
+    refused = granflow(home, "resume", out.name)
+    assert refused.returncode == 2 and "timeseries.csv lacks rows" in refused.stderr
+    gone_on_with(home, out, "--anyway")
+    for name in ("particles_0020.vtu", "contacts_0020.vtu"):
+        assert (out / name).read_bytes() == (reference / name).read_bytes()
+    gone_on_with(home, home / "moved")
+    assert_whole(home / "moved", reference)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty"])
+def test_a_damaged_checkpoint(home, reference, damage):
+    out = stopped_half_way(home, damage)
+    newest = max(out.glob("checkpoint_*.npz"))
+    whole = newest.read_bytes()
+    half = len(whole) // 2
+    flipped = whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :]
+    newest.write_bytes({"truncated": whole[:half], "flipped": flipped, "empty": b""}[damage])
+    said = gone_on_with(home, out)
+    assert f"granflow: warning: {damage}/{newest.name} is damaged" in said.stderr
+    assert_whole(out, reference)
+
+
+def test_all_checkpoints_damaged(home, reference):
+    out = stopped_half_way(home, "ruined")
+    for path in out.glob("checkpoint_*.npz"):
+        path.write_bytes(b"nonsense")
+    said = gone_on_with(home, out)
+    assert "holds no checkpoint that can be used: the run begins anew" in said.stderr
+    assert_whole(out, reference)
+
+
+def test_two_runs_at_once(home, reference):
+    """The second is refused whatever it is; the lock of one that is dead holds nobody up."""
+    out = home / "shared"
+    running = started(home, "run", "beads.yaml", "--out", out.name)
+    wait_for(out / "particles_0001.vtu", running)
+    os.kill(running.pid, signal.SIGSTOP)
+    for verb in (["resume", out.name], ["run", "beads.yaml", "--out", out.name, "--force"]):
+        refused = granflow(home, *verb)
+        assert refused.returncode == 2
+        assert "Another run is writing into shared" in refused.stderr
+    os.kill(running.pid, signal.SIGKILL)
+    running.communicate()
+    gone_on_with(home, out)
+    assert_whole(out, reference)
+
+
+def test_clocks_that_jump(home, reference):
+    """Checkpoints by the wall clock come by a clock that nobody sets."""
+    done = granflow(home, "run", "beads.yaml", "--out", "jumping", fault=("clock", "-"))
+    assert done.returncode == 0, done.stderr
+    assert_whole(home / "jumping", reference)
+
+
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_told_to_stop(home, reference, sent, code):
+    """The step is finished, the state is written, the code is that of the signal."""
+    out = home / sent.name
+    running = started(home, "run", "beads.yaml", "--out", out.name, "--set", "output.checkpoint.interval=1 h",
+                      preexec_fn=lambda: signal.signal(sent, signal.default_int_handler))  # fmt: skip
+    wait_for(out / "particles_0004.vtu", running)
+    running.send_signal(sent)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == code
+    assert said.splitlines()[-1].endswith(f"granflow resume {out.name} goes on. {out.name} holds the run up to there.")
+    assert len(list(out.glob("checkpoint_*.npz"))) == 1
+    gone_on_with(home, out)
+    assert_whole(out, reference)
+
+
+def test_another_process_id_left_scraps(home, reference):
+    """Temporary files of a killed run go when it is gone on with."""
+    out = stopped_half_way(home, "scraps")
+    (out / ".particles_0010.vtu.99999.part").write_bytes(b"half a fr")
+    shutil.copy(out / "particles_0001.vtu", out / "particles_0999.vtu")
+    gone_on_with(home, out)
+    assert_whole(out, reference)
