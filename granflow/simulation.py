@@ -89,6 +89,7 @@ class Simulation:
             refuse_without_memory(self.plan)
         earlier = earlier_grains(scene) if resume is None else resume.kept["earlier"]
         self._earlier = list(earlier)
+        grains = initial_grains(scene, earlier) if resume is None else None
         self._rains: tuple[Rain, ...] = tuple(rain for rain in rains(scene) if rain.group_name not in earlier)
         self.engine = Engine(self.plan, backend)
         self._keeper = EngineKeeper(self.engine)
@@ -105,9 +106,9 @@ class Simulation:
         self._stop_wanted: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
-        if resume is None:
-            self.engine.insert(initial_grains(scene, earlier))
-        else:
+        if grains is not None:
+            self.engine.insert(grains)
+        if resume is not None:
             self._put_back(resume, anyway)
         self._setup_seconds = clock.perf_counter() - began - self.engine.timing.compile
 

@@ -80,9 +80,10 @@ def test_nothing_but_progress_goes_to_stderr(done):
 def test_all_files_are_there(home, done):
     out = home / "out" / "beads"
     assert len(frames(out)) == len(frames(out, "walls")) == 6
-    assert {path.name for path in out.iterdir() if path.suffix != ".vtu"} == {
-        *("particles.pvd", "walls.pvd", "timeseries.csv", "result.json", "scene_as_run.yaml", "run.log")
+    assert {path.name for path in out.iterdir() if path.suffix not in (".vtu", ".npz")} == {
+        *("particles.pvd", "walls.pvd", "timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", ".lock")
     }
+    assert len(list(out.glob("checkpoint_*.npz"))) == 1
     assert json.loads((out / "result.json").read_text())["totals"]["particle_count"] == 10
     assert 0.0015 < last_heights(out).min() < 0.003, "the beads lie on the floor or bounce a little"
 

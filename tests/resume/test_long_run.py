@@ -1,0 +1,79 @@
+"""A million steps of a small shaken bed: nothing grows, nothing drifts."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from child import in_child
+from trials import balls, plane, trial
+
+STEPS = 1_000_000
+LOOKS = 100
+WARM = 20
+"""Looks until everything has been used once: kernels, buffers of files, history of the meters."""
+
+
+def shaken_bed():
+    """100 balls in a square box that is shaken at 3 g; 1e6 steps are some 160 cycles."""
+    import numpy as np
+
+    side, step = 0.03, 5e-6
+    omega = 2.0 * np.pi * 30.0
+    shaking = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 3.0 * 9.81 / omega**2, "frequency": 30.0}
+    walls = {"floor": plane([0, 0, 0], [0, 0, 1], motion=[shaking])}
+    for axis, name in enumerate("xy"):
+        unit = np.eye(3)[axis]
+        walls[f"low_{name}"] = plane([0.0] * 3, unit.tolist())
+        walls[f"high_{name}"] = plane((side * unit).tolist(), (-unit).tolist())
+    places = 0.0056 * (np.argwhere(np.ones((5, 5, 4))) + 0.6)
+    group = balls(places, np.random.default_rng(3).uniform(0.0048, 0.0052, len(places)))
+    duration = STEPS * step
+    return trial(
+        {"balls": group}, walls, pair={"friction": 0.4, "restitution": 0.6}, gravity=[0.0, 0.0, -9.81],
+        domain={"min": [-0.01, -0.01, -0.01], "max": [0.04, 0.04, 0.3], "leaving": "error"},
+        materials={"glass": {"young_modulus": 2e7, "poisson_ratio": 0.25, "density": 2500.0}},
+        run={"duration": duration, "time_step": step, "velocity_max": 1.5},
+        output={
+            "interval": duration / LOOKS, "energy": True, "contacts": True,
+            "checkpoint": {"interval": duration / LOOKS, "keep": 2},
+            "meters": {"middle": {"point": [0, 0, 0.02], "normal": [0, 0, 1]}},
+        },
+    )  # fmt: skip
+
+
+def watched(folder):
+    """Mass, ledger error, resident memory [kB] and open files at every look of the run."""
+    from granflow.observe import every
+    from granflow.simulation import Simulation
+
+    seen = []
+
+    def look(snapshot):
+        memory = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024
+        files = len(os.listdir("/proc/self/fd"))
+        totals = snapshot.totals
+        mass = float(snapshot.particles["mass"].sum())
+        seen.append([snapshot.time, mass, totals["energy_error"], memory, files, totals["particle_count"]])
+
+    scene = shaken_bed()
+    simulation = Simulation(scene, out=folder, observers=[every(scene.output.interval, look)])
+    simulation.run()
+    return seen, simulation.engine.step_count
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.skipif(sys.platform != "linux", reason="memory and open files are read from /proc")
+def test_a_million_steps(tmp_path):
+    seen, steps = in_child(watched, str(tmp_path), seconds=7000)
+    assert steps >= STEPS
+    _, mass, error, memory, files, count = zip(*seen, strict=True)
+    assert set(count) == {100.0} and set(mass) == {mass[0]}
+    assert max(memory[WARM:]) <= 1.01 * memory[WARM], f"resident memory [kB] {memory[WARM:]}"
+    assert len(set(files[WARM:])) == 1
+    assert max(map(abs, error)) < 1e-3
+    assert len(list(tmp_path.glob("checkpoint_*.npz"))) == 2
+    print(
+        f"memory {memory[WARM]} to {max(memory)} kB, ledger error at most {max(map(abs, error)):.2g}, files {files[-1]}"
+    )
