@@ -337,7 +337,9 @@ class Simulation:
         if self._writer is not None:
             began = clock.perf_counter()
             self._writer.write(self.scene, self.time, self.engine.step_count, self._keep())
-            self._output_seconds += clock.perf_counter() - began
+            seconds = clock.perf_counter() - began
+            self._output_seconds += seconds
+            logging.getLogger("granflow").info("checkpoint at %.6g s, written in %.3g s", self.time, seconds)
 
     def _keep(self) -> dict[str, Any]:
         """Everything that decides how the run goes on, but for the scene."""

@@ -59,6 +59,7 @@ class TimeSeries:
         """Close the file."""
         if self._file is not None:
             self._file.close()
+            self._file = None
 
     def results(self) -> dict[str, dict[str, float]]:
         """Numbers of every meter at the end, by the meter's name."""

@@ -1,0 +1,106 @@
+"""What checkpoints cost: size and seconds of one at 50 000 grains, and their share of the run of the hopper.
+
+    python tools/checkpoint_cost.py --out DIR [--every SECONDS]
+
+Writes checkpoint_cost.json into DIR. The hopper runs once, with a checkpoint every so many seconds of wall clock.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+GRAINS = (50, 40, 25)
+"""Grains along each axis of a block in which each is near six others."""
+SPACING = 4.01e-3
+
+BLOCK = """\
+title: A block of grains that nearly touch
+gravity: [0, 0, 0]
+materials: {{glass: {{young_modulus: 50 MPa, poisson_ratio: 0.23, density: 2500}}}}
+pairs: {{glass-glass: {{restitution: 0.8, friction: 0.5}}}}
+contact: {{normal: zhou, tangential: mindlin, rolling: none}}
+particles:
+  grains:
+    material: glass
+    count: {count}
+    diameter: 4 mm
+    place: {{kind: lattice, region: {{box: {{min: [0, 0, 0], max: {corner}}}}}}}
+domain: {{min: [-1, -1, -1], max: [1, 1, 1], leaving: delete}}
+run: {{duration: 1 ms, velocity_max: 1 m/s}}
+output: {{interval: 1 s, particles: false, walls: false}}
+"""
+TIMES = 5
+
+
+def main() -> int:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description="What checkpoints cost.")
+    parser.add_argument("--out", type=Path, required=True, help="where results go")
+    parser.add_argument("--every", type=float, default=10.0, help="wall seconds between checkpoints of the hopper (10)")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    found = {"block": block(options.out / "block"), "hopper": hopper(options.out / "hopper", options.every)}
+    (options.out / "checkpoint_cost.json").write_text(json.dumps(found, indent=2) + "\n")
+    print(json.dumps(found, indent=2))
+    return 0
+
+
+def block(out: Path) -> dict[str, float]:
+    """Size [bytes] and seconds of a checkpoint of a block of grains, the first one with its compiling apart."""
+    from granflow.observe import read_checkpoint
+    from granflow.scene.reader import scene_of
+    from granflow.simulation import Simulation
+
+    count = GRAINS[0] * GRAINS[1] * GRAINS[2]
+    text = BLOCK.format(count=count, corner=[SPACING * number for number in GRAINS])
+    simulation = Simulation(scene_of(text, "block"), out=out)
+    simulation.run(until=2e-5)
+    seconds = []
+    for _ in range(TIMES):
+        began = time.perf_counter()
+        simulation._save()
+        seconds.append(time.perf_counter() - began)
+    path = max(out.glob("checkpoint_*.npz"))
+    began = time.perf_counter()
+    contacts = read_checkpoint(path).kept["engine"]["contacts"]
+    return {
+        "grains": count,
+        "slots_per_grain": len(contacts["partner"]) / count,
+        "bytes": path.stat().st_size,
+        "bytes_per_grain": path.stat().st_size / count,
+        "seconds": sorted(seconds)[TIMES // 2],
+        "seconds_to_read": time.perf_counter() - began,
+    }
+
+
+def hopper(out: Path, every: float) -> dict[str, float]:
+    """Number, seconds and share of the checkpoints of a whole run of the hopper."""
+    command = [
+        sys.executable,
+        "-m",
+        "granflow",
+        "run",
+        str(ROOT / "scenes" / "hopper.yaml"),
+        "--out",
+        str(out),
+        "--force",
+    ]
+    subprocess.run([*command, "--set", f"output.checkpoint.wall_clock={every}"], check=True, cwd=ROOT)
+    log = (out / "run.log").read_text()
+    seconds = [float(found) for found in re.findall(r"checkpoint at .* written in (\S+) s", log)]
+    wall_clock = json.loads((out / "result.json").read_text())["run"]["wall_clock"]
+    spent = sum(seconds)
+    size = max(path.stat().st_size for path in out.glob("checkpoint_*.npz"))
+    return {
+        "checkpoints": len(seconds), "seconds_each": spent / len(seconds), "first": seconds[0],
+        "wall_clock": wall_clock, "share": spent / wall_clock, "bytes": size,
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
