@@ -16,6 +16,7 @@ from granflow.device.engine import Engine
 from granflow.device.guards import guard_message
 from granflow.errors import OutputError, RunError
 from granflow.observe import (
+    Change,
     Checkpoint,
     CheckpointWriter,
     Keepable,
@@ -87,6 +88,7 @@ class Simulation:
         refuse_too_many(self.plan)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
+        change = accepted_change(resume, self.plan, anyway) if resume is not None else None
         earlier = earlier_grains(scene) if resume is None else resume.kept["earlier"]
         self._earlier = list(earlier)
         grains = initial_grains(scene, earlier) if resume is None else None
@@ -108,8 +110,8 @@ class Simulation:
         self._resumed = resume
         if grains is not None:
             self.engine.insert(grains)
-        if resume is not None:
-            self._put_back(resume, anyway)
+        if resume is not None and change is not None:
+            self._put_back(resume, change)
         self._setup_seconds = clock.perf_counter() - began - self.engine.timing.compile
 
     @property
@@ -359,9 +361,9 @@ class Simulation:
             "engine": self._keeper.keep(),
         }
 
-    def _put_back(self, checkpoint: Checkpoint, anyway: bool) -> None:
+    def _put_back(self, checkpoint: Checkpoint, change: Change) -> None:
         """Stand where the checkpoint stood, and let changes of the scene come into force."""
-        kept, change = checkpoint.kept, accepted_change(checkpoint, self.plan, anyway)
+        kept = checkpoint.kept
         self.stage = kept["stage"]
         self._stage_times = {name: (began, ended) for name, (began, ended) in kept["stage_times"].items()}
         if change.of_stage(len(self._stage_times) - 1):

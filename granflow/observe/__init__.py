@@ -20,12 +20,13 @@ from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Keepable, Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.report import Result, closing_table, write_result
-from granflow.observe.resume import CheckpointWriter, accepted_change, decided
+from granflow.observe.resume import Change, CheckpointWriter, accepted_change, decided
 from granflow.observe.schedule import Schedule
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 
 __all__ = [
+    "Change",
     "Checkpoint",
     "CheckpointError",
     "CheckpointWriter",

@@ -24,13 +24,17 @@ from granflow.walls.motion import Motion, pose
 DECIDED = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must be those of the run so far: positions and what contacts remember rest on them."""
 
+SWITCHES = ("friction", "rolling", "rotation", "rate_dependent", "adhesion", "one_material", "ledger")
+"""Features on which it depends which arrays there are."""
+
 LARGEST_JUMP = 1e-3
 """Share of the smallest radius by which a wall may stand elsewhere once its motion has been changed."""
 
 
-def decided(plan: Plan) -> dict[str, float]:
-    """The numbers of a plan that go into checkpoints."""
-    return {name: getattr(plan, name) for name in DECIDED}
+def decided(plan: Plan) -> dict[str, Any]:
+    """The numbers and features of a plan that go into checkpoints."""
+    numbers = {name: getattr(plan, name) for name in DECIDED}
+    return numbers | {name: getattr(plan.features, name) for name in SWITCHES}
 
 
 @dataclass(frozen=True)

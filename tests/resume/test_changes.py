@@ -133,7 +133,7 @@ def test_another_time_step_is_refused_even_when_told(held):
 
 
 def test_friction_cannot_be_switched_off(held):
-    with pytest.raises(GranflowError, match="cannot be switched on or off"):
+    with pytest.raises(GranflowError, match="friction was True and would be False with this scene"):
         Simulation(dropped(friction=0.0), resume=held)
 
 
