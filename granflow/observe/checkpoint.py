@@ -18,6 +18,7 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.observe.files import replacing
+from granflow.observe.log import version_of
 
 FORMAT = 1
 """Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
@@ -49,11 +50,9 @@ class Checkpoint:
 
 def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: dict[str, Any]) -> Path:
     """Write `checkpoint_STEP.npz`, whole or not at all, and onto the disk before it gets its name."""
-    from granflow import __version__
-
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
     rest, arrays = _parted(kept)
-    header = {"format": FORMAT, "granflow": __version__, "time": time, "scene": scene, "kept": rest}
+    header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "kept": rest}
     with replacing(path, settled=True) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
             archive.comment = PLACEHOLDER

@@ -43,11 +43,12 @@ def run_log(directory: Path, go_on: bool = False) -> Iterator[logging.Logger]:
 
 def versions() -> str:
     """What computes here: granflow, Taichi, numpy, Python, and the system."""
-    packages = ", ".join(f"{name} {_version(name)}" for name in ("granflow", "taichi", "numpy"))
+    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", "taichi", "numpy"))
     return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """Version of an installed package."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

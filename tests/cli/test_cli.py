@@ -143,13 +143,17 @@ def test_warnings_of_the_plan_are_said_once(stand_ins, capsys):
     assert capsys.readouterr().err == "granflow: warning: a-b: too little.\ngranflow: warning: b-b: too much.\n"
 
 
+OUT = Path("out", "a")
+STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} goes on. {OUT} holds the run up to there.\n"
+
+
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
         (GranflowError("There is no CUDA here."), 2, "granflow: There is no CUDA here.\n"),
         (RunError("Grain 7 left at 0.1 s."), 3, "granflow: Grain 7 left at 0.1 s.\n"),
-        (KeyboardInterrupt(), 130, f"granflow: stopped at 0.25 s, {Path('out', 'a')} holds the run up to there.\n"),
-        (Terminated(), 143, f"granflow: stopped at 0.25 s, {Path('out', 'a')} holds the run up to there.\n"),
+        (KeyboardInterrupt(), 130, STOPPED),
+        (Terminated(), 143, STOPPED),
         (PermissionError(13, "Permission denied", "out"), 2, "granflow: out: Permission denied.\n"),
         (SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]), 2, "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n"),
         (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),
@@ -178,7 +182,7 @@ def test_earlier_run_is_refused_and_replaced_only_by_force(stand_ins, capsys):
     assert main(["run", "a.yaml"]) == 2
     assert "out/a holds an earlier run" in capsys.readouterr().err.replace("\\", "/")
     assert main(["run", "a.yaml", "--force"]) == 0
-    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    assert {path.name for path in out.iterdir()} == {".lock", "notes.txt"}
 
 
 @pytest.mark.parametrize("pattern", RESULT_FILES)

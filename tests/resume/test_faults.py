@@ -17,7 +17,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(1800),
 ]
-NOBODY = 65534
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +77,7 @@ def test_no_room_for_files_of_a_size(home, reference, share):
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting needs root")
-@pytest.mark.parametrize("room", ["150k", "300k", "450k"])
+@pytest.mark.parametrize("room", ["100k", "200k", "300k"])
 def test_a_full_disk(home, reference, room):
     out = home / f"full{room}"
     out.mkdir()
@@ -96,17 +95,20 @@ def test_a_full_disk(home, reference, room):
 
 
 def test_a_place_that_cannot_be_written(home):
-    """Refused before anything is computed."""
+    """Refused before anything is computed, in one sentence. Root may write anywhere but on a read-only disk."""
     closed = home / "closed"
     closed.mkdir()
     closed.chmod(0o555)
-    home.chmod(0o755)
-    as_nobody = (lambda: os.setuid(NOBODY)) if os.geteuid() == 0 else None
-    done = granflow(home, "run", str(home / "beads.yaml"), "--out", "closed/run", preexec_fn=as_nobody)
-    if "ModuleNotFoundError" in done.stderr or "No module named" in done.stderr:
-        pytest.skip("nobody may not read the package here")
+    root = os.geteuid() == 0
+    if root and subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", str(closed)]).returncode:
+        pytest.skip("no tmpfs can be mounted here")
+    try:
+        done = granflow(home, "run", "beads.yaml", "--out", "closed/run")
+    finally:
+        if root:
+            subprocess.run(["umount", str(closed)], check=True)
     assert done.returncode == 2, done.stderr
-    assert sentences(done) == ["granflow: closed/run: Permission denied."]
+    assert sentences(done) == [f"granflow: closed/run: {'Read-only file system' if root else 'Permission denied'}."]
 
 
 def test_a_directory_that_vanishes(home, reference):
