@@ -35,6 +35,8 @@ def make_room(out: Path, force: bool) -> None:
     """Refuse a directory that holds an earlier run, or with `force` remove that run's files and no others."""
     from granflow.observe import locked
 
+    if not out.exists():
+        return
     with locked(out):
         earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
         if earlier and not force:
