@@ -51,10 +51,10 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         lost = 0.0 * stiffness
         if ti.static(pulls):
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
-            if overlap < begin:
-                held = tension * tension * (begin * begin / (1.0 + growth * largest))
-                held -= tension * tension * overlap * overlap / (1.0 + growth * pulled_largest(growth, overlap))
-                lost = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + held)
+            held = tension * tension * (begin * begin / (1.0 + growth * largest))
+            held -= tension * tension * overlap * overlap / (1.0 + growth * pulled_largest(growth, overlap))
+            heat = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + held)
+            lost = ti.select(overlap < begin, heat, lost)
         return lost
 
     @ti.func
@@ -69,15 +69,14 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         stiffness, growth = spring.held(memory), constants[2] / radius_eff
         largest = ti.max(memory[0], ti.min(overlap, constants[3] * radius_eff))
         normal_force = stiffness * (largest + (1.0 + growth * largest) * (overlap - largest))
-        if ti.static(pulls):
-            memory[1] += virgin_loss(growth, stiffness, largest) - virgin_loss(growth, stiffness, memory[0])
         least = -tension * stiffness * overlap
-        if normal_force < least:
-            normal_force = least
-            if ti.static(pulls):
-                memory[1] += pulled_loss(growth, stiffness, largest, overlap)
-                largest = pulled_largest(growth, overlap)
+        if ti.static(pulls):
+            pulled = normal_force < least
+            lost = ti.select(pulled, pulled_loss(growth, stiffness, largest, overlap), 0.0)
+            memory[1] += virgin_loss(growth, stiffness, largest) - virgin_loss(growth, stiffness, memory[0]) + lost
+            largest = ti.select(pulled, pulled_largest(growth, overlap), largest)
         memory[0] = largest
+        normal_force = ti.max(normal_force, least)
         return normal_force, 0.0 * normal_force, memory
 
     @ti.func
@@ -120,6 +119,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         history_names=("overlap_max", *(("plastic_work",) if pulls else ()), *spring.history_names),
         rate_dependent=False,
         lateral_grows=False,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,

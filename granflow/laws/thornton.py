@@ -30,11 +30,10 @@ def yield_point(constants, radius_eff):
 @ti.func
 def loading_force(constants, radius_eff, overlap):
     """Force on the loading branch [N]: k d^1.5 up to first yield, then F_y + pi p R (d - d_y)."""
-    force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
+    elastic = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
     overlap_yield, force_yield = yield_point(constants, radius_eff)
-    if overlap > overlap_yield:
-        force = force_yield + math.pi * constants[2] * radius_eff * (overlap - overlap_yield)
-    return force
+    plastic = force_yield + math.pi * constants[2] * radius_eff * (overlap - overlap_yield)
+    return ti.select(overlap > overlap_yield, plastic, elastic)
 
 
 @ti.func
@@ -49,14 +48,11 @@ def flattened(constants, radius_eff, overlap_max):
 def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
     """Loading branch beyond the largest overlap so far, Hertz on the flattened contact below it."""
     memory = history
-    normal_force = 0.0 * overlap
-    if overlap >= memory[0]:
-        memory[0] = overlap
-        normal_force = loading_force(constants, radius_eff, overlap)
-    else:
-        stiffness, residual = flattened(constants, radius_eff, memory[0])
-        above = ti.max(overlap - residual, 0.0)
-        normal_force = stiffness * above * ti.sqrt(above)
+    memory[0] = ti.max(overlap, history[0])
+    stiffness, residual = flattened(constants, radius_eff, memory[0])
+    above = ti.max(overlap - residual, 0.0)
+    loading = loading_force(constants, radius_eff, overlap)
+    normal_force = ti.select(overlap >= history[0], loading, stiffness * above * ti.sqrt(above))
     return normal_force, 0.0 * normal_force, memory
 
 
@@ -201,6 +197,7 @@ def build(yield_ratio: float) -> NormalLaw:
         history_names=("overlap_max",),
         rate_dependent=False,
         lateral_grows=True,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         stored_energy=stored_energy,

@@ -44,14 +44,10 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """F = k1 d beyond the largest overlap so far, k2 (d - d0) below it, never below 0."""
-        memory = history
-        stiffness = spring.held(memory)
-        normal_force = stiffness * overlap
-        if overlap >= memory[0]:
-            memory[0] = overlap
-        else:
-            steep = unloading_stiffness(constants, mass_eff, stiffness, memory[0])
-            normal_force = ti.max(stiffness * memory[0] - steep * (memory[0] - overlap), 0.0)
+        memory, stiffness = history, spring.held(history)
+        memory[0] = ti.max(overlap, history[0])
+        steep = unloading_stiffness(constants, mass_eff, stiffness, memory[0])
+        normal_force = ti.max(stiffness * memory[0] - steep * (memory[0] - overlap), 0.0)
         return normal_force, 0.0 * normal_force, memory
 
     @ti.func
@@ -93,6 +89,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         history_names=("overlap_max", *spring.history_names),
         rate_dependent=False,
         lateral_grows=False,
+        branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,
