@@ -4,7 +4,7 @@ import logging
 import time as clock
 from collections.abc import Sequence
 from contextlib import ExitStack
-from math import ceil, inf, isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +102,7 @@ class Simulation:
         self._output_seconds, self._seconds_before = 0.0, 0.0
         self._began = began
         self._look = inf
-        self._target: int | None = None
+        self._target: float | None = None
         self._arrived = False
         self._part = 1
         self._stop_wanted: BaseException | None = None
@@ -239,11 +239,11 @@ class Simulation:
 
     def _set_walls(self) -> None:
         times: StageTimes = self._stage_times
-        presence = wall_presence(self.scene, self.stage, self.time + 0.5 * self.plan.time_step)
+        presence = wall_presence(self.scene, self.stage, self.time + 0.5 * self.engine.time_step)
         self.engine.set_walls(presence, wall_motions(self.scene, times))
 
     def _reached(self, time: float) -> bool:
-        return self.time >= time - 0.5 * self.plan.time_step
+        return self.engine.reached(time)
 
     def _next_event(self) -> float:
         """Simulated time [s] of whatever is due next."""
@@ -253,8 +253,7 @@ class Simulation:
 
     def _advance_to(self, time: float) -> None:
         if self._target is None:
-            steps = self._steps_until(time) if isfinite(time) else 1
-            self._target, self._arrived = self.engine.step_count + steps, False
+            self._target, self._arrived = max(time, self.time + self.engine.time_step), False
         self._advance(self._target)
         if self.engine.trip is not None:
             self._stop()
@@ -266,16 +265,13 @@ class Simulation:
             self._show_to(due)
         self._target = None
 
-    def _steps_until(self, time: float) -> int:
-        return max(ceil((time - self.time) / self.plan.time_step - 1e-6), 1)
-
-    def _advance(self, target: int) -> None:
-        """Do the steps up to number `target` in parts, between which signals are heard and checkpoints written."""
-        while self.engine.step_count < target and self.engine.trip is None:
+    def _advance(self, target: float) -> None:
+        """Do the steps up to the time `target` [s] in parts, between which signals are heard and checkpoints written."""
+        while self.engine.steps_to(target) > 0 and self.engine.trip is None:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
-            in_time = self._steps_until(checkpoint) if isfinite(checkpoint) else self._part
-            self.engine.advance(min(self._part, target - before, in_time))
+            in_time = max(self.engine.steps_to(checkpoint), 1) if isfinite(checkpoint) else self._part
+            self.engine.advance(min(self._part, self.engine.steps_to(target), in_time))
             pace = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
             self._part = max(min(int(pace * PART_SECONDS), 2 * self._part), 1)
             if self.engine.trip is None:
@@ -309,7 +305,7 @@ class Simulation:
         for rain in self._rains:
             if self._reached(rain.next_time):
                 there = self.engine.transfer.taken(("position", "radius"))
-                grains = rain.pour(self.time + 0.5 * self.plan.time_step, there["position"], there["radius"])
+                grains = rain.pour(self.time + 0.5 * self.engine.time_step, there["position"], there["radius"])
                 self.engine.insert(grains)
                 came = came or len(grains) > 0
         return came
@@ -417,7 +413,7 @@ class Simulation:
         run = {
             "simulated_time": self.time,
             "step_count": float(self.engine.step_count),
-            "time_step": self.plan.time_step,
+            "time_step": self.engine.mean_time_step,
             "steps_per_second": self.engine.step_count / computing,
             "particle_steps_per_second": particle_steps / computing,
             "search_count": float(timing.search_count),

@@ -54,7 +54,8 @@ class EngineKeeper:
         engine, state, books = self.engine, self.engine.state, self.engine.books
         by_id = {name: books.by_id(name, np.arange(books.inserted_count)) for name in ("material", "group")}
         return {
-            "step_count": engine.step_count,
+            "clock": state.clock.keep(),
+            "steps_since_look": engine.steps_since_look,
             "steps_since_search": engine.stepper.steps_since_search,
             "particle_count": state.count,
             "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
@@ -83,8 +84,9 @@ class EngineKeeper:
         for name in CLOCKS:
             setattr(engine.timing, name, kept["clocks"][name])
         engine.stepper.steps_since_search = kept["steps_since_search"]
+        state.clock.put_back(kept["clock"])
         engine.set_walls(kept["walls_present"], motions)
-        engine.go_on_from(kept["step_count"])
+        engine.go_on(kept["steps_since_look"])
 
     def _take_contacts(self) -> dict[str, np.ndarray]:
         """Length of every row (n,), how many of it are walls (n,), and all slots row after row."""

@@ -1,10 +1,11 @@
 """The device as the simulation sees it: insert grains, set walls, advance, take a snapshot."""
 
 from collections.abc import Sequence
-from math import pi
+from math import ceil, pi
 
 import numpy as np
 
+from granflow.device.approach import FastestApproach
 from granflow.device.backend import Backend
 from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
@@ -15,13 +16,17 @@ from granflow.device.stepper import Stepper, Timing
 from granflow.device.survey import Survey
 from granflow.device.transfer import Transfer
 from granflow.plan import Plan
+from granflow.plan.pace import STEPS_BETWEEN_LOOKS
 from granflow.scene.generate import Grains
 from granflow.snapshot import Snapshot, WallPose
 from granflow.walls.motion import Motion, pose
 
+SAME_TIME = 1e-6
+"""Share of a step by which a moment may miss a time that it is meant to be."""
+
 
 class Engine:
-    """One plan running on one backend. Time is steps times the time step."""
+    """One plan running on one backend, with time kept by the state's clock."""
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
@@ -29,7 +34,7 @@ class Engine:
         self.stepper = Stepper(self.state, self._on_gone)
         self._build_looks()
         self.books = Books()
-        self.step_count = 0
+        self.steps_since_look = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
         self._begun = False
@@ -40,13 +45,17 @@ class Engine:
         self._transfer = Transfer(self.state)
         self._survey = Survey(self.state)
         self._records: ContactRecords | None = None
+        self._approach = FastestApproach(self.state) if self.plan.pace is not None else None
 
     def _follow_growth(self) -> None:
         if self._looks_growth != self.timing.growth_count:
-            self._survey.block.free()
-            if self._records is not None:
-                self._records.block.free()
+            self._free_looks()
             self._build_looks()
+
+    def _free_looks(self) -> None:
+        for each in (self._survey, self._records, self._approach):
+            if each is not None:
+                each.block.free()
 
     @property
     def transfer(self) -> Transfer:
@@ -63,7 +72,31 @@ class Engine:
     @property
     def time(self) -> float:
         """Simulated time [s]."""
-        return self.step_count * self.plan.time_step
+        return self.state.clock.time
+
+    @property
+    def step_count(self) -> int:
+        """Steps done."""
+        return self.state.clock.step_count
+
+    @property
+    def time_step(self) -> float:
+        """Time step [s] now."""
+        return self.state.clock.time_step
+
+    @property
+    def mean_time_step(self) -> float:
+        """Time step [s], the mean of all steps done where it follows the scene."""
+        follows = self.plan.pace is not None and self.step_count > 0
+        return self.time / self.step_count if follows else self.plan.time_step
+
+    def steps_to(self, time: float) -> int:
+        """Steps of the present length that end at this time [s] or just behind it."""
+        return ceil((time - self.time) / self.time_step - SAME_TIME)
+
+    def reached(self, time: float) -> bool:
+        """Whether the present moment is the one nearest to this time [s], or later."""
+        return self.time >= time - 0.5 * self.time_step
 
     @property
     def timing(self) -> Timing:
@@ -96,7 +129,7 @@ class Engine:
         }
         books.brought_energy += sum(mechanical_energy(arrays, self._gravity))
         if self._begun:
-            arrays["velocity"] = grains.velocity - 0.5 * self.plan.time_step * self._gravity
+            arrays["velocity"] = grains.velocity - 0.5 * self.time_step * self._gravity
         self.transfer.append(arrays)
         books.inserted_count += count
         books.material.append(grains.material)
@@ -125,7 +158,8 @@ class Engine:
         self._walls_changed = False
         if not self._begun:
             self._begun = True
-            self.transfer.kick(-0.5 * self.plan.time_step)
+            self.transfer.kick(-0.5 * self.time_step)
+        self._keep_pace()
 
     def _contact_energy(self) -> float:
         """Energy that the contacts there are have taken up, to give back or for good [J]."""
@@ -134,12 +168,40 @@ class Engine:
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
-        """Do `steps` steps, fewer if a guard trips."""
-        self.step_count += self.stepper.advance(steps, self.step_count)
+        """Do `steps` steps; fewer if a guard trips or the time step changes."""
+        clock, before = self.state.clock, self.time_step
+        wanted = clock.step_count + steps
+        while clock.step_count < wanted and self.time_step == before and self.trip is None:
+            allowed = wanted - clock.step_count
+            if self.plan.pace is not None:
+                allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
+            searches = self.timing.search_count
+            done = self.stepper.advance(allowed, clock.step_count)
+            clock.step_count += done
+            self.steps_since_look += done
+            if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
+                self._keep_pace()
 
-    def go_on_from(self, step_count: int) -> None:
-        """Count on from a step of an earlier run, whose particles and contacts have been put back."""
-        self.step_count = step_count
+    def _keep_pace(self) -> None:
+        """Choose the time step for the scene as it is now, where it follows the scene.
+
+        Velocities, half a step behind, are brought to half a step of the new length.
+        """
+        pace = self.plan.pace
+        self.steps_since_look = 0
+        if pace is None or self.trip is not None:
+            return
+        self.stepper.stand_walls(self.step_count)
+        self._follow_growth()
+        assert self._approach is not None
+        step = pace.step_for(self._approach.measure(), float(np.linalg.norm(self._gravity)) * self.time_step)
+        if step != self.time_step:
+            self.transfer.kick(0.5 * (self.time_step - step))
+            self.state.clock.change(step)
+
+    def go_on(self, steps_since_look: int) -> None:
+        """Take the run as begun: its clock, particles, walls and contacts have been put back."""
+        self.steps_since_look = steps_since_look
         self._begun, self._walls_changed = True, False
 
     def mean_kinetic_energy(self) -> float:
@@ -173,10 +235,8 @@ class Engine:
 
     def free(self) -> None:
         """Give the device's memory back."""
+        self._free_looks()
         self.state.free()
-        self.survey.block.free()
-        if self._records is not None:
-            self._records.block.free()
 
     def _plan_number(self, material: str) -> int:
         return self.plan.materials.index(material) if material in self.plan.materials else 0
@@ -196,7 +256,7 @@ class Engine:
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host, velocities and spins brought forward to the time of the positions."""
         arrays = self.transfer.taken(names)
-        half = 0.5 * self.plan.time_step
+        half = 0.5 * self.time_step
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
         if "spin" in arrays:

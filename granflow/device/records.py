@@ -60,7 +60,7 @@ class ContactRecords:
         """Owner, slot, partner and recorded numbers of every contact, each pair once."""
         state = self.state
         if state.count:
-            self._record(state.count, state.plan.time_step)
+            self._record(state.count, state.clock.time_step)
         owner, slot, partner = listed_pairs(state)
         numbers = self.numbers.to_numpy()[slot].astype(float)
         kept = ((partner < 0) | (partner > owner)) & (numbers[:, OVERLAP] > 0.0)

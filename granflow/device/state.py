@@ -7,6 +7,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.backend import Backend
+from granflow.device.clock import Clock
 from granflow.device.guards import NO_PARTICLE
 from granflow.plan import Plan
 from granflow.plan.slots import BOUNDS, kept_slots
@@ -237,6 +238,7 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
+        self.clock = Clock(plan.time_step)
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self._allocate(plan.slots_per_chunk)

@@ -159,7 +159,7 @@ class Stepper:
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
-        step = self.state.plan.time_step if history_step is None else history_step
+        step = self.state.clock.time_step if history_step is None else history_step
         self.state.control.steps_done[0] = 0
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
@@ -176,9 +176,13 @@ class Stepper:
             self._pose = WALL_BATCH
 
     def advance(self, steps: int, step: int) -> int:
-        """Do `steps` steps after step number `step`; returns those done, fewer if a guard tripped."""
-        done = 0
-        while done < steps and not self.guard_code:
+        """Do `steps` steps after step number `step`; returns those done.
+
+        Fewer if a guard tripped, or after a search where the time step follows the scene: it lists new neighbours.
+        """
+        done, searches = 0, self.timing.search_count
+        follows = self.state.plan.pace is not None
+        while done < steps and not self.guard_code and not (follows and self.timing.search_count > searches):
             done += self._advance_batch(steps - done, step + done)
         return done
 
@@ -215,7 +219,7 @@ class Stepper:
 
     def _launch(self, steps: int) -> int:
         """Start up to `steps` steps; returns those completed."""
-        step = self.state.plan.time_step
+        step = self.state.clock.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         if not self.state.backend.on_cpu:
@@ -238,7 +242,7 @@ class Stepper:
 
     def _sampled_step(self) -> int:
         """One step phase by phase, timed."""
-        state, step, began = self.state, self.state.plan.time_step, clock.perf_counter()
+        state, step, began = self.state, self.state.clock.time_step, clock.perf_counter()
         self._since_sample = 0
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
@@ -257,7 +261,7 @@ class Stepper:
         plan = self.state.plan
         if plan.wall_speed == 0.0:
             return WALL_BATCH
-        return int(0.5 * plan.skin / (plan.wall_speed * plan.time_step)) - self.steps_since_search
+        return int(0.5 * plan.skin / (plan.wall_speed * plan.longest_time_step)) - self.steps_since_search
 
 
 def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:

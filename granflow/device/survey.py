@@ -29,7 +29,7 @@ class Survey:
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
-        self._measure(state.chunk_count, state.count, state.plan.time_step)
+        self._measure(state.chunk_count, state.count, state.clock.time_step)
         chunks = self.statistics.to_numpy()[: state.chunk_count]
         values = dict(zip(STATISTICS, chunks.sum(axis=0).tolist(), strict=True))
         values["overlap_largest"] = float(chunks[:, OVERLAP_LARGEST].max())

@@ -73,10 +73,10 @@ def upload_poses(state: State, step: int) -> None:
 
     Times come from step numbers, so that they are the same to the last bit wherever a batch begins.
     """
-    walls, time_step = state.walls, state.plan.time_step
-    times = (step + np.arange(WALL_BATCH)) * time_step
+    walls, clock = state.walls, state.clock
+    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
     now = [pose(motions, times) for motions in state.wall_motions]
-    middle = [pose(motions, times - 0.5 * time_step) for motions in state.wall_motions]
+    middle = [pose(motions, times - 0.5 * clock.time_step) for motions in state.wall_motions]
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
 

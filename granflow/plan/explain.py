@@ -56,6 +56,9 @@ def _time_step_rows(plan: Plan) -> Iterator[Row]:
     step, approach = plan.step, fastest_approach(plan.scene)
     slowest, name = min((rayleigh_time(each.solid, each.radius), each.name) for each in meetings_of(plan.scene))
     yield Row("time step", f"{step.value:.4g} s", step.limited_by)
+    if plan.pace is not None:
+        slow = f"{step.value:.3g} s at {approach.value:.3g} m/s to {plan.pace.longest:.3g} s at rest"
+        yield Row("", "at first", f"then by the fastest approach there is: {slow}")
     yield Row("stable below", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {approach.value:.3g} m/s")
     yield Row("Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it")
     yield Row("velocity max", f"{approach.value:.4g} m/s", approach.source)

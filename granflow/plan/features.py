@@ -19,6 +19,7 @@ class Features:
     moving_walls: bool
     one_material: bool
     ledger: bool
+    adaptive_step: bool
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
+        adaptive_step=scene.run.time_step == "adaptive",
     )
 
 
@@ -66,6 +68,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
+        "adaptive_step": _step_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -116,6 +119,11 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _step_reason(scene: Scene) -> str:
+    how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
+    return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
 
 
 def _material_reason(scene: Scene) -> str:

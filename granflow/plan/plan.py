@@ -20,6 +20,7 @@ from granflow.laws.material import (
 )
 from granflow.plan.approach import fastest_approach
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
+from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range
 from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
@@ -69,11 +70,18 @@ class Plan:
     velocity_max: float
     walls: tuple[PlannedWall, ...]
     wall_speed: float
+    pace: Pace | None
+    """Time steps for every velocity, where the step follows the scene."""
 
     @property
     def time_step(self) -> float:
-        """Time step [s]."""
+        """Time step [s]; one that follows the scene begins here."""
         return self.step.value
+
+    @property
+    def longest_time_step(self) -> float:
+        """Longest step [s] that can be taken."""
+        return self.time_step if self.pace is None else self.pace.longest
 
     @property
     def material_count(self) -> int:
@@ -156,6 +164,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
+    speed = wall_speed(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     return Plan(
         scene=scene,
@@ -172,7 +181,8 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         step=step,
         velocity_max=velocity,
         walls=walls,
-        wall_speed=wall_speed(scene, walls),
+        wall_speed=speed,
+        pace=_pace(scene, law, velocity, speed) if features.adaptive_step else None,
     )
 
 
@@ -280,7 +290,7 @@ def _sphere_mass(radius: float, density: float) -> float:
 
 
 def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -> TimeStep:
-    given = None if scene.run.time_step == "auto" else float(scene.run.time_step)
+    given = None if isinstance(scene.run.time_step, str) else float(scene.run.time_step)
     numerics = scene.numerics
     meetings = meetings_of(scene)
     try:
@@ -294,6 +304,12 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     reach = farthest if precision == "f32" else diameter
     return replace(step, warnings=step.warnings + resolution_warning(meetings, velocity, precision, reach))
+
+
+def _pace(scene: Scene, law: NormalLaw, velocity: float, speed: float) -> Pace:
+    numerics = scene.numerics
+    bounds = (numerics.time_step_safety, numerics.rayleigh_fraction)
+    return pace_of(meetings_of(scene), law, velocity, speed, *bounds)
 
 
 def _chunk_size(scene: Scene, particle_count: int) -> int:

@@ -112,7 +112,7 @@ __all__ = [
 ]
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
-AutoTime = Annotated[float | Auto, Number("time", above=0, words=("auto",))]
+FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True, words=("auto",))]
 
@@ -151,7 +151,10 @@ class Run(Model):
     """How long and how finely to compute."""
 
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
-    time_step: AutoTime = Field("auto", description="time step [s], or auto: from the stiffest contact")
+    time_step: FollowingTime = Field(
+        "auto",
+        description="time step [s]; auto: from the stiffest contact; adaptive: from the stiffest contact there is now",
+    )
     velocity_max: Speed | None = Field(
         None, description="fastest approach expected [m/s]; left out: estimated from drop heights and speeds"
     )
