@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.encounter import build_either_encounter, build_pair_number
+from granflow.device.encounter import build_effective, build_pair_number
+from granflow.device.pair import build_meet
 from granflow.device.state import Block, State
+from granflow.device.walls import build_wall_geometry
 
 
 class FastestApproach:
@@ -29,23 +31,8 @@ class FastestApproach:
 
 
 def _build_look(state: State, squares: Any) -> Any:
-    contacts, control, real, stride = state.contacts, state.control, state.backend.real, state.stride
-    chunk_size = state.plan.chunk_size
-    modulus = state.plan.law.constant_names.index("modulus_eff")
-    encounter, pair_number = build_either_encounter(state), build_pair_number(state)
-
-    @ti.func
-    def square(i, j, dt):
-        """Square of the approach velocity with the energy of the pair's motion and overlap (Zhou 2011, Eq. 5).
-
-        v^2 = d'^2 + 4 k d^2.5 / (5 M)
-        """
-        overlap, rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
-        found = ti.max(rate, 0.0) ** 2
-        if overlap > 0.0:
-            k = 4.0 / 3.0 * control.pair_constants[pair_number(i, j)][modulus] * ti.sqrt(radius_eff)
-            found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / mass_eff
-        return found
+    contacts, stride, real = state.contacts, state.stride, state.backend.real
+    chunk_size, square = state.plan.chunk_size, _build_square(state)
 
     @ti.kernel
     def look(chunks: ti.i32, count: ti.i32, dt: real):
@@ -59,3 +46,51 @@ def _build_look(state: State, squares: Any) -> Any:
                 squares[chunk] = largest
 
     return look
+
+
+def _build_square(state: State) -> Any:
+    """Device function: square of the approach velocity with the energy of a pair's motion and overlap (Zhou 2011, Eq. 5).
+
+    v^2 = d'^2 + 4 k d^2.5 / (5 M)
+    """
+    control, modulus = state.control, state.plan.law.constant_names.index("modulus_eff")
+    closing, pair_number = _build_closing(state), build_pair_number(state)
+    effective, wall_effective = build_effective(state, False), build_effective(state, True)
+
+    @ti.func
+    def square(i, j, dt):
+        overlap, rate = closing(i, j, dt)
+        found = ti.max(rate, 0.0) ** 2
+        if overlap > 0.0:
+            radius_eff, mass_eff, _inertia = wall_effective(i, j)
+            if j >= 0:
+                radius_eff, mass_eff, _inertia = effective(i, j)
+            k = 4.0 / 3.0 * control.pair_constants[pair_number(i, j)][modulus] * ti.sqrt(radius_eff)
+            found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / mass_eff
+        return found
+
+    return square
+
+
+def _build_closing(state: State) -> Any:
+    """Device function: overlap [m], 0 or less where a pair is apart, and its rate [m/s]; walls at pose 0."""
+    particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
+    meet, geometry = build_meet(state.plan), build_wall_geometry(state)
+
+    @ti.func
+    def closing(i, j, dt):
+        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        if j >= 0:
+            apart = ti.cast(particles.position[i] - particles.position[j], real)
+            late = particles.velocity[i] - particles.velocity[j]
+            overlap, _n, _m, _c, rate, _r, _a, _p = meet(
+                particles.radius[i], particles.radius[j], apart, late, late, dt
+            )
+        elif ti.static(has_walls):
+            gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
+            surface = geometry.surface_velocity(-1 - j, 0, particles.position[i])
+            overlap = ti.cast(particles.radius[i] - gap, real)
+            rate = -(particles.velocity[i] - ti.cast(surface, real)).dot(ti.cast(normal, real))
+        return overlap, rate
+
+    return closing

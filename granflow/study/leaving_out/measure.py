@@ -32,7 +32,7 @@ class Start:
     grains: Grains
     present: tuple[bool, ...]
     motions: tuple[tuple[Motion, ...], ...]
-    step_count: int
+    clock: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ def start_of(simulation: Simulation) -> Start:
     particles = simulation.snapshot().particles
     grains = Grains(*(particles[name] for name in Grains.__dataclass_fields__))
     present = tuple(pose.present for pose in engine.wall_poses().values())
-    return Start(grains, present, engine.state.wall_motions, engine.step_count)
+    return Start(grains, present, engine.state.wall_motions, engine.state.clock.keep())
 
 
 def engine_for(variant: Variant, base: Plan, start: Start, backend: Backend) -> Engine:
     """An engine for this variant of the scene with its walls as they stood, and no particles."""
     engine = Engine(variant.plan(base, on_gpu=not backend.on_cpu), backend)
-    engine.step_count = start.step_count
+    engine.state.clock.put_back(start.clock)
     count = len(variant.scene.walls)
     engine.set_walls(start.present[:count], start.motions[:count])
     return engine
@@ -116,7 +116,7 @@ def put_back(engine: Engine, variant: Variant, start: Start) -> None:
     engine.state.count = 0
     for row in (engine.state.contacts.row_begin, engine.state.contacts.row_end):
         row.fill(0)
-    engine.step_count = start.step_count
+    engine.state.clock.put_back(start.clock)
     engine.insert(_of_materials(start.grains, variant.scene))
     engine.refresh()
 
