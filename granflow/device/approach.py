@@ -49,7 +49,7 @@ def _build_look(state: State, squares: Any) -> Any:
 
 
 def _build_square(state: State) -> Any:
-    """Device function: square of the approach velocity with the energy of a pair's motion and overlap (Zhou 2011, Eq. 5).
+    """Device function: square of the approach velocity with the energy of a pair's motion and overlap (Zhou, Eq. 5).
 
     v^2 = d'^2 + 4 k d^2.5 / (5 M)
     """
