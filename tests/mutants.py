@@ -27,19 +27,7 @@ ODD: list[Any] = [
 ]  # fmt: skip
 """Values that something may trip over."""
 
-NOISE = [
-    b"\0",
-    b"\xff",
-    b"\xfe\xff",
-    b"\xef\xbb\xbf",
-    b"\t",
-    b"\r",
-    b"\x1b[2J",
-    b"\n\n",
-    b"---\n",
-    b"...\n",
-    b"%TAG !\n",
-]
+NOISE = [b"\0", b"\xff", b"\xfe\xff", b"\xef\xbb\xbf", b"\t", b"\r", b"\x1b[2J", b"\n\n", b"---\n", b"...\n", b"%TAG !\n"]
 
 
 def paths_in(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -40,8 +40,8 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
     if code == GUARD_OVERLAP:  # forces are of where the particles stand; positions are a step ahead of the time
-        there["velocity"] += 0.5 * state.plan.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
-        time += state.plan.time_step if time > 0.0 else 0.0
+        there["velocity"] += 0.5 * state.clock.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
+        time += state.clock.time_step if time > 0.0 else 0.0
     found = np.flatnonzero(there["id"] == particle)
     index = int(found[0])  # one that left the domain stands right behind the others
     party = _party(state.plan, there, index)
@@ -50,7 +50,7 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     wanted = mine if code in (GUARD_LOST, GUARD_TRAVEL) else np.ones_like(mine)
     share = np.where(wanted & (near.overlap > 0.0), near.overlap, 0.0)
     pair = _pair(state.plan, there, near, int(share.argmax())) if share.any() else None
-    return trip_of(code, party, pair)
+    return trip_of(code, party, pair, state.clock.time_step)
 
 
 def _party(plan: Plan, there: dict[str, np.ndarray], index: int) -> Party:
@@ -71,7 +71,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
     owner, _slot, partner = listed_pairs(state)
     position, velocity = there["position"], there["velocity"]
     if code in (GUARD_LOST, GUARD_TRAVEL):
-        position = position - state.plan.time_step * velocity
+        position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, there["position_at_search"])
     other = np.maximum(partner, 0)
     apart = position[owner] - position[other]

@@ -171,7 +171,7 @@ class Engine:
         """Do `steps` steps; fewer if a guard trips or the time step changes."""
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
-        while clock.step_count < wanted and self.time_step == before and self.trip is None:
+        while clock.step_count < wanted and self.time_step == before and not self.stepper.guard_code:
             allowed = wanted - clock.step_count
             if self.plan.pace is not None:
                 allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
@@ -189,7 +189,7 @@ class Engine:
         """
         pace = self.plan.pace
         self.steps_since_look = 0
-        if pace is None or self.trip is not None:
+        if pace is None or self.stepper.guard_code:
             return
         self.stepper.stand_walls(self.step_count)
         self._follow_growth()

@@ -60,16 +60,17 @@ class Pair:
 
 @dataclass(frozen=True)
 class Trip:
-    """Which guard tripped, the particle with the smallest id that tripped it, and the pair that is most at fault."""
+    """Which guard tripped, the particle with the smallest id that tripped it, the pair most at fault, the step [s]."""
 
     guard: str
     party: Party
     pair: Pair | None
+    time_step: float
 
 
-def trip_of(code: int, party: Party, pair: Pair | None) -> Trip:
+def trip_of(code: int, party: Party, pair: Pair | None, time_step: float) -> Trip:
     """The trip that a code stands for."""
-    return Trip(GUARDS[code], party, pair)
+    return Trip(GUARDS[code], party, pair, time_step)
 
 
 def guard_message(trip: Trip, plan: Plan, time: float, out: Path | None) -> str:
@@ -90,7 +91,7 @@ def _overlap(trip: Trip, plan: Plan, time: float) -> str:
     if time == 0.0:
         return f"{what} They begin so: move them apart, or raise numerics.overlap_limit if such overlaps are wanted."
     what = f"{what} {_going(pair)}"
-    if cause := _step_or_speed(pair, plan):
+    if cause := _step_or_speed(pair, plan, trip.time_step):
         return f"{what} {cause}"
     soft = " and ".join(dict.fromkeys((pair.first.material, pair.second.material)))
     return (
@@ -100,7 +101,7 @@ def _overlap(trip: Trip, plan: Plan, time: float) -> str:
 
 
 def _travel(trip: Trip, plan: Plan, time: float) -> str:
-    moved = trip.party.speed * plan.time_step
+    moved = trip.party.speed * trip.time_step
     what = (
         f"{trip.party} at {time:.6g} s moved farther than half the neighbour skin in one step: "
         f"{moved:.3g} m, with a skin of {plan.skin:.3g} m."
@@ -110,7 +111,9 @@ def _travel(trip: Trip, plan: Plan, time: float) -> str:
             f"{what} It touches nothing, so it was as fast before: set run.velocity_max to "
             f"{SPARE_SPEED * trip.party.speed:.3g} m/s, or raise numerics.skin."
         )
-    cause = _step_or_speed(trip.pair, plan) or _lower(plan, "Likely it was shot out of this overlap")
+    cause = _step_or_speed(trip.pair, plan, trip.time_step) or _lower(
+        trip.time_step, "Likely it was shot out of this overlap"
+    )
     return f"{what} {_touching(trip.pair)} {_going(trip.pair)} {cause}"
 
 
@@ -118,7 +121,9 @@ def _lost(trip: Trip, plan: Plan, time: float) -> str:
     what = f"the position of {trip.party} at {time:.6g} s is not a number."
     if trip.pair is None:
         return f"{what} It touches nothing: look at the velocity and spin it was given, or compute with precision f64."
-    cause = _step_or_speed(trip.pair, plan) or _lower(plan, "Likely this contact was integrated too coarsely")
+    cause = _step_or_speed(trip.pair, plan, trip.time_step) or _lower(
+        trip.time_step, "Likely this contact was integrated too coarsely"
+    )
     return f"{what} {_touching(trip.pair)} {cause}"
 
 
@@ -143,11 +148,11 @@ def _going(pair: Pair) -> str:
     return f"They {'approach' if pair.approach >= 0.0 else 'part'} at {abs(pair.approach):.3g} m/s."
 
 
-def _step_or_speed(pair: Pair, plan: Plan) -> str | None:
+def _step_or_speed(pair: Pair, plan: Plan, time_step: float) -> str | None:
     """The likely cause where it is a step too long, or an approach faster than planned for."""
     faster = f"set run.velocity_max to {SPARE_SPEED * pair.impact:.3g} m/s"
-    if plan.time_step > pair.stable_step:
-        what = f"The time step {plan.time_step:.3g} s is above the stable {pair.stable_step:.3g} s of this pair"
+    if time_step > pair.stable_step:
+        what = f"The time step {time_step:.3g} s is above the stable {pair.stable_step:.3g} s of this pair"
         return f"{what} at such an impact: lower run.time_step, or leave it out and {faster}."
     if pair.impact > plan.velocity_max:
         what = (
@@ -157,8 +162,8 @@ def _step_or_speed(pair: Pair, plan: Plan) -> str | None:
     return None
 
 
-def _lower(plan: Plan, cause: str) -> str:
-    return f"{cause}: lower run.time_step (now {plan.time_step:.3g} s), or look for grains made on top of each other."
+def _lower(time_step: float, cause: str) -> str:
+    return f"{cause}: lower run.time_step (now {time_step:.3g} s), or look for grains made on top of each other."
 
 
 _REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left}

@@ -52,6 +52,15 @@ def test_in_the_rain_and_in_the_outflow(tmp_path, taichi_f64):
     assert len(last["contacts"]["partner"]) > 50
 
 
+def test_a_step_that_follows_the_scene(tmp_path, taichi_f64):
+    scene = busy_scene(0.006, run={"velocity_max": 2.0, "time_step": "adaptive"})
+    written = undisturbed(scene, tmp_path / "whole")
+    clocks = [read_checkpoint(path).kept["engine"]["clock"]["time_step"] for path in written]
+    assert len(set(clocks)) > 1
+    gone_on_with(scene, tmp_path / "whole", tmp_path / "again", written[4])
+    assert_same(tmp_path / "whole", tmp_path / "again")
+
+
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 LAWS = {
     "zhou": {"law": "zhou", "restitution": "peak"},
