@@ -266,7 +266,7 @@ class Simulation:
         self._target = None
 
     def _advance(self, target: float) -> None:
-        """Do the steps up to the time `target` [s] in parts, between which signals are heard and checkpoints written."""
+        """Do the steps up to `target` [s] in parts, between which signals are heard and checkpoints written."""
         while self.engine.steps_to(target) > 0 and self.engine.trip is None:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
