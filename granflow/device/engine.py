@@ -14,6 +14,7 @@ from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
 from granflow.device.survey import Survey
 from granflow.device.transfer import Transfer
+from granflow.device.watch import Watch, largest_speed
 from granflow.plan import Plan
 from granflow.scene.generate import Grains
 from granflow.snapshot import Snapshot, WallPose
@@ -29,6 +30,7 @@ class Engine:
         self.stepper = Stepper(self.state, self._on_gone)
         self._build_looks()
         self.books = Books()
+        self.watch = Watch(plan)
         self.step_count = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
@@ -239,4 +241,5 @@ class Engine:
         }
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)
+        self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))
         return totals

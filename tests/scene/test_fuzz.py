@@ -185,8 +185,8 @@ def floods():
     shapes = {
         "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
         "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
-        "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""), "digits": ("seed: ", "9", ""),
-        "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"), "keys": ("", "k: 1\n", ""),
+        "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
+        "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"), "keys": ("", "k: 1\n", ""),
         "positions": ("title: x\nparticles: {a: {place: {kind: list, positions: [", "[0,0,0],", "]}}}"),
     }  # fmt: skip
     found = {name: head + body * ((size - 200) // len(body)) + tail for name, (head, body, tail) in shapes.items()}
