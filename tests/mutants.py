@@ -1,9 +1,11 @@
-"""Scenes gone wrong: shipped scenes with values, keys and parts changed, and trees of nonsense; as bytes of a file."""
+"""Scenes gone wrong, as bytes of a file: shipped ones with values, keys and parts changed, and trees of anything."""
 
 import random
 from pathlib import Path
 from typing import Any
 
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parent.parent
@@ -15,21 +17,6 @@ class Raw(str):
     """Text that goes into the file as it stands."""
 
 
-ODD: list[Any] = [
-    *(None, True, False, "", " ", "auto", "none", "on", [], {}, [[]], [0, 0, 0], [1e30] * 3, {"a": 1}, "é", "\u2028"),
-    *(0, -1, 1, 2, 3.5, 1e-30, 1e30, -1e30, 1e-15, 1e15, 1e9, 2**31, 2**31 - 1, 2**63, 1e-4, 1e4, 10**500),
-    *map(Raw, [".nan", ".inf", "-.inf", "1e308", "1e-308", "1e400", "9" * 400, "9" * 4000, "0x" + "f" * 300, "1_000"]),
-    *map(Raw, ["012", "1:30", "2001-01-01", "yes", "~", "<<", "&a", "*a", "!!int 3", "!!python/object/apply:os.system"]),
-    *map(Raw, ["&a [*a]", "{<<: {a: 1}}", "? [a]", "{[a]: 1}", "|", ">", "'", '"', '"\\ud800"', "\t", "%", "@", "`", "["]),
-    *map(Raw, ["}", "- -", "a: b: c", "4 mm", "4 furlong", "1e30 m", "-3 GPa", "1e400 mm", "1 mm m", "nan mm", "inf s"]),
-    *("/etc/passwd", "../../etc/passwd", "/dev/zero", "$(ls)", "{{ x }}", "x" * 100_000, "\x07", "\x85", "\ufeff"),
-    *([[i] for i in range(3)], [None], {"preset": "stainless_316"}, {"law": "zhou"}, {"kind": "rain"}, {"shape": "cone"}),
-]  # fmt: skip
-"""Values that something may trip over."""
-
-NOISE = [b"\0", b"\xff", b"\xfe\xff", b"\xef\xbb\xbf", b"\t", b"\r", b"\x1b[2J", b"\n\n", b"---\n", b"...\n", b"%TAG !\n"]
-
-
 def paths_in(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The paths of all values within a tree, the tree's own left out."""
     inside = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
@@ -37,6 +24,48 @@ def paths_in(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     for key, value in inside:
         found += [(*path, key), *paths_in(value, (*path, key))]
     return found
+
+
+ODD: list[Any] = [
+    *(None, True, False, "", " ", "auto", "none", "on", [], {}, [[]], [0, 0, 0], [1e30] * 3, {"a": 1}, "é", "\u2028"),
+    *(0, -1, 1, 2, 3.5, 1e-30, 1e30, -1e30, 1e-15, 1e15, 1e9, 2**31, 2**31 - 1, 2**63, 1e-4, 1e4, 10**500),
+    *map(Raw, [".nan", ".inf", "-.inf", "1e308", "1e-308", "1e400", "9" * 400, "9" * 4000, "0x" + "f" * 300, "1_000"]),
+    *map(
+        Raw, ["012", "1:30", "2001-01-01", "yes", "~", "<<", "&a", "*a", "!!int 3", "!!python/object/apply:os.system"]
+    ),
+    *map(
+        Raw, ["&a [*a]", "{<<: {a: 1}}", "? [a]", "{[a]: 1}", "|", ">", "'", '"', '"\\ud800"', "\t", "%", "@", "`", "["]
+    ),
+    *map(
+        Raw, ["}", "- -", "a: b: c", "4 mm", "4 furlong", "1e30 m", "-3 GPa", "1e400 mm", "1 mm m", "nan mm", "inf s"]
+    ),
+    *("/etc/passwd", "../../etc/passwd", "/dev/zero", "$(ls)", "{{ x }}", "x" * 100_000, "\x07", "\x85", "\ufeff"),
+    *(
+        [[i] for i in range(3)],
+        [None],
+        {"preset": "stainless_316"},
+        {"law": "zhou"},
+        {"kind": "rain"},
+        {"shape": "cone"},
+    ),
+]
+"""Values that something may trip over."""
+
+KEYS = sorted({path[-1] for scene in SCENES for path in paths_in(scene) if isinstance(path[-1], str)})
+
+NOISE = [
+    b"\0",
+    b"\xff",
+    b"\xfe\xff",
+    b"\xef\xbb\xbf",
+    b"\t",
+    b"\r",
+    b"\x1b[2J",
+    b"\n\n",
+    b"---\n",
+    b"...\n",
+    b"%TAG !\n",
+]
 
 
 def at(tree: Any, path: tuple[Any, ...]) -> Any:
@@ -193,3 +222,46 @@ def noisy(raw: bytes, dice: random.Random) -> bytes:
             raw.replace(b"\n", dice.choice([b"\r\n", b"\r", b"\n\t", b"\n "])),
         ]
     )
+
+
+def structure():
+    """Trees of anything, with keys that scenes have at places where they may not."""
+    keys = st.one_of(st.sampled_from(KEYS), st.text(max_size=5))
+    values = st.one_of(
+        st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(ODD),
+        st.builds("{} {}".format, st.floats(-1e3, 1e3), st.sampled_from(["mm", "GPa", "deg", "Hz", "m/s", "furlong"])),
+    )  # fmt: skip
+    return st.recursive(
+        values, lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(keys, inner, max_size=6))
+    )
+
+
+def text_of(tree):
+    return (written(tree, random.Random(0)) if isinstance(tree, dict | list) else str(tree)).encode("utf-8", "replace")
+
+
+def made_by_hypothesis(count):
+    """So many files: trees of anything, scenes with such a tree at one place, and plain text and bytes."""
+    found = []
+    grafted = st.builds(graft, st.sampled_from(SCENES), st.integers(0, 10**6), structure())
+    files = st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary())
+
+    @seed(6)
+    @settings(
+        max_examples=count, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=HealthCheck
+    )
+    @given(files)
+    def collect(raw):
+        found.append(raw)
+
+    collect()
+    return found
+
+
+def graft(scene, number, tree):
+    """A scene with a tree in place of one of its values."""
+    scene = copied(scene)
+    paths = paths_in(scene)
+    path = paths[number % len(paths)]
+    at(scene, path[:-1])[path[-1]] = tree
+    return scene

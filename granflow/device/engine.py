@@ -15,6 +15,7 @@ from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
 from granflow.device.survey import Survey
 from granflow.device.transfer import Transfer
+from granflow.device.watch import Watch, largest_speed
 from granflow.plan import Plan
 from granflow.plan.pace import STEPS_BETWEEN_LOOKS
 from granflow.scene.generate import Grains
@@ -34,6 +35,7 @@ class Engine:
         self.stepper = Stepper(self.state, self._on_gone)
         self._build_looks()
         self.books = Books()
+        self.watch = Watch(plan)
         self.steps_since_look = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
@@ -299,4 +301,5 @@ class Engine:
         }
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)
+        self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))
         return totals

@@ -36,8 +36,8 @@ class Grid:
     def over(cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int) -> "Grid":
         """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells."""
         while True:
-            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1).astype(np.int64)
-            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1):
+            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1.0)
+            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
                 return cls(low, side, (int(blocks[0]), int(blocks[1]), int(blocks[2])))
             side *= 1.25
 

@@ -82,9 +82,10 @@ def _text(path: Path) -> str:
             raise SceneError(f"{path}: this is a directory; name the scene file in it.")
         if path.exists() and not path.is_file():
             raise SceneError(f"{path}: this is not a regular file; name a scene file.")
-        if path.stat().st_size > _LARGEST_FILE:
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST_FILE + 1)  # files of the kernel do not say how long they are
+        if len(raw) > _LARGEST_FILE:
             raise SceneError(f"{path}: this file is larger than {_LARGEST_FILE // 2**20} MiB, too large for a scene.")
-        raw = path.read_bytes()
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
     except (OSError, ValueError) as error:

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import random
 import re
 import resource
@@ -12,17 +13,19 @@ from pathlib import Path
 
 import pytest
 from child import in_child
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
-from mutants import mutant, written
+from mutants import SCENES, made_by_hypothesis, mutant, written
 
 from granflow.cli import main
+from granflow.plan import room
 
 SECONDS = 20
 """Longer than this for one input is a hang; a shipped scene takes a fiftieth of a second."""
 
 MEMORY = 2**30
 """Bytes that one input may take."""
+
+FREE = 300_000_000
+"""Memory [bytes] that the machine is made to have, so that no great pack is placed: that takes time by right."""
 
 PLACE = re.compile(r".*scene\.yaml(:\d+:\d+)?: \S.*[.?]")
 
@@ -40,26 +43,30 @@ def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def complaint(path):
-    """What is wrong with the way `granflow check` takes a file, or None."""
-    said, answer = io.StringIO(), io.StringIO()
+def check(path):
+    """Exit code of `granflow check` and what it says on stderr."""
+    said = io.StringIO()
     signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(answer):
-            code = main(["check", str(path)])
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+            return main(["check", str(path)]), said.getvalue()
     except BaseException:
-        return traceback.format_exc()
+        return None, traceback.format_exc()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-    lines = said.getvalue().splitlines()
+
+
+def complaint(path):
+    """Exit code of `granflow check` of a file, and what is wrong with the way it takes the file, or None."""
+    code, said = check(path)
+    lines = said.splitlines()
     if code == 0:
-        wrong = [line for line in lines if not line.startswith("granflow: warning: ")]
-        return f"accepted with {wrong}" if wrong or "no problems found" not in answer.getvalue() else None
-    if code != 2 or not lines or not re.fullmatch(r"\d+ problems? found\.", lines.pop()):
-        return f"exit {code} with {lines}"
-    wrong = [line for line in lines if not PLACE.fullmatch(line) or "Error" in line]
-    invented = "nan" in said.getvalue() and "nan" not in path.read_text("latin-1")
-    return f"refused with {lines}" if wrong or invented or not lines else None
+        right = all(line.startswith("granflow: warning: ") for line in lines)
+    else:
+        counted = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
+        invented = "nan" in said and "nan" not in path.read_text("latin-1")
+        right = code == 2 and counted and all(PLACE.fullmatch(line) for line in lines[:-1]) and not invented
+    return code, None if right else f"exit code {code}: {said}"
 
 
 def limited():
@@ -67,21 +74,177 @@ def limited():
     signal.signal(signal.SIGALRM, alarmed)
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (virtual + MEMORY, virtual + MEMORY))
+    room.memory_free = lambda: FREE
     warnings.simplefilter("error")
 
 
-def survivors(folder, first, count, made):
-    """How many of `count` inputs end well, and for the others their bytes and what went wrong."""
-    main(["check", str(Path(__file__).parents[2] / "scenes" / "hopper.yaml")])
-    limited()
+def outcome(folder, files):
+    """How many files are scenes, the most memory taken [bytes]; of failures number, bytes and what went wrong."""
     path, failures, accepted = Path(folder) / "scene.yaml", [], 0
+    path.write_text(written(SCENES[0], random.Random(0)), encoding="utf-8")
+    assert complaint(path)[1] is None, "what is loaded on first use must not count"
+    limited()
     before = peak()
-    for number in range(first, first + count):
-        raw = MAKERS[made](number)
+    for number, raw in enumerate(files):
         path.write_bytes(raw)
-        if wrong := complaint(path):
-            failures.append([number, raw.decode("latin-1")[:3000], wrong])
-    return [failures, peak() - before, accepted]
+        code, wrong = complaint(path)
+        accepted += code == 0
+        if wrong:
+            failures.append([number, raw[:2000].decode("latin-1"), wrong])
+    return accepted, peak() - before, failures
 
 
-MAKERS = {"mutants": lambda number: mutant(random.Random(number))}
+def mutants_outcome(folder, first, count):
+    return outcome(folder, (mutant(random.Random(number)) for number in range(first, first + count)))
+
+
+def hypothesis_outcome(folder, count):
+    return outcome(folder, made_by_hypothesis(count))
+
+
+def survives(found, count):
+    accepted, memory, failures = found
+    shown = "\n".join(f"--- input {number}\n{raw}\n--- {wrong}" for number, raw, wrong in failures[:3])
+    assert not failures, f"{len(failures)} of {count} inputs:\n{shown}"
+    assert memory < MEMORY
+    assert accepted < count
+    return accepted
+
+
+def test_changed_scenes(tmp_path):
+    accepted = survives(in_child(mutants_outcome, str(tmp_path), 0, 300), 300)
+    assert accepted > 20, "some changes leave a scene"
+
+
+def test_anything(tmp_path):
+    survives(in_child(hypothesis_outcome, str(tmp_path), 200), 200)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("first", range(1000, 13_000, 3000))
+def test_many_changed_scenes(tmp_path, first):
+    survives(in_child(mutants_outcome, str(tmp_path), first, 3000, seconds=3500), 3000)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_much_of_anything(tmp_path):
+    survives(in_child(hypothesis_outcome, str(tmp_path), 8000, seconds=3500), 8000)
+
+
+MANY = 3000
+LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(60))
+TRAPS = {
+    "aliases that double": LAUGHS,
+    "an anchor in itself": "title: &a [*a]",
+    "an anchor in itself, further down": "title: &a {b: {c: [1, *a]}}",
+    "merge key": "a: &a {b: 1}\nc: {<<: *a}",
+    "python tag": "title: !!python/object/apply:os.system ['touch pwned']",
+    "pickle": "title: !!binary gASVBQAAAAAAAACMAWGULg==",
+    "nothing": "",
+    "only comments": "# a\n" * MANY,
+    "only a tab": "\t",
+    "tabs": "title: x\nrun:\n\tduration: 1\n",
+    "NUL": "title: a\0b",
+    "deep lists": "[" * 100_000,
+    "deep mappings": "{a: " * 100_000,
+    "deep blocks": "".join(" " * n + f"k{n}:\n" for n in range(MANY)),
+    "deep dashes": "- " * 100_000,
+    "questions": "? " * 100_000,
+    "a long integer": "seed: " + "9" * 1_000_000,
+    "a long hexadecimal": "seed: 0x" + "f" * 1_000_000,
+    "a long key": "k" * 1_000_000 + ": 1",
+    "a long word": "title: " + "x" * 1_000_000,
+    "the same key": "title: x\n" * MANY,
+    "many keys": "".join(f"k{n}: 1\n" for n in range(6000)),
+    "many documents": "---\n" * MANY,
+    "many anchors": "title: [" + ", ".join(f"&a{n} x" for n in range(MANY)) + "]",
+    "many tags": "%TAG ! tag:x,2000:\n" * MANY + "---\na: 1",
+    "half a surrogate": 'title: "\\ud800"',
+    "infinities": "gravity: [.inf, -.inf, .nan]",
+    "beyond floats": "gravity: [1e308, 1e400, -1e999]",
+    "materials without end": "materials:\n" + "".join(f"  m{n}: {{density: 1}}\n" for n in range(MANY)),
+    "particles without end": "particles:\n" + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(MANY)),
+}
+
+
+def traps_outcome(folder, kind):
+    return outcome(folder, (text.encode() for text in (TRAPS if kind == "small" else floods()).values()))
+
+
+def test_traps(tmp_path):
+    """Bombs, loops, tags, depth and length: each is refused."""
+    assert survives(in_child(traps_outcome, str(tmp_path), "small"), len(TRAPS)) == 0
+    assert not list(tmp_path.glob("pwned"))
+
+
+def floods():
+    """Files of 10 MB."""
+    size = 10 * 2**20
+    shapes = {
+        "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
+        "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
+        "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
+        "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"), "keys": ("", "k: 1\n", ""),
+        "positions": ("title: x\nparticles: {a: {place: {kind: list, positions: [", "[0,0,0],", "]}}}"),
+    }  # fmt: skip
+    found = {name: head + body * ((size - 200) // len(body)) + tail for name, (head, body, tail) in shapes.items()}
+    found["bad items"] = "particles: {a: {place: {kind: list, positions: [" + "0," * 249_000 + "0]}}}"
+    keys = ", ".join(f"k{k}: 1" for k in range(48))
+    found["bad walls"] = "walls:\n" + "".join(f"  w{n}: {{{keys}}}\n" for n in range(4990))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_floods(tmp_path):
+    assert survives(in_child(traps_outcome, str(tmp_path), "large", seconds=3500), len(floods())) == 0
+
+
+def odd_files(folder):
+    """Things that are no scene files, by what must be said of them."""
+    folder = Path(folder)
+    os.mkfifo(folder / "fifo.yaml")
+    (folder / "loop.yaml").symlink_to("loop.yaml")
+    (folder / "nowhere.yaml").symlink_to("gone.yaml")
+    (folder / "zero.yaml").symlink_to("/dev/zero")
+    (folder / "up.yaml").symlink_to(folder)
+    (folder / "sparse.yaml").write_bytes(b"")
+    os.truncate(folder / "sparse.yaml", 2**40)
+    return {
+        str(folder): "this is a directory",
+        "/dev/zero": "this is not a regular file",
+        "/proc/self/pagemap": "this file is larger than 10 MiB",
+        str(folder / "fifo.yaml"): "this is not a regular file",
+        str(folder / "loop.yaml"): "the file cannot be read",
+        str(folder / "nowhere.yaml"): "there is no such file",
+        str(folder / "zero.yaml"): "this is not a regular file",
+        str(folder / "up.yaml"): "this is a directory",
+        str(folder / "sparse.yaml"): "this file is larger than 10 MiB",
+        str(folder / ("n" * 300)): "the file cannot be read",
+        "scene\0.yaml": "the file cannot be read",
+        "": "this is a directory",
+    }
+
+
+def said_of_odd_files(folder):
+    files, answers = odd_files(folder), []
+    limited()
+    for name, words in files.items():
+        code, said = check(name)
+        answers.append([name, code, words in said, said])
+    return answers
+
+
+def test_files_that_are_none(tmp_path):
+    for name, code, told, said in in_child(said_of_odd_files, str(tmp_path)):
+        assert code == 2, name
+        assert told, f"{name}: {said}"
+        assert said.endswith("1 problem found.\n")
+
+
+def test_a_link_to_a_scene_is_that_scene(tmp_path):
+    scene = Path(__file__).parents[2] / "scenes" / "two_spheres.yaml"
+    (tmp_path / "link.yaml").symlink_to(scene)
+    assert main(["check", str(tmp_path / "link.yaml")]) == 0

@@ -29,13 +29,14 @@ def saving_rows(found: Sequence[Saving]) -> list[tuple[str, ...]]:
 def remarks(found: Sequence[Saving]) -> list[str]:
     """What a reader must know to read the table."""
     span = 1e3 * (STEPS_BEFORE + STEPS) * found[0].plan.time_step
-    law = found[0].plan.law.name
+    law = found[0].plan.law
+    swapped = f"Without history elastic hertz stands for {law.name}. " if law.history_names else ""
     return [
         "Step, bytes and contacts are those of one particle; time is relative to the scene as it stands, the median "
         "and quartiles of rounds in which every row had its turn. Searching for neighbours is not in it.",
         f"Every timing begins with the same particles in the same places and lasts {span:.2g} ms, since what is left "
         "out changes what happens: contacts, at its end, says how far.",
-        f"Without history hertz stands for {law}, without loss. Rotation goes with friction and rolling friction.",
+        f"{swapped}Rotation goes with friction and rolling friction.",
         "Radius and mass are kept for every particle in any scene: several radii cost nothing.",
     ]
 
