@@ -129,8 +129,8 @@ class Simulation:
             with ExitStack() as stack:
                 if self.out is not None:
                     stack.enter_context(locked(self.out))
-                    stack.enter_context(run_log(self.out, go_on=self._resumed is not None))
                     self._tidy(self.out)
+                    stack.enter_context(run_log(self.out, go_on=self._resumed is not None))
                 stack.callback(self._finish_observers)
                 self._log_plan()
                 return self._run(until)
