@@ -56,9 +56,10 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: 
     with replacing(path, settled=True) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
             archive.comment = PLACEHOLDER
-            archive.writestr(HEADER, json.dumps(header))
+            archive.writestr(zipfile.ZipInfo(HEADER), json.dumps(header))
             for name, array in arrays.items():
-                with archive.open(name + ARRAYS, "w", force_zip64=True) as member:
+                # Given a bare name, zipfile asks for the date, and fails where the computer's clock stands before 1980.
+                with archive.open(zipfile.ZipInfo(name + ARRAYS), "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
         with open(temporary, "r+b") as file:
             checksum = _checksum(file)

@@ -8,11 +8,21 @@ import zipfile
 
 import numpy as np
 import pytest
+from trials import balls, trial
 
 from granflow.errors import GranflowError
-from granflow.observe import CheckpointError, keep_last, locked, newest_checkpoint, read_checkpoint, write_checkpoint
+from granflow.observe import (
+    CheckpointError,
+    CheckpointWriter,
+    keep_last,
+    locked,
+    newest_checkpoint,
+    read_checkpoint,
+    write_checkpoint,
+)
 from granflow.observe import checkpoint as format_of
 from granflow.observe.files import replacing
+from granflow.scene.schema import Checkpoints
 
 KEPT = {
     "step": 7, "look": float("inf"), "fraction": 0.1 + 0.2,
@@ -114,6 +124,24 @@ def test_a_directory_is_held_by_one_run_and_a_dead_one_lets_go(tmp_path):
         process.communicate()
     with locked(tmp_path):
         pass
+
+
+def test_when_one_is_due(tmp_path, monkeypatch):
+    """Every 10 s of a clock that nobody sets, and every 0.5 s of simulated time."""
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.time", lambda: pytest.fail("the computer's time is asked"))
+    scene = trial({"ball": balls([0.0, 0.0, 0.0])})
+    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2))
+    writer.start(0.0)
+    assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)
+    writer.write(scene, 0.5, 1, KEPT)
+    assert not writer.due(0.6)
+    now[0] += 10.0
+    assert writer.due(0.6)
+    writer.write(scene, 0.6, 2, KEPT)
+    assert not writer.due(0.9) and writer.next_time() == 1.0
+    assert (writer.last_time, len(list(tmp_path.iterdir()))) == (0.6, 2)
 
 
 def test_the_header_is_plain_json(tmp_path):
