@@ -93,6 +93,8 @@ class Simulation:
         self._earlier = list(earlier)
         grains = initial_grains(scene, earlier) if resume is None else None
         self._rains: tuple[Rain, ...] = tuple(rain for rain in rains(scene) if rain.group_name not in earlier)
+        if self.out is not None:
+            self.out.mkdir(parents=True, exist_ok=True)
         self.engine = Engine(self.plan, backend)
         self._keeper = EngineKeeper(self.engine)
         self.stage = scene.schedule[0].name
