@@ -17,7 +17,7 @@ from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
 from granflow.scene.yaml12 import parse
 
-_LARGEST_FILE = 10 * 2**20  # bytes
+_LARGEST_FILE = 4 * 2**20  # bytes; reading that takes seconds
 _MOST_SHOWN = 100  # problems
 
 

@@ -16,10 +16,12 @@ from child import in_child
 from mutants import SCENES, made_by_hypothesis, mutant, written
 
 from granflow.cli import main
+from granflow.errors import SceneError
 from granflow.plan import room
+from granflow.scene import load
 
-SECONDS = 20
-"""Longer than this for one input is a hang; a shipped scene takes a fiftieth of a second."""
+SECONDS, WAITING = 20, 200
+"""More computing, or more waiting, than this for one input is a hang; a shipped scene takes a fiftieth of a second."""
 
 MEMORY = 2**30
 """Bytes that one input may take."""
@@ -35,7 +37,12 @@ class Hang(BaseException):
 
 
 def alarmed(*_):
-    raise Hang(f"more than {SECONDS} s")
+    raise Hang(f"more than {SECONDS} s of computing or {WAITING} s of waiting")
+
+
+def set_alarm(computing, waiting):
+    signal.setitimer(signal.ITIMER_PROF, computing)
+    signal.setitimer(signal.ITIMER_REAL, waiting)
 
 
 def peak():
@@ -46,14 +53,14 @@ def peak():
 def check(path):
     """Exit code of `granflow check` and what it says on stderr."""
     said = io.StringIO()
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    set_alarm(SECONDS, WAITING)
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
             return main(["check", str(path)]), said.getvalue()
     except BaseException:
         return None, traceback.format_exc()
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        set_alarm(0, 0)
 
 
 def complaint(path):
@@ -71,7 +78,8 @@ def complaint(path):
 
 def limited():
     """Set the alarm and the limits of this process, and make warnings errors."""
-    signal.signal(signal.SIGALRM, alarmed)
+    for each in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(each, alarmed)
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (virtual + MEMORY, virtual + MEMORY))
     room.memory_free = lambda: FREE
@@ -90,7 +98,7 @@ def outcome(folder, files):
         code, wrong = complaint(path)
         accepted += code == 0
         if wrong:
-            failures.append([number, raw[:2000].decode("latin-1"), wrong])
+            failures.append([number, raw[:300].decode("latin-1"), wrong])
     return accepted, peak() - before, failures
 
 
@@ -180,20 +188,28 @@ def test_traps(tmp_path):
 
 
 def floods():
-    """Files of 10 MB."""
-    size = 10 * 2**20
+    """Files of 10 MB, and of almost the 4 MiB that are read."""
+    return {f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in floods_of(size).items()}
+
+
+def floods_of(size):
     shapes = {
         "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
         "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
         "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
-        "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"), "keys": ("", "k: 1\n", ""),
+        "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"),
+        "keys": ("", "k: 1\n", ""),
         "positions": ("title: x\nparticles: {a: {place: {kind: list, positions: [", "[0,0,0],", "]}}}"),
+        "bad items": ("particles: {a: {place: {kind: list, positions: [", "0," + 15 * " ", "0]}}}"),
+        "bad walls": ("walls:\n", "  w: {" + ", ".join(f"k{k}: 1" for k in range(48)) + "}\n", ""),
     }  # fmt: skip
-    found = {name: head + body * ((size - 200) // len(body)) + tail for name, (head, body, tail) in shapes.items()}
-    found["bad items"] = "particles: {a: {place: {kind: list, positions: [" + "0," * 249_000 + "0]}}}"
-    keys = ", ".join(f"k{k}: 1" for k in range(48))
-    found["bad walls"] = "walls:\n" + "".join(f"  w{n}: {{{keys}}}\n" for n in range(4990))
-    return found
+    found = {name: head + body * (size // len(body)) + tail for name, (head, body, tail) in shapes.items()}
+    return found | {"bad walls": renumbered(found["bad walls"])}
+
+
+def renumbered(text):
+    """Walls with names of their own."""
+    return "".join(line.replace("  w:", f"  w{n}:", 1) for n, line in enumerate(text.splitlines(True)))
 
 
 @pytest.mark.slow
@@ -215,13 +231,13 @@ def odd_files(folder):
     return {
         str(folder): "this is a directory",
         "/dev/zero": "this is not a regular file",
-        "/proc/self/pagemap": "this file is larger than 10 MiB",
+        "/proc/self/pagemap": "this file is larger than 4 MiB",
         str(folder / "fifo.yaml"): "this is not a regular file",
         str(folder / "loop.yaml"): "the file cannot be read",
         str(folder / "nowhere.yaml"): "there is no such file",
         str(folder / "zero.yaml"): "this is not a regular file",
         str(folder / "up.yaml"): "this is a directory",
-        str(folder / "sparse.yaml"): "this file is larger than 10 MiB",
+        str(folder / "sparse.yaml"): "this file is larger than 4 MiB",
         str(folder / ("n" * 300)): "the file cannot be read",
         "scene\0.yaml": "the file cannot be read",
         "": "this is a directory",
@@ -248,3 +264,32 @@ def test_a_link_to_a_scene_is_that_scene(tmp_path):
     scene = Path(__file__).parents[2] / "scenes" / "two_spheres.yaml"
     (tmp_path / "link.yaml").symlink_to(scene)
     assert main(["check", str(tmp_path / "link.yaml")]) == 0
+
+
+TOO_MUCH = {
+    "walls:\n" + "".join(f"  w{n}: 1\n" for n in range(5001)): (
+        ":5002:3: there are more than 5000 keys in one mapping, too many for a scene.",
+    ),
+    "seed: [" + "0, " * 250_000 + "0]": (
+        ":1:750002: there are more than 250000 values by here, too many for a scene.",
+    ),
+    "materials:\n" + "".join(f"  m{n}: {{}}\n" for n in range(51)): (
+        ":1:1: materials has 51 entries, but a scene holds at most 50 of them.",
+    ),
+    "title: x\n" + "".join(f"k{n}: 1\n" for n in range(200)): (
+        ":93:1: k91 is not known here.",
+        ":201:1: this is the last of 108 more problems, which are not shown.",
+    ),
+}
+
+
+@pytest.mark.parametrize("text", TOO_MUCH, ids=["keys", "values", "entries", "problems"])
+def test_what_is_said_of_too_much(tmp_path, text):
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    with pytest.raises(SceneError) as refused:
+        load(path)
+    said = refused.value.problems
+    assert len(said) <= 101
+    for sentence in TOO_MUCH[text]:
+        assert any(problem.startswith(f"{path}{sentence}") for problem in said), said[-3:]
