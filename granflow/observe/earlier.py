@@ -48,7 +48,7 @@ def _grains(scene: Scene, name: str, checkpoint: Checkpoint, number: int) -> Gra
     order = np.argsort(particles["id"], kind="stable")
     chosen = order[kept["books"]["group"][particles["id"][order]] == number]
     arrays = {key: values[chosen].astype(np.float64) for key, values in particles.items()}
-    velocity, spin = _at_the_time_of_positions(arrays, checkpoint.kept["plan"]["time_step"])
+    velocity, spin = _at_the_time_of_positions(arrays, kept["clock"]["time_step"])
     count, material = len(chosen), list(scene.materials).index(scene.particles[name].material)
     return Grains(
         position=arrays["position"],
