@@ -1,12 +1,17 @@
 """A run that will not fit is refused before it takes memory; what is free is read from the machine and its groups."""
 
+import resource
+from pathlib import Path
+
 import pytest
+from child import in_child
 from plan.scenes import TEXT, line_of
 
 from granflow.cli import main
 from granflow.errors import SceneError
 from granflow.plan import plan_for, room
 from granflow.scene import load
+from granflow.simulation import Simulation
 
 GIB = 2**30
 
@@ -90,3 +95,22 @@ def test_more_than_can_be_numbered_are_refused_at_once_whatever_the_machine(tmp_
     sentence, closing = capsys.readouterr().err.splitlines()
     assert "2000000000 particles are asked for, but about " in sentence
     assert closing == "1 problem found."
+
+
+def growth_of_a_run(folder):
+    """What a run of 60 000 spheres was said to take, and by how much the most that its process held grew [bytes]."""
+    text = TEXT.replace("count: 10\n", "count: 60000\n").replace("[2 cm, 2 cm, 1 cm]", "[20 cm, 20 cm, 16 cm]")
+    text = text.replace("max: [3 cm, 3 cm, 3 cm]", "max: [21 cm, 21 cm, 17 cm]").replace("50 ms", "20 us")
+    path = Path(folder) / "many.yaml"
+    path.write_text(text)
+    plan = plan_for(load(path))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    Simulation(load(path), out=Path(folder) / "out").run()
+    return [room.memory_needed(plan), 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)]
+
+
+@pytest.mark.slow
+def test_a_run_takes_what_was_foretold(tmp_path):
+    """Within a third; an estimate that is short would let runs die."""
+    foretold, taken = in_child(growth_of_a_run, str(tmp_path))
+    assert 0.67 * foretold < taken < 1.1 * foretold
