@@ -5,6 +5,7 @@ approach velocity, `x` residual over largest overlap, `y = 1 - x`. Arguments bro
 """
 
 import math
+from functools import cache
 from typing import TypeAlias
 
 import numpy as np
@@ -87,13 +88,19 @@ def unloading_duration(e: float) -> float:
         return 0.0
     y = float(recovery(e))
     kappa = 1.25 * e**2 * float(unloading_slope(e))
-    nodes, weights = leggauss(120)
+    nodes, weights = _quadrature()
     angle = np.pi / 4.0 * (nodes + 1.0)
     s = np.sin(angle)
     # (1 - s^2.5) / cos^2, finite at s = 1 where it is 1.25
     power = (1.0 - s**2.5) / np.cos(angle) ** 2
     integrand = e / np.sqrt(kappa + e**5 * np.sqrt(y) * power)
     return float(np.pi / 4.0 * np.sum(weights * integrand))
+
+
+@cache
+def _quadrature() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on [-1, 1]: a plan asks for them once for every two groups, and finding them takes longest."""
+    return leggauss(120)
 
 
 def duration(e: float, k: Number, mass: Number, velocity: Number) -> Number:
