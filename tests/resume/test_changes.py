@@ -6,8 +6,10 @@ from resume.runs import busy_scene
 from trials import balls, plane, trial
 
 from granflow.errors import GranflowError, SceneError
-from granflow.observe import newest_checkpoint
+from granflow.observe import accepted_change, earlier_grains, newest_checkpoint
+from granflow.plan import plan_for
 from granflow.scene.differences import differences, forbidden
+from granflow.scene.generate import initial_grains
 from granflow.scene.reader import scene_of
 from granflow.simulation import Simulation
 
@@ -124,7 +126,7 @@ def test_another_scene_is_refused_unless_told(held):
     difference = "domain.max was [1.0, 1.0, 1.0] and is [1.5, 1.5, 1.5]"
     assert sentence == f"{held.path}: {difference}, which cannot change while a run goes on."
     assert remedy == "Run the scene anew, or go on all the same with --anyway."
-    Simulation(other, resume=held, anyway=True).free()
+    assert [each.key for each in accepted_change(held, plan_for(other), anyway=True).differences] == ["domain.max"]
 
 
 def test_another_time_step_is_refused_even_when_told(held):
@@ -141,13 +143,11 @@ def test_a_scene_starts_from_the_last_state_of_another(held, there):
     """Positions, velocities at the same moment, sizes; groups that are new keep clear of those that came."""
     groups = {"fresh": balls([[0.0, 0.0, 0.3]], 0.02), "balls": balls([[0.0, 0.0, 0.1]] * 4)}
     scene = dropped(start_from=str(held.path.parent), particles=groups)
-    simulation = Simulation(scene)
-    start = simulation.snapshot().particles
-    simulation.free()
-    assert list(start["group"]) == [0, 1, 1, 1, 1]
-    for name in ("position", "radius"):
-        np.testing.assert_array_equal(start[name][1:], there[name])
-    np.testing.assert_allclose(start["velocity"][1:], there["velocity"], rtol=1e-12, atol=1e-15)
+    start = initial_grains(scene, earlier_grains(scene))
+    assert list(start.group) == [0, 1, 1, 1, 1]
+    np.testing.assert_array_equal(start.position[1:], there["position"])
+    np.testing.assert_array_equal(start.radius[1:], there["radius"])
+    np.testing.assert_allclose(start.velocity[1:], there["velocity"], rtol=1e-12, atol=1e-15)
 
 
 def test_start_from_says_what_does_not_fit(held, tmp_path):
