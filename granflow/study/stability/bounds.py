@@ -93,7 +93,7 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
         allowed = stable_step(meeting, plan.law, VELOCITY)
         scale = np.sqrt(meeting.mass_eff / plan.law.stable_stiffness(*_bodies(meeting)))
         grains = _grains(lattice, overlap_at(plan.law, meeting), friction)
-        real = _sought(engine, plan, grains, lattice.anchored, allowed)
+        real = _sought(engine, grains, allowed)
         found.append(Bound(law, friction, name, real, allowed, float(scale)))
     engine.free()
     return found
@@ -161,18 +161,18 @@ def _grains(lattice: Lattice, overlap: float, held: bool) -> Grains:
     )  # fmt: skip
 
 
-def _sought(engine: Engine, plan: Plan, grains: Grains, anchored: np.ndarray, allowed: float) -> float:
+def _sought(engine: Engine, grains: Grains, allowed: float) -> float:
     """The step [s] above which the nudge grows, by bisection."""
     low, high = LOWEST * allowed, HIGHEST * allowed
     while high > RESOLUTION * low:
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if _grows(engine, plan, grains, anchored, middle) else (middle, high)
+        low, high = (low, middle) if _grows(engine, grains, middle) else (middle, high)
     return float(np.sqrt(low * high))
 
 
-def _grows(engine: Engine, plan: Plan, grains: Grains, anchored: np.ndarray, step: float) -> bool:
+def _grows(engine: Engine, grains: Grains, step: float) -> bool:
     """Whether the nudge grows at this step [s]."""
-    _begin_again(engine, plan, grains, step)
+    _begin_again(engine, grains, step)
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
     begun = _kinetic(grains.velocity, grains.spin, mass)
     for _ in range(LOOKS):
@@ -192,9 +192,9 @@ def _kinetic(velocity: np.ndarray, spin: np.ndarray, mass: float) -> float:
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(spin**2))
 
 
-def _begin_again(engine: Engine, plan: Plan, grains: Grains, step: float) -> None:
+def _begin_again(engine: Engine, grains: Grains, step: float) -> None:
     """Empty the engine and fill it anew at another step [s]: what was compiled serves all steps."""
-    engine.plan = engine.state.plan = replace(plan, step=replace(plan.step, value=step))
+    engine.state.clock.change(step)
     control = engine.state.control
     for position in (3.0 * grains.position, grains.position):  # apart, where contacts forget; then together
         engine.state.count = 0
