@@ -82,7 +82,7 @@ def test_killed_fifty_times(home, reference):
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 def test_killed_at_every_kind_of_write(home, reference):
-    """At 40 writes spread over the run, the first 20 one by one: each in a fresh run that then goes on."""
+    """At some 40 writes spread over the run, the first 20 one by one: each in a fresh run that then goes on."""
     whole, writes, _ = reference
     moments = [*range(1, 21), *range(21, writes + 1, max((writes - 20) // 20, 1))]
     for number in moments:
