@@ -157,7 +157,7 @@ def test_a_step_that_is_not_stable_is_refused(home, verb):
     refused = granflow(home, verb, "beads.yaml", "--set", "run.time_step=1 ms", *["--out", "no"] * (verb == "run"))
     assert refused.returncode == 2
     problem, count = refused.stderr.splitlines()
-    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stable 0.0001")
+    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stable 5e-05 s (")
     assert problem.endswith(" s or leave it out.") and count == "1 problem found."
     assert not (home / "no").exists()
 
