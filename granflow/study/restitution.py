@@ -124,7 +124,9 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], float]:
     count = DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
     collisions = plan_for(_side_by_side(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
-    rebound = _collide(Engine(collisions, backend), collisions, _longest(plan, pairs, velocities[0]))
+    engine = Engine(collisions, backend)
+    engine.state.clock.change(plan.time_step)
+    rebound = _collide(engine, collisions, _longest(plan, pairs, velocities[0]))
     reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
@@ -162,8 +164,7 @@ def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities
         "pairs": {key: pair.model_copy(update=frictionless) for key, pair in met.items()},
         "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
         "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
-        "run": {"duration": 1.0, "time_step": plan.time_step, "velocity_max": plan.velocity_max,
-                "precision": scene.run.precision},
+        "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
         "numerics": scene.numerics.model_copy(update={"overlap_limit": 1.0}),
         "output": {"interval": 1.0},
     })  # fmt: skip

@@ -134,7 +134,10 @@ def test_a_guard_stops_the_run_after_writing_the_state(home):
     stopped = granflow(home, "run", "beads.yaml", "--out", "guard", "--set", "numerics.overlap_limit=1e-4")
     assert stopped.returncode == 3, stopped.stderr
     sentence = stopped.stderr.splitlines()[-1]
-    assert sentence.startswith("granflow: Stopped: particle ") and "overlaps by more than numerics.overlap_limit 0.0001" in sentence
+    assert (
+        sentence.startswith("granflow: Stopped: particle ")
+        and "overlaps by more than numerics.overlap_limit 0.0001" in sentence
+    )
     assert "Traceback" not in stopped.stderr
     out = home / "guard"
     assert not (out / "result.json").exists()

@@ -23,7 +23,7 @@ from granflow.study.accuracy.axes import (
     touches_of,
 )
 from granflow.study.accuracy.exact import freed_at
-from granflow.study.paper.encounters import look, share_to_end, side_by_side
+from granflow.study.paper.encounters import FORCES_TO_END, look, share_to_end, side_by_side
 
 WATCHED_WHOLE = 200
 """Up to so many steps every one is looked at; beyond, only those around the largest overlap and the end."""
@@ -142,11 +142,11 @@ class Bench:
         largest = _top(overlap)
         acting = np.flatnonzero(force)
         last = int(acting[-1]) if len(acting) else 0
-        if not parted or last < 2 or numbers[last + 1] - numbers[last - 2] != 3:
+        if not parted or last < 3 or numbers[last + 1] - numbers[last - 3] != FORCES_TO_END:
             return restitution, np.nan, largest
         freed = freed_at(self.contender.law, self.kinds[pair // PHASES].restitution)
         if freed is None:
-            end = numbers[last] + share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
+            end = numbers[last] + share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
         else:  # from there on it flew freely
             missed = (freed * largest - overlap[last + 1]) / -rate[last + 1]
             end = numbers[last + 1] - missed / self.plan.time_step

@@ -62,6 +62,10 @@ class Outcomes:
     force: np.ndarray
 
 
+FORCES_TO_END = 4
+"""Last forces of a contact from which its end is found."""
+
+
 def collide_all(normal: Any, encounters: Sequence[Encounter], time_step: float, backend: Backend) -> Outcomes:
     """Run all encounters in one scene with the many-particle kernels.
 
@@ -207,28 +211,29 @@ def _measured(
     last = int(acting[-1])
     if last + 1 == len(force):
         return 0.0, np.nan, shared[0], float(overlap[last]), *shared[1:]
-    share = share_to_end(force[last - 2 : last + 1], overlap[last : last + 2])
+    share = share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
     duration = (last + share) * time_step - touch
     residual = overlap[last] + share * (overlap[last + 1] - overlap[last])
     return float(-rate[last + 1] / velocity), duration, shared[0], residual, *shared[1:]
 
 
 def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
-    """Share s of a step from the last force to the moment it vanishes.
+    """Share s of a step from the last force to the moment it vanishes; negative where a mean over the step outlives it.
 
-    From the last three forces, F = a t + b t^1.5 at the times t = s, s + 1, s + 2 before the end: a straight spring, a
-    Hertz contact, and any sum of them. A contact that ends under tension ends where the overlap does.
+    From the three forces before the last, F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3 before the end: a
+    straight spring, a Hertz contact, and any sum of them. The last one may be a mean over a step that reaches beyond
+    the end. A contact that ends under tension ends where the overlap does.
     """
     if force[-1] < 0.0:
         return float(np.clip(overlap[0] / (overlap[0] - overlap[1]), 0.0, 1.0))
-    if not force[0] > force[1] > force[2]:
-        return 0.5
+    if not (len(force) == FORCES_TO_END and force[0] > force[1] > force[2]):
+        return 0.0
 
     def mismatch(share: float) -> float:
-        times = share + np.array([2.0, 1.0, 0.0])
-        return float(np.linalg.det(np.stack([force, times, times**1.5])))
+        times = share + np.array([3.0, 2.0, 1.0])
+        return float(np.linalg.det(np.stack([force[:3], times, times**1.5])))
 
-    low, high = 0.0, 1.0
+    low, high = -0.5, 1.0
     before = np.sign(mismatch(low))
     for _ in range(40):
         middle = 0.5 * (low + high)
