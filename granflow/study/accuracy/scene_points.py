@@ -23,9 +23,9 @@ from granflow.study.accuracy.scene_runs import (
     seeds_of,
 )
 
-SHARES = (0.1, 0.14, 0.2, 0.28, 0.4)
+SHARES = (0.1, 0.2, 0.28, 0.4)
 """Time steps over the shortest phase of a contact."""
-SINGLE_SHARES = (0.1, 0.2)
+SINGLE_SHARES = (0.2,)
 """Of runs in other than double precision."""
 REFERENCE = 0.05
 """The share that all others are compared with, in double precision."""
