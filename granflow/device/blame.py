@@ -42,7 +42,7 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     """
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
-    if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand; positions are a step ahead of the time
+    if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand: a step ahead of the time
         there["velocity"] += 0.5 * state.clock.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
         time += state.clock.time_step
     found = np.flatnonzero(there["id"] == particle)
