@@ -35,13 +35,16 @@ class Near:
     surface: np.ndarray
 
 
-def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time: float) -> Trip:
-    """The trip of a guard at `time` [s], with the pair most at fault if those that tripped it touch anything."""
+def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time: float, begun: bool) -> Trip:
+    """The trip of a guard at `time` [s], with the pair most at fault if those that tripped it touch anything.
+
+    `begun`: whether any step was taken, not only forces found where the particles begin.
+    """
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
-    if code == GUARD_OVERLAP:  # forces are of where the particles stand; positions are a step ahead of the time
+    if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand: a step ahead of the time
         there["velocity"] += 0.5 * state.clock.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
-        time += state.clock.time_step if time > 0.0 else 0.0
+        time += state.clock.time_step
     found = np.flatnonzero(there["id"] == particle)
     index = int(found[0])  # one that left the domain stands right behind the others
     party = _party(state.plan, there, index)
@@ -50,7 +53,7 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     wanted = mine if code in (GUARD_LOST, GUARD_TRAVEL) else np.ones_like(mine)
     share = np.where(wanted & (near.overlap > 0.0), near.overlap, 0.0)
     pair = _pair(state.plan, there, near, int(share.argmax())) if share.any() else None
-    return trip_of(code, party, pair, state.clock.time_step)
+    return trip_of(code, party, pair, state.clock.time_step, begun)
 
 
 def _party(plan: Plan, there: dict[str, np.ndarray], index: int) -> Party:

@@ -111,7 +111,8 @@ class Engine:
         code = self.stepper.guard_code
         if not code:
             return None
-        return trip_behind(code, int(self.state.control.guard_particle[0]), self.state, self.transfer, self.time)
+        particle = int(self.state.control.guard_particle[0])
+        return trip_behind(code, particle, self.state, self.transfer, self.time, self._begun)
 
     def insert(self, grains: Grains) -> None:
         """Put grains in at the present time; their forces come with the next `refresh`."""
@@ -158,7 +159,7 @@ class Engine:
         if counted:
             self.books.brought_energy += self._contact_energy() - before
         self._walls_changed = False
-        if not self._begun:
+        if not self._begun and not self.stepper.guard_code:
             self._begun = True
             self.transfer.kick(-0.5 * self.time_step)
         self._keep_pace()

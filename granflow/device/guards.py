@@ -66,11 +66,13 @@ class Trip:
     party: Party
     pair: Pair | None
     time_step: float
+    begun: bool
+    """Whether any step was taken, not only forces found where the particles begin."""
 
 
-def trip_of(code: int, party: Party, pair: Pair | None, time_step: float) -> Trip:
+def trip_of(code: int, party: Party, pair: Pair | None, time_step: float, begun: bool) -> Trip:
     """The trip that a code stands for."""
-    return Trip(GUARDS[code], party, pair, time_step)
+    return Trip(GUARDS[code], party, pair, time_step, begun)
 
 
 def guard_message(trip: Trip, plan: Plan, time: float, out: Path | None) -> str:
@@ -88,7 +90,7 @@ def _overlap(trip: Trip, plan: Plan, time: float) -> str:
         f"{pair.first} at {time:.6g} s overlaps by more than {limit} of the smaller radius: by {pair.overlap:.3g}, "
         f"with {pair.second}."
     )
-    if time == 0.0:
+    if not trip.begun:
         return f"{what} They begin so: move them apart, or raise numerics.overlap_limit if such overlaps are wanted."
     what = f"{what} {_going(pair)}"
     if cause := _step_or_speed(pair, plan, trip.time_step):

@@ -92,6 +92,15 @@ def test_an_overlap_names_both_with_materials_and_speeds_and_what_they_do(taichi
     assert "raise young_modulus of glass and steel, or raise numerics.overlap_limit" in said
 
 
+def test_an_overlap_in_the_first_step_is_an_impact_and_not_how_they_begin(taichi_f64):
+    near = balls([[0.0105, 0.0, 0.0]], material="steel")
+    given = {"run": {"duration": 0.01, "velocity_max": 40.0}, "numerics": {"overlap_limit": 1e-3, "skin": 5e-3}}
+    said = told(trial(groups(balls([[0.0004995, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given))
+    assert "They approach at" in said and "They begin so" not in said
+    overlapping = told(trial(groups(balls([[0.00052, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given))
+    assert "They begin so" in overlapping
+
+
 def test_an_impact_faster_than_planned_says_what_to_plan_for(taichi_f64):
     scene = trial(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3})
     said = told(scene)
