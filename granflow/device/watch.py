@@ -12,8 +12,8 @@ from granflow.plan.time_step import stable_step
 GAINED = 0.05
 """Energy from nowhere over the largest kinetic energy so far from which on it is said."""
 
-ROUNDING = 1e-9
-"""Share of the potential energies that is rounding."""
+ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
+"""Share of the potential energies that is rounding, by precision: masses have it, in f32 positions, too."""
 
 FASTER = 1.1
 """By how much the fastest particle must outdo the fastest so far to be looked at again."""
@@ -31,6 +31,7 @@ class Watch:
         self.plan = plan
         self.warnings: dict[str, str] = {}
         self._fastest = plan.velocity_max
+        self._rounding = ROUNDING[plan.scene.run.precision]
         self._start = 0.0
         self._kinetic_largest = 0.0
         self._asked = not plan.features.ledger and _keeps_energy(plan)
@@ -64,7 +65,7 @@ class Watch:
             self._begun = True
             self._asked = contact_count == 0
             self._start = held
-        return max(held - self._start - ROUNDING * (abs(energies[2]) + abs(flow)), 0.0)
+        return max(held - self._start - self._rounding * (abs(energies[2]) + abs(flow)), 0.0)
 
     def _look_at_speed(self, time: float, speed: float) -> None:
         """Hold a step that does not follow the scene against the stable one at the speed of the fastest particle."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from child import in_child
 from trials import balls, box, plane, trial
 
 from granflow.observe import every
@@ -73,3 +74,18 @@ def test_walls_that_move_are_not_taken_for_energy_from_nowhere(taichi_f64):
     walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 300.0}}
     scene = trial({"gas": balls([[0.015, 0.015, 0.00501]])}, walls=walls, run={"duration": 0.01, "velocity_max": 4.0})
     assert not warned(scene)
+
+
+def warned_at_the_start(precision):
+    """Beads let go high up: no motion yet, and potential energies with the rounding of the masses."""
+    places = [[0.0137 * k, 0.0, 0.731] for k in range(5)]
+    scene = trial(
+        {"beads": balls(places, 0.0093)}, gravity=[0.0, 0.0, -9.81],
+        run={"duration": 1e-3, "velocity_max": 1.0, "precision": precision},
+    )  # fmt: skip
+    return list(warned(scene))
+
+
+@pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
+def test_rounding_is_not_taken_for_energy_from_nowhere(precision):
+    assert in_child(warned_at_the_start, precision) == []
