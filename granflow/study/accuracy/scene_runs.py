@@ -22,7 +22,7 @@ from granflow.snapshot import Snapshot
 from granflow.study.restitution import QUICK_VELOCITIES
 from granflow.study.restitution import measure as measure_restitution
 
-FEW = 400
+FEW = 250
 """Particles that a scene is cut down to, unless the whole is asked for."""
 LOOKS = 200
 """Moments over which centre of mass and coordination number are averaged."""
