@@ -18,6 +18,7 @@ SMALL = {
         "materials.glass.young_modulus=10 MPa",
         "materials.acrylic.young_modulus=10 MPa",
         "numerics.overlap_limit=0.2",
+        "numerics.time_step_safety=0.1",
         "stages.0.duration=0.2 s",
         "stages.1.at_most=0.1 s",
         "stages.2.duration=0.3 s",
