@@ -13,7 +13,7 @@ import numpy as np
 from granflow.device.backend import Arch, Precision, start
 from granflow.device.checkpoint import EngineKeeper
 from granflow.device.engine import Engine
-from granflow.device.guards import guard_message
+from granflow.device.guards import Trip, guard_message
 from granflow.errors import OutputError, RunError
 from granflow.observe import (
     Change,
@@ -257,8 +257,9 @@ class Simulation:
         if self._target is None:
             self._target, self._arrived = max(time, self.time + self.engine.time_step), False
         self._advance(self._target)
-        if self.engine.trip is not None:
-            self._stop()
+        trip = self.engine.trip
+        if trip is not None:
+            self._stop(trip)
         if not self._arrived:
             self._let_in()
             self._arrived = True
@@ -269,14 +270,14 @@ class Simulation:
 
     def _advance(self, target: float) -> None:
         """Do the steps up to `target` [s] in parts, between which signals are heard and checkpoints written."""
-        while self.engine.steps_to(target) > 0 and self.engine.trip is None:
+        while self.engine.steps_to(target) > 0 and not self.engine.tripped:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
             in_time = max(self.engine.steps_to(checkpoint), 1) if isfinite(checkpoint) else self._part
             self.engine.advance(min(self._part, self.engine.steps_to(target), in_time))
             pace = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
             self._part = max(min(int(pace * PART_SECONDS), 2 * self._part), 1)
-            if self.engine.trip is None:
+            if not self.engine.tripped:
                 self._look_up()
 
     def _look_up(self) -> None:
@@ -325,10 +326,8 @@ class Simulation:
         for observer in self._observers:
             observer.finish()
 
-    def _stop(self) -> None:
+    def _stop(self, trip: Trip) -> None:
         """A guard tripped: write what stands there, then say why."""
-        trip = self.engine.trip
-        assert trip is not None
         self._show_to(self._observers)
         raise RunError(guard_message(trip, self.plan, self.time, self.out))
 

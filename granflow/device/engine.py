@@ -106,8 +106,13 @@ class Engine:
         return self.stepper.timing
 
     @property
+    def tripped(self) -> bool:
+        """Whether a guard tripped."""
+        return bool(self.stepper.guard_code)
+
+    @property
     def trip(self) -> Trip | None:
-        """The guard that tripped, if one did."""
+        """The guard that tripped, if one did, with who is behind it: that is looked up anew at every call."""
         code = self.stepper.guard_code
         if not code:
             return None
@@ -159,7 +164,7 @@ class Engine:
         if counted:
             self.books.brought_energy += self._contact_energy() - before
         self._walls_changed = False
-        if not self._begun and not self.stepper.guard_code:
+        if not self._begun and not self.tripped:
             self._begun = True
             self.transfer.kick(-0.5 * self.time_step)
         self._keep_pace()
@@ -174,7 +179,7 @@ class Engine:
         """Do `steps` steps; fewer if a guard trips or the time step changes."""
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
-        while clock.step_count < wanted and self.time_step == before and not self.stepper.guard_code:
+        while clock.step_count < wanted and self.time_step == before and not self.tripped:
             allowed = wanted - clock.step_count
             if self.plan.pace is not None:
                 allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
@@ -192,7 +197,7 @@ class Engine:
         """
         pace = self.plan.pace
         self.steps_since_look = 0
-        if pace is None or self.stepper.guard_code:
+        if pace is None or self.tripped:
             return
         self.stepper.stand_walls(self.step_count)
         self._follow_growth()

@@ -10,20 +10,13 @@ import signal
 import subprocess
 
 import pytest
-from resume.faults import SCENE, assert_whole, granflow, started, wait_for
+from resume.faults import assert_whole, granflow, started, wait_for
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="limits and signals of POSIX"),
     pytest.mark.slow,
     pytest.mark.timeout(1800),
 ]
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("faults")
-    (directory / "beads.yaml").write_text(SCENE)
-    return directory
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,9 @@ import signal
 import time
 
 import pytest
-from resume.faults import SCENE, assert_whole, granflow, started
+from resume.faults import assert_whole, granflow, started
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("kills")
-    (directory / "beads.yaml").write_text(SCENE)
-    return directory
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from granflow.cli import main
 from granflow.device import backend
 from granflow.errors import GranflowError
 from granflow.study.accuracy import write_two_bodies
-from granflow.study.accuracy.axes import CONTENDERS, PHASES, VELOCITIES, integrators
+from granflow.study.accuracy.axes import CONTENDERS, INTEGRATORS, PHASES, VELOCITIES
 from granflow.study.accuracy.exact import EXACT, freed_at
 from granflow.study.accuracy.orders import fitted_order
 from granflow.study.accuracy.points import Line, Point, measured_line
@@ -110,7 +110,7 @@ def contender(name):
 def lines(taichi_f64):
     """Zhou and elastic Hertz in double precision."""
     device = backend.start("cpu", "f64", 2)
-    wanted = [(contender(name), integrator) for name in ("zhou", "hertz, elastic") for integrator in integrators()[:1]]
+    wanted = [(contender(name), integrator) for name in ("zhou", "hertz, elastic") for integrator in INTEGRATORS[:1]]
     return [measured_line(*each, device, FEW_STEPS, repeats=2)[0] for each in wanted]
 
 
@@ -147,7 +147,7 @@ def test_share_is_that_of_the_shorter_phase(lines):
 def single_precision_errors():
     """Restitution errors of Zhou's law in f32, for the test below."""
     single = backend.start("cpu", "f32", 1)
-    line, _ = measured_line(contender("zhou"), integrators()[0], single, (80, 320), repeats=1)
+    line, _ = measured_line(contender("zhou"), INTEGRATORS[0], single, (80, 320), repeats=1)
     return line.error("restitution").tolist()
 
 

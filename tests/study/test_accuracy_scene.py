@@ -14,11 +14,11 @@ from granflow.study.accuracy import measure_scene, write_scene
 from granflow.study.accuracy.scene_points import LEDGER, SIGMAS, _Runs, _study
 from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
 from granflow.study.accuracy.scene_runs import (
+    FAMILIES,
     LOOKS,
     Outcome,
     Task,
     cut_down,
-    families,
     phase_of,
     restitution_error,
     run_task,
@@ -67,7 +67,7 @@ def test_the_share_is_what_time_step_safety_says(drop):
     scene = load(drop, ["numerics.time_step_safety=0.07"])
     phase, own = phase_of(scene)
     assert own == pytest.approx(0.07)
-    (override,) = families()[0].overrides(0.2, phase)
+    (override,) = FAMILIES[0].overrides(0.2, phase)
     assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
 
 
@@ -160,7 +160,7 @@ def test_what_the_hopper_ships_with_keeps_to_one_percent(taichi_f64):
     task = Task(SCENES / "hopper.yaml", (), None)
     phase, own = phase_of(task.scene())
     assert restitution_error(task) <= 0.01
-    coarse = task.with_overrides(*families()[0].overrides(4.0 * own, phase))
+    coarse = task.with_overrides(*FAMILIES[0].overrides(4.0 * own, phase))
     try:
         assert restitution_error(coarse) > 0.01
     except SceneError as error:

@@ -65,7 +65,7 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
 def _window(engine: Any, seconds: float) -> tuple[int, float, int]:
     """Steps done in at least `seconds` of wall time, those seconds, and the searches among them."""
     searches, steps, began = engine.timing.search_count, 0, time.perf_counter()
-    while time.perf_counter() - began < seconds and engine.trip is None:
+    while time.perf_counter() - began < seconds and not engine.tripped:
         engine.advance(BATCH)  # waits for the device: it reads how many steps were done
         steps += BATCH
     return steps, time.perf_counter() - began, engine.timing.search_count - searches

@@ -1,15 +1,13 @@
 """What the study of two bodies varies: law, integrator, precision, time step, and the collisions themselves."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from granflow.device.backend import Precision
 from granflow.laws.material import Solid
 from granflow.scene.presets import PRESETS
-from granflow.scene.schema import Numerics
 from granflow.study.accuracy.exact import EXACT, Exact
 from granflow.study.paper.cases import Case
 from granflow.study.paper.encounters import Encounter
@@ -48,10 +46,9 @@ class Contender:
 
 @dataclass(frozen=True)
 class Integrator:
-    """A way to step, and what `numerics` of a scene says to have it."""
+    """A way to step."""
 
     name: str
-    numerics: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -78,11 +75,8 @@ CONTENDERS = (
 )
 
 
-def integrators() -> tuple[Integrator, ...]:
-    """Those that a scene can name; the leapfrog where there is nothing to choose."""
-    field = Numerics.model_fields.get("integrator")
-    names = get_args(field.annotation) if field is not None else ()
-    return tuple(Integrator(name, {"integrator": name}) for name in names) or (Integrator("leapfrog", {}),)
+INTEGRATORS = (Integrator("leapfrog"),)
+"""The only one: docs/accuracy.md says what became of others."""
 
 
 def bead_case() -> Case:

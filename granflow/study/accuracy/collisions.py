@@ -90,7 +90,7 @@ class Bench:
         scene, place = side_by_side(
             self.contender.normal, encounters_of(self.kinds), touches_of(self.kinds, time_step), time_step,
             self.backend.precision, middle=DISTANCE, velocity_max=min(VELOCITIES),
-            numerics={"skin": skin, **self.integrator.numerics},
+            numerics={"skin": skin},
         )  # fmt: skip
         return scene, plan_for(scene, on_gpu=not self.backend.on_cpu), place
 

@@ -10,6 +10,7 @@ from granflow.study.accuracy.axes import (
     CONTENDERS,
     DISTANCE,
     FULL_STEPS,
+    INTEGRATORS,
     PHASES,
     PRECISIONS,
     RESTITUTIONS,
@@ -17,7 +18,6 @@ from granflow.study.accuracy.axes import (
     VELOCITIES,
     YOUNG_MODULUS,
     Contender,
-    integrators,
 )
 from granflow.study.accuracy.collisions import REPEATS
 from granflow.study.accuracy.figures import QUANTITY_HEIGHT, WORK_HEIGHT, draw_quantities, draw_work
@@ -72,7 +72,7 @@ def measure_two_bodies(
     for precision in precisions:
         with worker() as process:
             for contender in contenders:
-                for integrator in integrators():
+                for integrator in INTEGRATORS:
                     say(f"{contender.name}, {integrator.name}, {precision}")
                     order = (contender, integrator, precision, counts, repeats)
                     line, problems = process.submit(line_of, *order).result()

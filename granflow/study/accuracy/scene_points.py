@@ -12,10 +12,10 @@ from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import PRECISIONS
 from granflow.study.accuracy.points import worker
 from granflow.study.accuracy.scene_runs import (
+    FAMILIES,
     Family,
     Outcome,
     Task,
-    families,
     ordered,
     phase_of,
     restitution_error,
@@ -141,9 +141,9 @@ def measure_scene(
     runs: list[_Runs] = []
     for precision in precisions:
         wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
-        plain = [(family, share) for family in families() for share in wanted]
+        plain = [(family, share) for family in FAMILIES for share in wanted]
         if precision == "f64":
-            plain = [(families()[0], finest), *[(families()[0], finest / FINER)] * full, *plain]
+            plain = [(FAMILIES[0], finest), *[(FAMILIES[0], finest / FINER)] * full, *plain]
         with worker() as process:
             for family, share in plain:
                 say(f"{family.name} step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")

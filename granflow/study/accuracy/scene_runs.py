@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from granflow.errors import RunError, SceneError
 from granflow.observe import every
@@ -16,7 +15,6 @@ from granflow.plan.plan import meetings_of
 from granflow.plan.time_step import shortest_phase
 from granflow.scene import Scene
 from granflow.scene import load as load_scene
-from granflow.scene.schema import Run
 from granflow.simulation import Simulation
 from granflow.snapshot import Snapshot
 from granflow.study.restitution import QUICK_VELOCITIES
@@ -44,14 +42,8 @@ def _adaptive(share: float, _phase: float) -> list[str]:
     return ["run.time_step=adaptive", f"numerics.time_step_safety={share!r}"]
 
 
-def families() -> tuple[Family, ...]:
-    """One step throughout; and one that follows the scene, where scenes know that."""
-    fixed = Family("fixed", _fixed)
-    try:
-        Run.model_validate({"time_step": "adaptive"})
-    except ValidationError:
-        return (fixed,)
-    return fixed, Family("adaptive", _adaptive)
+FAMILIES = (Family("fixed", _fixed), Family("adaptive", _adaptive))
+"""One step throughout; and one that follows the scene."""
 
 
 @dataclass(frozen=True)

@@ -54,12 +54,17 @@ def judge_collisions(columns: Mapping[str, np.ndarray]) -> list[Judgement]:
     return [_wrong(columns), _mended(columns), _unstable(columns)]
 
 
+def _worst(*drifts: Deviation) -> float:
+    """Largest change of contact time or largest overlap, either way."""
+    return max(abs(number) for each in drifts for number in (each.duration, each.overlap_max))
+
+
 def _wrong(columns: Mapping[str, np.ndarray]) -> Judgement:
     part = "A spring from one velocity is wrong an order of magnitude away from it"
     slow, fast = drift(columns, ONE_SPRING, 1.0 / DECADE), drift(columns, ONE_SPRING, DECADE)
     if slow is None or fast is None:
         return Judgement(part, None, "linear was not among the laws.")
-    worst = max(abs(slow.duration), abs(fast.duration), abs(slow.overlap_max), abs(fast.overlap_max))
+    worst = _worst(slow, fast)
     why = (
         f"Against Zhou and Hertz its contact time changes by {_percent(slow.duration)} and its largest overlap by "
         f"{_percent(slow.overlap_max)} from the reference velocity to a tenth of it, by {_percent(fast.duration)} "
@@ -74,7 +79,7 @@ def _mended(columns: Mapping[str, np.ndarray]) -> Judgement:
     here = deviation(dict(columns), PER_CONTACT, "fine", 1.0)
     if slow is None or fast is None or here is None:
         return Judgement(part, None, "linear was not among the laws.")
-    worst = max(abs(slow.duration), abs(fast.duration), abs(slow.overlap_max), abs(fast.overlap_max))
+    worst = _worst(slow, fast)
     why = (
         f"Across both decades the same numbers change by {_percent(worst, signed=False)} at most. What stays at "
         f"every velocity: a contact time off by {_percent(here.duration)} and a largest overlap off by "

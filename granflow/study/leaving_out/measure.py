@@ -149,6 +149,7 @@ def _nanoseconds(engine: Engine, variant: Variant, start: Start) -> float:
     searched, began = engine.timing.search, perf_counter()
     engine.advance(STEPS)
     spent = perf_counter() - began - (engine.timing.search - searched)
-    if engine.trip is not None:
-        raise RunError(guard_message(engine.trip, engine.plan, engine.time, None))
+    trip = engine.trip
+    if trip is not None:
+        raise RunError(guard_message(trip, engine.plan, engine.time, None))
     return 1e9 * spent / (STEPS * max(engine.state.count, 1))

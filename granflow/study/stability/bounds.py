@@ -177,7 +177,7 @@ def _grows(engine: Engine, grains: Grains, step: float) -> bool:
     begun = _kinetic(grains.velocity, grains.spin, mass)
     for _ in range(LOOKS):
         engine.advance(STEPS_A_LOOK)
-        if engine.trip is not None:
+        if engine.tripped:
             return True
         arrays = engine.transfer.taken(("mass", "velocity", "spin"))
         free = arrays["mass"] < 10.0 * mass
