@@ -86,6 +86,7 @@ CONTACT_QUANTITIES = _by_name(
         Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
         Quantity("first_position", "xi", "m", "centre of particle i", "vector", "float64"),
         Quantity("second_position", "xj", "m", "centre of j, or foot point on the wall", "vector", "float64"),
+        Quantity("force", "F", "N", "total force on particle i, viscous and friction force included", "vector"),
         Quantity("normal_force", "Fn", "N", "repulsion along the normal"),
         Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
         Quantity("overlap", "delta", "m", "sum of the radii less the distance of the centres"),

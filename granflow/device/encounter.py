@@ -95,7 +95,7 @@ def build_effective(state: State, with_wall: bool) -> Any:
 def build_either_encounter(state: State) -> Any:
     """Device function as those of `build_encounter`, for grains and walls alike: for surveys, where speed is no matter.
 
-    Returns (overlap, rate, effective radius, effective mass).
+    Returns (overlap, normal, rate, effective radius, effective mass).
     """
     has_walls = state.plan.has_walls
     grain, grain_effective = build_encounter(state, False), build_effective(state, False)
@@ -105,14 +105,14 @@ def build_either_encounter(state: State) -> Any:
 
     @ti.func
     def either(i, j, pose, time_step):
-        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        overlap, rate, normal = 0.0 * particles.radius[i], 0.0 * particles.radius[i], 0.0 * particles.velocity[i]
         radius_eff, mass_eff, _inertia = wall_effective(i, j)
         if j < 0:
-            overlap, _n, _m, _c, _l, rate, _a, _p = wall(i, j, pose, time_step)
+            overlap, normal, _m, _c, _l, rate, _a, _p = wall(i, j, pose, time_step)
         else:
             radius_eff, mass_eff, _inertia = grain_effective(i, j)
-            overlap, _n2, _m2, _c2, _l2, rate, _a2, _p2 = grain(i, j, pose, time_step)
-        return overlap, rate, radius_eff, mass_eff
+            overlap, normal, _m2, _c2, _l2, rate, _a2, _p2 = grain(i, j, pose, time_step)
+        return overlap, normal, rate, radius_eff, mass_eff
 
     return either
 

@@ -12,6 +12,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.fixed import build_can_meet
+from granflow.device.leaving import build_stays
 from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 from granflow.plan.slots import BOUNDS
@@ -73,21 +74,14 @@ def build_cell_of() -> Any:
 
 
 def build_sort(state: State) -> Callable[..., None]:
-    """Counting sort by cell, by id within a cell; particles outside the domain come last.
+    """Counting sort by cell, by id within a cell; particles that leave come last.
 
     Reads:   position, id
     Writes:  cell, cell_start, order
     """
     particles, sorting, real = state.particles, state.sorting, state.backend.position_real
     number = build_cell_of()
-    low_x, low_y, low_z = (float(value) for value in state.plan.domain_low)
-    high_x, high_y, high_z = (float(value) for value in state.plan.domain_high)
-
-    @ti.func
-    def inside_domain(p):
-        in_x = p[0] >= low_x and p[0] <= high_x
-        in_y = p[1] >= low_y and p[1] <= high_y
-        return in_x and in_y and p[2] >= low_z and p[2] <= high_z
+    stays = build_stays(state)
 
     @ti.kernel
     def sort(count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32):
@@ -102,7 +96,7 @@ def build_sort(state: State) -> Callable[..., None]:
             y = ti.min(ti.cast((p[1] - y0) / side, ti.i32), by * BLOCK_SIDE - 1)
             z = ti.min(ti.cast((p[2] - z0) / side, ti.i32), bz * BLOCK_SIDE - 1)
             cell = cells - 1
-            if inside_domain(p):
+            if stays(i):
                 cell = number(ti.max(x, 0), ti.max(y, 0), ti.max(z, 0), bx, by)
             sorting.cell[i] = cell
             ti.atomic_add(sorting.cell_start[cell], 1)
