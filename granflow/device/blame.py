@@ -113,7 +113,7 @@ def _pair(plan: Plan, there: dict[str, np.ndarray], near: Near, worst: int) -> P
     if partner >= 0:
         second = _party(plan, there, partner)
         radius_eff = radius * there["radius"][partner] / (radius + there["radius"][partner])
-        both = {name: there[name][[owner, partner]] for name in ("mass", "fixed") if name in there}
+        both = {name: values[[owner, partner]] for name, values in there.items()}
         mass_eff = float(1.0 / (free_shares(both) / both["mass"]).sum())
         smaller = min(radius, there["radius"][partner])
     else:
