@@ -23,8 +23,8 @@ class Transfer:
     def append(self, arrays: dict[str, np.ndarray]) -> None:
         """Put n more particles behind those that are there.
 
-        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,), mass (n,), position (n, 3),
-        velocity (n, 3) half a step back, spin (n, 3).
+        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,), mass (n,), position
+        (n, 3), velocity (n, 3) half a step back, spin (n, 3).
         """
         state, particles = self.state, self.state.particles
         count = len(arrays["radius"])
