@@ -9,6 +9,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.apart import build_apart
+from granflow.device.fixed import build_can_meet
 from granflow.device.grid import build_cell_number
 from granflow.device.leaving import build_stays
 from granflow.device.state import SCAN_BLOCK, State
@@ -260,6 +261,7 @@ def build_rows(state: State) -> Callable[..., None]:
     around, meant = build_around(state)
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
+    can_meet = build_can_meet(state)
 
     @ti.func
     def append(chunk, slot, i, j):
@@ -273,7 +275,7 @@ def build_rows(state: State) -> Callable[..., None]:
     def near_walls(chunk, slot, i, skin, pose):
         filled = slot
         for w in range(wall_count):
-            if state.walls.present[w] == 1:
+            if state.walls.present[w] == 1 and can_meet(i, -1 - w):
                 if geometry.distance(w, pose, particles.position[i]) < particles.radius[i] + skin:
                     filled = append(chunk, filled, i, -1 - w)
         return filled
@@ -286,7 +288,7 @@ def build_rows(state: State) -> Callable[..., None]:
             if j > i or (j < first) or (j >= last):
                 between = apart(particles.position[i], particles.position[j])
                 reach = particles.radius[i] + particles.radius[j] + skin
-                if between.dot(between) < reach * reach:
+                if between.dot(between) < reach * reach and can_meet(i, j):
                     filled = append(chunk, filled, i, j)
         return filled
 
