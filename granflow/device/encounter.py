@@ -4,6 +4,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
 from granflow.device.walls import build_wall_geometry
@@ -73,18 +74,18 @@ def _build_wall_encounter(state: State) -> Any:
 
 def build_effective(state: State, with_wall: bool) -> Any:
     """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair."""
-    particles = state.particles
+    particles, felt_mass = state.particles, build_felt_mass(state)
 
     @ti.func
     def inertia(i):
-        return 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+        return 0.4 * felt_mass(i) * particles.radius[i] * particles.radius[i]
 
     @ti.func
     def effective(i, j):
-        radius_eff, mass_eff, inertia_eff = particles.radius[i], particles.mass[i], inertia(i)
+        radius_eff, mass_eff, inertia_eff = particles.radius[i], felt_mass(i), inertia(i)
         if ti.static(not with_wall):
             radius_eff = half_of_both(radius_eff, particles.radius[j])
-            mass_eff = half_of_both(mass_eff, particles.mass[j])
+            mass_eff = half_of_both(mass_eff, felt_mass(j))
             inertia_eff = half_of_both(inertia_eff, inertia(j))
         return radius_eff, mass_eff, inertia_eff
 
@@ -94,7 +95,7 @@ def build_effective(state: State, with_wall: bool) -> Any:
 def build_either_encounter(state: State) -> Any:
     """Device function as those of `build_encounter`, for grains and walls alike: for surveys, where speed is no matter.
 
-    Returns (overlap, rate, effective radius, effective mass).
+    Returns (overlap, normal, rate, effective radius, effective mass).
     """
     has_walls = state.plan.has_walls
     grain, grain_effective = build_encounter(state, False), build_effective(state, False)
@@ -104,14 +105,14 @@ def build_either_encounter(state: State) -> Any:
 
     @ti.func
     def either(i, j, pose, time_step):
-        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        overlap, rate, normal = 0.0 * particles.radius[i], 0.0 * particles.radius[i], 0.0 * particles.velocity[i]
         radius_eff, mass_eff, _inertia = wall_effective(i, j)
         if j < 0:
-            overlap, _n, _m, _c, _l, rate, _a, _p = wall(i, j, pose, time_step)
+            overlap, normal, _m, _c, _l, rate, _a, _p = wall(i, j, pose, time_step)
         else:
             radius_eff, mass_eff, _inertia = grain_effective(i, j)
-            overlap, _n2, _m2, _c2, _l2, rate, _a2, _p2 = grain(i, j, pose, time_step)
-        return overlap, rate, radius_eff, mass_eff
+            overlap, normal, _m2, _c2, _l2, rate, _a2, _p2 = grain(i, j, pose, time_step)
+        return overlap, normal, rate, radius_eff, mass_eff
 
     return either
 

@@ -32,6 +32,7 @@ class ContactRecords:
         self.capacity = state.contacts.capacity
         real = state.backend.real
         self.numbers = self.block.vector(real, self.capacity, count=len(RECORDED))
+        self.force = self.block.vector(real, self.capacity)
         self.foot = self.block.vector(state.backend.position_real, self.capacity)
         self.block.finish()
         self._record = _build_record(state, self)
@@ -44,7 +45,7 @@ class ContactRecords:
         loading = found["overlap"] >= memory["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
-        foot = self.foot.to_numpy()[slot]
+        foot, force = self.foot.to_numpy()[slot], self.force.to_numpy()[slot]
         cap = found.pop("friction_limit")
         return found | memory | {
             "first_id": arrays["id"][owner].astype(np.int64),
@@ -52,6 +53,7 @@ class ContactRecords:
             "wall": np.where(with_wall, -1 - partner, -1).astype(np.int32),
             "first_position": arrays["position"][owner],
             "second_position": np.where(with_wall[:, None], foot, arrays["position"][other]),
+            "force": force.astype(float),
             "state": np.where(loading, 0, 1).astype(np.uint8),
             "sliding": ((cap > 0.0) & (found["tangential_force"] >= AT_LIMIT * cap)).astype(np.uint8),
         }  # fmt: skip
@@ -104,17 +106,17 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
         for i in range(count):
             for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                 j = contacts.partner[slot]
-                overlap, rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
+                overlap, normal, rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
                 numbers[slot][OVERLAP] = overlap
                 if overlap > 0.0:
                     constants = state.control.pair_constants[pair_number(i, j)]
                     memory = ti.Vector.zero(real, memory_size)
                     if ti.static("normal" in contacts.history):
                         memory = contacts.history["normal"][slot]
-                    force, _viscous, _m2 = force_of(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
-                    numbers[slot][NORMAL] = force
+                    pressing, _viscous, _m2 = force_of(constants, radius_eff, mass_eff, dt, overlap, rate, memory)
+                    force = pressing * normal
+                    numbers[slot][NORMAL] = pressing
                     numbers[slot][TANGENTIAL] = 0.0
-                    pressing = force
                     if ti.static(law.attracts):
                         pressing += law.attraction(constants, radius_eff, overlap, memory)
                     numbers[slot][LIMIT] = constants[plan.friction_index] * pressing
@@ -123,5 +125,7 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
                         slide = contacts.history["lateral"][slot]
                         stiffness = law.lateral_stiffness(constants, radius_eff, overlap, memory)
                         numbers[slot][TANGENTIAL] = stiffness * ti.sqrt(slide.dot(slide))
+                        force -= stiffness * slide
+                    records.force[slot] = force
 
     return record

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.device.fixed import build_can_meet
+from granflow.device.leaving import build_stays
 from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 from granflow.plan.slots import BOUNDS
@@ -72,21 +74,14 @@ def build_cell_of() -> Any:
 
 
 def build_sort(state: State) -> Callable[..., None]:
-    """Counting sort by cell, by id within a cell; particles outside the domain come last.
+    """Counting sort by cell, by id within a cell; particles that leave come last.
 
     Reads:   position, id
     Writes:  cell, cell_start, order
     """
     particles, sorting, real = state.particles, state.sorting, state.backend.position_real
     number = build_cell_of()
-    low_x, low_y, low_z = (float(value) for value in state.plan.domain_low)
-    high_x, high_y, high_z = (float(value) for value in state.plan.domain_high)
-
-    @ti.func
-    def inside_domain(p):
-        in_x = p[0] >= low_x and p[0] <= high_x
-        in_y = p[1] >= low_y and p[1] <= high_y
-        return in_x and in_y and p[2] >= low_z and p[2] <= high_z
+    stays = build_stays(state)
 
     @ti.kernel
     def sort(count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32):
@@ -101,7 +96,7 @@ def build_sort(state: State) -> Callable[..., None]:
             y = ti.min(ti.cast((p[1] - y0) / side, ti.i32), by * BLOCK_SIDE - 1)
             z = ti.min(ti.cast((p[2] - z0) / side, ti.i32), bz * BLOCK_SIDE - 1)
             cell = cells - 1
-            if inside_domain(p):
+            if stays(i):
                 cell = number(ti.max(x, 0), ti.max(y, 0), ti.max(z, 0), bx, by)
             sorting.cell[i] = cell
             ti.atomic_add(sorting.cell_start[cell], 1)
@@ -265,6 +260,7 @@ def build_rows(state: State) -> Callable[..., None]:
     number = build_cell_of()
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
+    can_meet = build_can_meet(state)
 
     @ti.func
     def append(chunk, slot, i, j):
@@ -278,7 +274,7 @@ def build_rows(state: State) -> Callable[..., None]:
     def near_walls(chunk, slot, i, skin, pose):
         filled = slot
         for w in range(wall_count):
-            if state.walls.present[w] == 1:
+            if state.walls.present[w] == 1 and can_meet(i, -1 - w):
                 if geometry.distance(w, pose, particles.position[i]) < particles.radius[i] + skin:
                     filled = append(chunk, filled, i, -1 - w)
         return filled
@@ -291,7 +287,7 @@ def build_rows(state: State) -> Callable[..., None]:
             if j > i or (j < first) or (j >= last):
                 apart = particles.position[i] - particles.position[j]
                 reach = particles.radius[i] + particles.radius[j] + skin
-                if apart.dot(apart) < reach * reach:
+                if apart.dot(apart) < reach * reach and can_meet(i, j):
                     filled = append(chunk, filled, i, j)
         return filled
 

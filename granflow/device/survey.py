@@ -53,7 +53,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     for slot in range(contacts.row_begin[i], contacts.row_end[i]):
                         j = contacts.partner[slot]
-                        overlap, _rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
+                        overlap, _normal, _rate, radius_eff, mass_eff = encounter(i, j, 0, dt)
                         if overlap > 0.0:
                             share = weight(i, j)
                             smaller = particles.radius[i]
