@@ -236,9 +236,10 @@ class Engine:
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
+        totals = self._totals(arrays, measured)
+        arrays["position"] = self.plan.border.wrapped(arrays["position"])
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
-        totals = self._totals(arrays, measured)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
 
     def wall_poses(self) -> dict[str, WallPose]:
