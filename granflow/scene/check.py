@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement
 
 from granflow.quantities import METER_QUANTITIES
+from granflow.scene.analysis import MOST_CELLS
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
@@ -274,6 +275,21 @@ def _meters(draft: Draft) -> Iterator[Finding]:
             yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
 
 
+def _grids(draft: Draft) -> Iterator[Finding]:
+    """Fields with no more cells than memory holds, in stages that exist."""
+    stages = [stage.name for stage in draft.scene.stages]
+    for name, grid in draft.scene.output.fields.items():
+        if (grid.cell is None) != (grid.cells is None):
+            count = math.prod(grid.counts_in(draft.scene.domain))
+            if count > MOST_CELLS:
+                key = "cell" if grid.cells is None else "cells"
+                reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
+                yield ("output", "fields", name, key), Fault((), reason)
+        for index, stage in enumerate(grid.stages or ()):
+            if stage not in stages:
+                yield _unknown(("output", "fields", name, "stages", index), stage, stages, "stage")
+
+
 _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _materials),
     ((), _some_particles),
@@ -287,4 +303,5 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("gravity",), _gamma),
     (("domain",), _regions),
     (("output", "expect"), _meters),
+    (("output", "stages", "domain"), _grids),
 )

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from granflow.scene.analysis import FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -84,6 +85,7 @@ __all__ = [
     "Disc",
     "Domain",
     "Expectation",
+    "FieldGrid",
     "Group",
     "Lattice",
     "Listed",
@@ -205,6 +207,7 @@ class Output(Model):
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
