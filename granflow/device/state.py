@@ -96,12 +96,13 @@ class Particles:
         self.position_at_search = block.vector(backend.position_real, count)
         self.id = block.scalar(ti.i32, count)
         self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
+        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_grains else None
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that travel with a particle when it gets another place."""
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
-        optional = (self.material, self.spin, self.velocity_now)
+        optional = (self.material, self.fixed, self.spin, self.velocity_now)
         return fields + [field for field in optional if field is not None]
 
 
@@ -116,6 +117,8 @@ class Sorting:
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
+        self.cells = block.vector(ti.i32, 1)
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -219,6 +222,8 @@ class Control:
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
+        turns = ledger and plan.features.periodic != "none"
+        self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""

@@ -13,6 +13,7 @@ from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 from granflow.plan.sizes import diameter_range
+from granflow.scene.border import AXES, Border
 
 
 def observers_for(
@@ -38,15 +39,18 @@ def observers_for(
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters."""
+    border = Border.of(scene.domain)
     meters = {
-        name: FlowMeter(meter.point, meter.normal, meter.radius) for name, meter in (scene.output.meters or {}).items()
+        name: FlowMeter(meter.point, meter.normal, meter.radius, border)
+        for name, meter in (scene.output.meters or {}).items()
     }
     return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
 
 
 def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
     box = asked.region or scene.domain
-    grid = Grid(box.min, box.max, asked.counts_in(scene.domain))
+    periodic_x, periodic_y, periodic_z = (axis in scene.domain.periodic for axis in AXES)
+    grid = Grid(box.min, box.max, asked.counts_in(scene.domain), (periodic_x, periodic_y, periodic_z))
     width = asked.width
     if width == "auto":
         width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())

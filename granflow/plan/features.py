@@ -20,6 +20,9 @@ class Features:
     one_material: bool
     ledger: bool
     adaptive_step: bool
+    periodic: str
+    """Periodic axes, such as "x, y", or "none"."""
+    fixed_grains: bool
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
         adaptive_step=scene.run.time_step == "adaptive",
+        periodic=", ".join(scene.domain.periodic) or "none",
+        fixed_grains=any(group.fixed for group in scene.particles.values()),
     )
 
 
@@ -69,6 +74,10 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "adaptive_step": _step_reason(scene),
+        "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
+        if scene.domain.periodic
+        else "the domain has no periodic axes",
+        "fixed_grains": _fixed_reason(scene, features),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -119,6 +128,13 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _fixed_reason(scene: Scene, features: Features) -> str:
+    if not features.fixed_grains:
+        return "every group of particles can move"
+    name = next(name for name, group in scene.particles.items() if group.fixed)
+    return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
 
 
 def _step_reason(scene: Scene) -> str:

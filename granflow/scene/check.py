@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 
 from granflow.quantities import METER_QUANTITIES
 from granflow.scene.analysis import MOST_CELLS
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
-from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
+from granflow.scene.groups import Box, BoxRegion, CylinderRegion, Listed
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.schema import Scene, Stage, Wall
+from granflow.scene.schema import Domain, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
@@ -96,21 +96,29 @@ def _missing_pairs(draft: Draft) -> Iterator[Finding]:
 def _touching(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
     """The pairs of materials that can touch, with the reason."""
     names = set(known)
-    grains: dict[str, int] = {}
-    for group in scene.particles.values():
-        if group.material in names:
-            grains[group.material] = grains.get(group.material, 0) + group.count
+    grains, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
     found: dict[frozenset[str], str] = {}
     for a, b in combinations_with_replacement(grains, 2):
         if a != b or grains[a] > 1:
             found[frozenset((a, b))] = f"particles of {a} can touch " + (
                 f"particles of {b}" if a != b else "each other"
             )
+    for a, b in product(grains, fixed):
+        found.setdefault(frozenset((a, b)), f"particles of {a} can touch fixed ones of {b}")
     for name, wall in scene.walls.items():
         for grain in grains if wall.material in names else ():
             found.setdefault(
                 frozenset((grain, wall.material)), f"particles of {grain} can touch the wall {name} of {wall.material}"
             )
+    return found
+
+
+def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
+    """How many fixed particles, or others, there are of each of these materials."""
+    found: dict[str, int] = {}
+    for group in scene.particles.values():
+        if group.material in names and group.fixed == fixed:
+            found[group.material] = found.get(group.material, 0) + group.count
     return found
 
 
@@ -285,9 +293,20 @@ def _grids(draft: Draft) -> Iterator[Finding]:
                 key = "cell" if grid.cells is None else "cells"
                 reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
                 yield ("output", "fields", name, key), Fault((), reason)
+        if grid.region is not None:
+            yield from _across(draft.scene.domain, ("output", "fields", name, "region"), grid.region)
         for index, stage in enumerate(grid.stages or ()):
             if stage not in stages:
                 yield _unknown(("output", "fields", name, "stages", index), stage, stages, "stage")
+
+
+def _across(domain: Domain, path: KeyPath, region: Box) -> Iterator[Finding]:
+    """A region of cells that reaches across the domain where that is periodic."""
+    for axis in domain.periodic:
+        k = _AXES.index(axis)
+        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
 
 
 _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (

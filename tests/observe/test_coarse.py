@@ -19,6 +19,7 @@ def cloud(count=300, seed=0):
     particles = particles_of(
         count, position=position, velocity=random.normal([3.0, 0.0, -1.0], 1.0, (count, 3)),
         radius=random.uniform(0.01, 0.05, count), coordination_number=random.integers(0, 9, count),
+        fixed=np.zeros(count, np.uint8),
     )  # fmt: skip
     contacts = {
         "first_position": position,
@@ -105,6 +106,7 @@ def test_stress_of_a_column_at_rest_is_the_weight_above():
     mass = np.linspace(1.0, 2.0, count)
     position = np.column_stack([np.zeros(count), np.zeros(count), height])
     particles |= {"position": position, "mass": mass, "velocity": 0.0 * position, "radius": np.full(count, radius)}
+    particles["fixed"] = np.zeros(count)
     carried = GRAVITY * np.cumsum(mass[::-1])[::-1]
     below = np.append(0.0, height[:-1])
     contacts = {
@@ -137,7 +139,8 @@ def test_velocity_and_temperature_of_uniform_shear():
     position = np.stack(np.meshgrid(y, y, y), axis=-1).reshape(-1, 3)
     velocity = np.zeros_like(position)
     velocity[:, 0] = rate * position[:, 1]
-    particles = particles_of(len(position), position=position, velocity=velocity, mass=np.ones(len(position)))
+    one = np.ones(len(position))
+    particles = particles_of(len(position), position=position, velocity=velocity, mass=one, fixed=0.0 * one)
     grid, kernel = Grid((0.35,) * 3, (0.65,) * 3, (6, 6, 6)), Kernel(0.1, 3.0)
     fields = fields_of(sums_of(particles, None, grid, kernel))
     # A lattice of spacing a is as good as a continuum up to exp(-2 pi^2 w^2 / a^2), and the step at the cut-off: 0.2 %.
@@ -151,7 +154,7 @@ def test_temperature_and_kinetic_stress_of_a_maxwellian_gas():
     """N(V, sigma) in all directions: T = sigma^2, kinetic stress = -rho sigma^2 on the diagonal."""
     random, count, sigma = np.random.default_rng(2), 40_000, 0.7
     particles = particles_of(
-        count, position=random.uniform(0.0, 1.0, (count, 3)), mass=np.full(count, 2.0),
+        count, position=random.uniform(0.0, 1.0, (count, 3)), mass=np.full(count, 2.0), fixed=np.zeros(count),
         velocity=random.normal([100.0, 0.0, 0.0], sigma, (count, 3)),
     )  # fmt: skip
     fields = fields_of(sums_of(particles, None, Grid((0.3,) * 3, (0.7,) * 3, (2, 2, 2)), Kernel(0.1, 3.0)))
@@ -169,9 +172,17 @@ def test_fields_wrap_around_a_periodic_axis():
     kernel = Kernel(0.15, 3.0)
     first = fields_of(sums_of(particles, contacts, grid, kernel))["density"].reshape(3, 4, 5)
     assert grid.cell_volume * first.sum() == pytest.approx(particles["mass"].sum(), rel=1e-12)
-    moved = np.mod(particles["position"] + [grid.cell[0], 0.0, 0.0], [1.0, 1.0, 10.0])
+    moved = particles["position"] + [grid.cell[0], 0.0, 0.0]
     second = fields_of(sums_of(particles | {"position": moved}, contacts, grid, kernel))["density"].reshape(3, 4, 5)
     np.testing.assert_allclose(second, np.roll(first, 1, axis=2), rtol=1e-9)
+
+
+def test_fixed_grains_are_walls():
+    """They have contacts, and no mass."""
+    particles, contacts = cloud()
+    fixed = np.arange(300) < 100
+    some = fields_of(sums_of(particles | {"fixed": fixed.astype(np.uint8)}, contacts, cube(5), Kernel(0.05, 3.0)))
+    assert cube(5).cell_volume * some["density"].sum() == pytest.approx(particles["mass"][100:].sum(), rel=1e-12)
 
 
 def test_frames_and_their_mean_hold_the_fields(tmp_path):

@@ -58,9 +58,11 @@ class Grid:
     def spread(self, kernel: Kernel, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Integral over every cell of what points (n, 3) [m] carry, values (n, k): (cells, k).
 
-        What falls outside the grid is left out; the rest is exact, so that the cells add up to all that the points
-        carry where the grid holds the whole reach of the kernel about them.
+        What falls outside the grid is left out, or wraps around along periodic axes; the rest is exact, so that the
+        cells add up to all that the points carry where the grid holds the whole reach of the kernel about them.
         """
+        low, width = np.array(self.low), np.array(self.high) - self.low
+        points = np.where(self.periodic, low + np.mod(points - low, width), points)
         first = np.floor((points - kernel.reach - self.low) / self.cell).astype(np.int64)
         reached = np.ceil(2.0 * kernel.reach / self.cell).astype(np.int64) + 1
         near = np.flatnonzero(((first + reached > 0) & (first < self.counts)).all(axis=1))

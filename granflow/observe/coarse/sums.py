@@ -78,6 +78,9 @@ def fields_of(sums: Sums) -> dict[str, np.ndarray]:
 
 
 def _particle_sums(particles: Mapping[str, np.ndarray], grid: Grid, kernel: Kernel) -> dict[str, np.ndarray]:
+    """Fixed grains are walls: they have no part in it."""
+    if "fixed" in particles:
+        particles = {name: values[particles["fixed"] == 0] for name, values in particles.items()}
     mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
     momentum = mass[:, None] * velocity
     volume = 4.0 / 3.0 * np.pi * particles["radius"].astype(float) ** 3
