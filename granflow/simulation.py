@@ -198,7 +198,7 @@ class Simulation:
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.meters:
+        elif self.scene.output.meters or self.scene.loaded_walls:
             found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))
@@ -428,8 +428,8 @@ class Simulation:
             "compile": timing.compile,
         }
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
-        meters = series[0].results() if series else {}
-        result = Result(run=run, seconds=seconds, totals=last.totals, meters=meters)
+        meters, loads = (series[0].results(), series[0].load_results()) if series else ({}, {})
+        result = Result(run=run, seconds=seconds, totals=last.totals, meters=meters, loads=loads)
         return result.held_to(self.scene.expect) if judged else result
 
     def free(self) -> None:

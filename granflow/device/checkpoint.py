@@ -63,6 +63,7 @@ class EngineKeeper:
             "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
             "particles": self._particles.take(np.arange(state.count)),
             "contacts": self._take_contacts(),
+            "loads": {} if state.control.impulses is None else {"impulses": state.control.impulses.to_numpy()},
             "ledger": {} if state.control.losses is None else {"losses": state.control.losses.to_numpy()},
         }
 
@@ -77,6 +78,8 @@ class EngineKeeper:
         self._particles.put(np.arange(state.count), _named(kept["particles"], self._particles.fields))
         if state.control.losses is not None:
             state.control.losses.from_numpy(_named(kept["ledger"], ["losses"])["losses"])
+        if state.control.impulses is not None:
+            state.control.impulses.from_numpy(_named(kept.get("loads", {}), ["impulses"])["impulses"])
         for name in BOOKS:
             setattr(books, name, kept["books"][name])
         for name in ("material", "group"):
@@ -121,8 +124,8 @@ def _named(kept: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, A
     if set(kept) != set(names):
         there, asked = (", ".join(sorted(each)) or "none" for each in (kept, names))
         raise GranflowError(
-            f"The checkpoint holds the arrays {there}, but this scene needs {asked}. Friction, rolling friction and "
-            "the energy ledger cannot be switched on or off in a run that goes on."
+            f"The checkpoint holds the arrays {there}, but this scene needs {asked}. Friction, rolling friction, "
+            "the energy ledger and wall loads cannot be switched on or off in a run that goes on."
         )
     return dict(kept)
 

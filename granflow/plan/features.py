@@ -19,6 +19,7 @@ class Features:
     moving_walls: bool
     one_material: bool
     ledger: bool
+    loads: bool
     adaptive_step: bool
 
 
@@ -47,6 +48,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
+        loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
     )
 
@@ -68,6 +70,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
+        "loads": _loads_reason(scene, features),
         "adaptive_step": _step_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
@@ -119,6 +122,12 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _loads_reason(scene: Scene, features: Features) -> str:
+    if not features.loads:
+        return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
+    return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
 
 
 def _step_reason(scene: Scene) -> str:
