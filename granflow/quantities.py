@@ -73,6 +73,7 @@ PARTICLE_QUANTITIES = _by_name(
         Quantity("material", "", "1", "index of the material in the scene", file_type="int32"),
         Quantity("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         Quantity("coordination_number", "Z", "1", "number of contacts of the particle", file_type="int32"),
+        Quantity("fixed", "", "1", "1 for particles that never move; only where a scene has such", file_type="uint8"),
         Quantity("diameter", "d", "m", "diameter of the sphere, twice the radius", stored=False),
         Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centre, m v^2 / 2", stored=False),
     )
@@ -107,7 +108,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
         Quantity("overlap_mean", "", "1", "mean overlap over radius of the contacts"),
         Quantity("overlap_largest", "", "1", "largest overlap over radius of the contacts"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle that can move"),
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, from the origin"),
         Quantity("elastic_energy", "Ee", "J", "energy stored in contacts that they can give back"),
         Quantity("plastic_dissipation", "", "J", "energy lost in steeper unloading"),

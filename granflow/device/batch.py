@@ -10,6 +10,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.encounter import build_effective, build_pair_number, build_weight
+from granflow.device.fixed import build_felt_mass
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.pair import build_meet, build_respond, build_touches, half_of_both
 from granflow.device.slots import build_forget, build_read
@@ -101,6 +102,7 @@ def _build_gather(state: State) -> Any:
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
+    felt_mass = build_felt_mass(state)
 
     @ti.func
     def prepared(constants, worker, entry, i, j, late, now, memory, dt):
@@ -110,7 +112,7 @@ def _build_gather(state: State) -> Any:
         radius, radius_partner = particles.radius[i], particles.radius[j]
         rate = -now.dot(1.0 / distance * apart)
         return law.prepare(
-            constants, half_of_both(radius, radius_partner), half_of_both(particles.mass[i], particles.mass[j]), dt,
+            constants, half_of_both(radius, radius_partner), half_of_both(felt_mass(i), felt_mass(j)), dt,
             radius + radius_partner - distance, rate, memory
         )  # fmt: skip
 
@@ -125,8 +127,8 @@ def _build_gather(state: State) -> Any:
             if ti.static(features.rate_dependent):
                 now = particles.velocity_now[i] - particles.velocity_now[j]
                 put(batch.now, worker, entry, now)
-            batch.mass[worker, entry] = particles.mass[i]
-            batch.mass_partner[worker, entry] = particles.mass[j]
+            batch.mass[worker, entry] = felt_mass(i)
+            batch.mass_partner[worker, entry] = felt_mass(j)
             if ti.static(features.rotation):
                 put(batch.spin, worker, entry, particles.spin[i])
                 put(batch.spin_partner, worker, entry, particles.spin[j])

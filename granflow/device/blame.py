@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LOST, GUARD_OVERLAP, GUARD_TRAVEL, Pair, Party, Trip, trip_of
 from granflow.device.records import listed_pairs
 from granflow.device.state import State
@@ -14,7 +15,7 @@ from granflow.plan.plan import pair_material, solid
 from granflow.plan.time_step import Meeting, stable_step
 from granflow.walls.motion import pose
 
-WANTED = ("id", "radius", "mass", "position", "position_at_search", "velocity", "force", "material")
+WANTED = ("id", "radius", "mass", "position", "position_at_search", "velocity", "force", "material", "fixed")
 
 TINY = 1e-300
 """Mass [kg] of places that hold no particle yet."""
@@ -43,7 +44,8 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
     if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand: a step ahead of the time
-        there["velocity"] += 0.5 * state.clock.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
+        mass = np.maximum(there["mass"], TINY)
+        there["velocity"] += 0.5 * state.clock.time_step * there["force"] * (free_shares(there) / mass)[:, None]
         time += state.clock.time_step
     found = np.flatnonzero(there["id"] == particle)
     index = int(found[0])  # one that left the domain stands right behind the others
@@ -111,7 +113,8 @@ def _pair(plan: Plan, there: dict[str, np.ndarray], near: Near, worst: int) -> P
     if partner >= 0:
         second = _party(plan, there, partner)
         radius_eff = radius * there["radius"][partner] / (radius + there["radius"][partner])
-        mass_eff = mass * there["mass"][partner] / (mass + there["mass"][partner])
+        both = {name: values[[owner, partner]] for name, values in there.items()}
+        mass_eff = float(1.0 / (free_shares(both) / both["mass"]).sum())
         smaller = min(radius, there["radius"][partner])
     else:
         wall = plan.walls[-1 - partner]

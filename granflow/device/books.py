@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from granflow.device.fixed import free_shares
 from granflow.device.state import LOSSES, State
 
 SMALLEST_SHARE = 1e-9
@@ -32,11 +33,11 @@ class Books:
 
 
 def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
-    """Kinetic, rotational and gravitational energy [J] of particles.
+    """Kinetic, rotational and gravitational energy [J] of particles; fixed ones have none.
 
     `arrays`: mass (n,), radius (n,), position (n, 3), velocity (n, 3) and, if they turn, spin (n, 3).
     """
-    mass = arrays["mass"].astype(float)
+    mass = arrays["mass"].astype(float) * free_shares(arrays)
     kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
     rotational = 0.0
     if "spin" in arrays:

@@ -21,7 +21,7 @@ Kept = dict[str, Any]
 """Numbers, texts and numpy arrays in dictionaries within dictionaries."""
 
 PARTICLE_FIELDS = (
-    *("id", "material", "radius", "mass", "position", "velocity", "velocity_now", "spin", "force", "torque"),
+    *("id", "material", "fixed", "radius", "mass", "position", "velocity", "velocity_now", "spin", "force", "torque"),
     "position_at_search",
 )
 COUNTS = ("inserted_count", "deleted_count", "deleted_mass", "brought_energy", "removed_energy")

@@ -4,6 +4,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
 from granflow.device.walls import build_wall_geometry
@@ -73,18 +74,18 @@ def _build_wall_encounter(state: State) -> Any:
 
 def build_effective(state: State, with_wall: bool) -> Any:
     """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair."""
-    particles = state.particles
+    particles, felt_mass = state.particles, build_felt_mass(state)
 
     @ti.func
     def inertia(i):
-        return 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+        return 0.4 * felt_mass(i) * particles.radius[i] * particles.radius[i]
 
     @ti.func
     def effective(i, j):
-        radius_eff, mass_eff, inertia_eff = particles.radius[i], particles.mass[i], inertia(i)
+        radius_eff, mass_eff, inertia_eff = particles.radius[i], felt_mass(i), inertia(i)
         if ti.static(not with_wall):
             radius_eff = half_of_both(radius_eff, particles.radius[j])
-            mass_eff = half_of_both(mass_eff, particles.mass[j])
+            mass_eff = half_of_both(mass_eff, felt_mass(j))
             inertia_eff = half_of_both(inertia_eff, inertia(j))
         return radius_eff, mass_eff, inertia_eff
 

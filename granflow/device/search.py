@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.device.fixed import build_can_meet
 from granflow.device.leaving import build_stays
 from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
@@ -259,6 +260,7 @@ def build_rows(state: State) -> Callable[..., None]:
     number = build_cell_of()
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
+    can_meet = build_can_meet(state)
 
     @ti.func
     def append(chunk, slot, i, j):
@@ -272,7 +274,7 @@ def build_rows(state: State) -> Callable[..., None]:
     def near_walls(chunk, slot, i, skin, pose):
         filled = slot
         for w in range(wall_count):
-            if state.walls.present[w] == 1:
+            if state.walls.present[w] == 1 and can_meet(i, -1 - w):
                 if geometry.distance(w, pose, particles.position[i]) < particles.radius[i] + skin:
                     filled = append(chunk, filled, i, -1 - w)
         return filled
@@ -285,7 +287,7 @@ def build_rows(state: State) -> Callable[..., None]:
             if j > i or (j < first) or (j >= last):
                 apart = particles.position[i] - particles.position[j]
                 reach = particles.radius[i] + particles.radius[j] + skin
-                if apart.dot(apart) < reach * reach:
+                if apart.dot(apart) < reach * reach and can_meet(i, j):
                     filled = append(chunk, filled, i, j)
         return filled
 

@@ -96,12 +96,13 @@ class Particles:
         self.position_at_search = block.vector(backend.position_real, count)
         self.id = block.scalar(ti.i32, count)
         self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
+        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_grains else None
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that travel with a particle when it gets another place."""
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
-        optional = (self.material, self.spin, self.velocity_now)
+        optional = (self.material, self.fixed, self.spin, self.velocity_now)
         return fields + [field for field in optional if field is not None]
 
 

@@ -26,6 +26,7 @@ _PARTICLE_ARRAYS = (
     "material",
     "group",
     "coordination_number",
+    "fixed",
     "kinetic_energy",
 )
 _CONTACT_POINTS = ("first_position", "second_position")

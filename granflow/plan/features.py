@@ -21,6 +21,7 @@ class Features:
     ledger: bool
     loads: bool
     adaptive_step: bool
+    fixed_grains: bool
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         ledger=scene.output.energy,
         loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
+        fixed_grains=any(group.fixed for group in scene.particles.values()),
     )
 
 
@@ -72,6 +74,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "loads": _loads_reason(scene, features),
         "adaptive_step": _step_reason(scene),
+        "fixed_grains": _fixed_reason(scene, features),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -128,6 +131,13 @@ def _loads_reason(scene: Scene, features: Features) -> str:
     if not features.loads:
         return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
     return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
+
+
+def _fixed_reason(scene: Scene, features: Features) -> str:
+    if not features.fixed_grains:
+        return "every group of particles can move"
+    name = next(name for name, group in scene.particles.items() if group.fixed)
+    return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
 
 
 def _step_reason(scene: Scene) -> str:

@@ -250,17 +250,19 @@ def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tup
 def meetings_of(scene: Scene) -> list[Meeting]:
     """How any two groups, and any group and wall, can meet: their smallest particles.
 
-    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in.
+    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in. Fixed grains
+    meet none of their kind and no walls; others meet them as they would a wall as round as the largest of them.
     """
     found = []
     groups = list(scene.particles.items())
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, (name, group) in enumerate(groups):
         for other_name, other in groups[n:]:
-            if scene.pair_key(group.material, other.material) in scene.pairs:
+            if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
                 pair = pair_material(scene, group.material, other.material)
-                found.append(_meeting(scene, f"{name}-{other_name}", pair, group, other))
-        for wall in walls:
+                mobile, partner = (other, group) if group.fixed else (group, other)
+                found.append(_meeting(scene, f"{name}-{other_name}", pair, mobile, partner))
+        for wall in walls if not group.fixed else ():
             found.append(
                 _meeting(scene, f"{name}-{wall} wall", pair_material(scene, group.material, wall), group, None)
             )
@@ -274,11 +276,14 @@ def meetings_of(scene: Scene) -> list[Meeting]:
 
 
 def _meeting(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> Meeting:
-    """The smallest of a group with the smallest of another, or with a wall (None)."""
+    """The smallest of a group with the smallest of another, with the largest fixed one, or with a wall (None)."""
     radius, body = 0.5 * diameter_range(group)[0], solid(scene, group.material)
     mass = _sphere_mass(radius, body.density)
     if other is None:
         return Meeting(name, pair, radius, mass, radius, body)
+    if other.fixed:
+        other_radius = 0.5 * diameter_range(other)[1]
+        return Meeting(name, pair, radius * other_radius / (radius + other_radius), mass, radius, body)
     other_radius = 0.5 * diameter_range(other)[0]
     other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
     radius_eff = radius * other_radius / (radius + other_radius)

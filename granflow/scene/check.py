@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 
 from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
 from granflow.scene.document import KeyPath, Problem
@@ -95,21 +95,29 @@ def _missing_pairs(draft: Draft) -> Iterator[Finding]:
 def _touching(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
     """The pairs of materials that can touch, with the reason."""
     names = set(known)
-    grains: dict[str, int] = {}
-    for group in scene.particles.values():
-        if group.material in names:
-            grains[group.material] = grains.get(group.material, 0) + group.count
+    grains, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
     found: dict[frozenset[str], str] = {}
     for a, b in combinations_with_replacement(grains, 2):
         if a != b or grains[a] > 1:
             found[frozenset((a, b))] = f"particles of {a} can touch " + (
                 f"particles of {b}" if a != b else "each other"
             )
+    for a, b in product(grains, fixed):
+        found.setdefault(frozenset((a, b)), f"particles of {a} can touch fixed ones of {b}")
     for name, wall in scene.walls.items():
         for grain in grains if wall.material in names else ():
             found.setdefault(
                 frozenset((grain, wall.material)), f"particles of {grain} can touch the wall {name} of {wall.material}"
             )
+    return found
+
+
+def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
+    """How many fixed particles, or others, there are of each of these materials."""
+    found: dict[str, int] = {}
+    for group in scene.particles.values():
+        if group.material in names and group.fixed == fixed:
+            found[group.material] = found.get(group.material, 0) + group.count
     return found
 
 
