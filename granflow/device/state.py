@@ -117,6 +117,8 @@ class Sorting:
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
+        self.cells = block.vector(ti.i32, 1)
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -230,6 +232,8 @@ class Control:
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
         loaded = len(plan.scene.loaded_walls)
         self.impulses = block.vector(ti.f64, plan.chunk_capacity, loaded, count=IMPULSE_SIZE) if loaded else None
+        turns = ledger and plan.features.periodic != "none"
+        self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""

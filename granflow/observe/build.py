@@ -13,6 +13,7 @@ from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 from granflow.plan.walls import loaded_areas
+from granflow.scene.border import Border
 
 
 def observers_for(
@@ -37,8 +38,10 @@ def observers_for(
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters and wall loads."""
+    border = Border.of(scene.domain)
     meters = {
-        name: FlowMeter(meter.point, meter.normal, meter.radius) for name, meter in (scene.output.meters or {}).items()
+        name: FlowMeter(meter.point, meter.normal, meter.radius, border)
+        for name, meter in (scene.output.meters or {}).items()
     }
     loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
     interval = scene.output.timeseries_interval or scene.output.interval

@@ -21,6 +21,8 @@ class Features:
     ledger: bool
     loads: bool
     adaptive_step: bool
+    periodic: str
+    """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
 
 
@@ -51,6 +53,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         ledger=scene.output.energy,
         loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
+        periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
     )
 
@@ -74,6 +77,9 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "loads": _loads_reason(scene, features),
         "adaptive_step": _step_reason(scene),
+        "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
+        if scene.domain.periodic
+        else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from trials import SOFT, balls, box, finished, plane, trial, watched
+from trials import SOFT, balls, begun, box, finished, plane, rows_of, trial, watched
 
 from granflow.errors import RunError
 from granflow.observe import every
@@ -15,27 +15,6 @@ def crowd(count, seed=1):
     """Spheres of many sizes anywhere in a box of 12 cm, overlapping or not."""
     rng = np.random.default_rng(seed)
     return {"balls": balls(rng.uniform(0.0, 0.12, (count, 3)), rng.uniform(0.004, 0.016, count))}
-
-
-def rows_of(engine):
-    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
-    state = engine.state
-    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
-    partner, ids = state.contacts.partner.to_numpy(), state.particles.id.to_numpy()
-    found = []
-    for i in range(state.count):
-        for j in partner[begin[i] : end[i]]:
-            same = j >= 0 and i // state.plan.chunk_size == j // state.plan.chunk_size
-            found.append((ids[i], ids[j] if j >= 0 else j, same))
-    return found
-
-
-def begun(scene):
-    """A simulation whose first search is done."""
-    simulation = Simulation(scene)
-    simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
-    simulation.engine.refresh()
-    return simulation
 
 
 @pytest.mark.parametrize("chunk_size", [1, 37, 512])
