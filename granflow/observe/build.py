@@ -60,5 +60,8 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
     return [(stage.name, stage.duration if stage.duration is not None else stage.at_most) for stage in scene.stages]
 
 
-def _reach(scene: Any) -> float:
+def _reach(scene: Any) -> float | None:
+    """Largest coordinate that occurs [m]; None where the domain grows."""
+    if scene.domain.leaving == "grow":
+        return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

@@ -124,8 +124,9 @@ class Domain(Box):
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
         (), description="axes along which opposite faces are one, such as [x, y]"
     )
-    leaving: Literal["delete", "error"] = Field(
-        description="what becomes of particles whose centre leaves the domain: delete (and count) or error"
+    leaving: Literal["delete", "error", "grow"] = Field(
+        description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
+        "nothing, the domain grows with them"
     )
 
     def faults(self) -> Iterator[Fault]:
