@@ -11,8 +11,17 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.device.state import State
+from granflow.plan.slots import BOUNDS
+
 BLOCK_SIDE = 8
 BLOCK_CELLS = BLOCK_SIDE**3
+
+STRAGGLERS = 1 / 16
+"""Share of the parts of the particles whose farthest may stand off the grid at each end, where it has to."""
+
+FINER = 1 / 2
+"""Share of their volume that cells must shrink to for stragglers to be left out."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,41 @@ class Grid:
             if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
                 return cls(low, sides, (int(cells[0]), int(cells[1]), int(cells[2])))
             side *= 1.25
+
+
+def lay_grid(state: State) -> Grid:
+    """Write the grid for a search: over the particles there are, over the whole domain along periodic axes.
+
+    Reads:   low, high (see `build_bounds`)
+    Writes:  grid_low, cell_side, cells
+
+    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
+    count as in the cell at its edge that is nearest to where they are.
+    """
+    plan, sorting = state.plan, state.sorting
+    side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
+    lows, highs = (
+        np.sort(field.to_numpy()[: min(state.count, BOUNDS)].astype(float), axis=0)
+        for field in (sorting.low, sorting.high)
+    )
+    grid = _grid_over(state, lows[0], highs[-1], side)
+    if np.any(np.delete(grid.side, plan.border.axes) > side):
+        left_out = int(STRAGGLERS * len(lows))
+        finer = _grid_over(state, lows[left_out], highs[-1 - left_out], side)
+        grid = finer if np.prod(finer.side) < FINER * np.prod(grid.side) else grid
+    for field, values in ((sorting.grid_low, grid.low), (sorting.cell_side, grid.side), (sorting.cells, grid.cells)):
+        field[0] = list(values)
+    return grid
+
+
+def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float) -> Grid:
+    """The grid over a box and in the domain, if that does not grow."""
+    plan, across = state.plan, list(state.plan.border.axes)
+    if plan.scene.domain.leaving != "grow":
+        low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
+    low, high = low.copy(), np.maximum(high, low)
+    low[across], high[across] = plan.domain_low[across], plan.domain_high[across]
+    return Grid.over(low, high, side, state.sorting.cell_capacity, across)
 
 
 def build_cell_number() -> Any:

@@ -13,13 +13,14 @@ def build_stays(state: State) -> Any:
     Reads:   position
     """
     position, real, border = state.particles.position, state.backend.position_real, state.plan.border
+    free = range(3) if state.plan.scene.domain.leaving == "grow" else border.axes
     lows, highs = ([float(value) for value in corner] for corner in (state.plan.domain_low, state.plan.domain_high))
 
     @ti.func
     def stays(i):
         p, inside = position[i], True
         for axis in ti.static(range(3)):
-            if ti.static(axis in border.axes):
+            if ti.static(axis in free):
                 inside = inside and p[axis] == p[axis]
             else:
                 inside = inside and p[axis] >= real(lows[axis]) and p[axis] <= real(highs[axis])

@@ -35,15 +35,16 @@ def build_bounds(state: State) -> Callable[[int], None]:
 
 
 def build_place(state: State) -> Any:
-    """Device function (point): coordinates of the cell it stands in."""
-    sorting = state.sorting
+    """Device function (point): coordinates of the cell it stands in, or of the one at the edge that is nearest."""
+    sorting, real = state.sorting, state.backend.position_real
 
     @ti.func
     def place(point):
         p, cells = (point - sorting.grid_low[0]) / sorting.cell_side[0], sorting.cells[0]
-        x = ti.max(ti.min(ti.cast(p[0], ti.i32), cells[0] - 1), 0)
-        y = ti.max(ti.min(ti.cast(p[1], ti.i32), cells[1] - 1), 0)
-        z = ti.max(ti.min(ti.cast(p[2], ti.i32), cells[2] - 1), 0)
+        last = ti.cast(cells, real) - 1.0
+        x = ti.cast(ti.max(ti.min(p[0], last[0]), 0.0), ti.i32)
+        y = ti.cast(ti.max(ti.min(p[1], last[1]), 0.0), ti.i32)
+        z = ti.cast(ti.max(ti.min(p[2], last[2]), 0.0), ti.i32)
         return x, y, z
 
     return place

@@ -9,13 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import taichi as ti
 
 from granflow.device.apart import build_wrap
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
-from granflow.device.grid import Grid
+from granflow.device.grid import lay_grid
 from granflow.device.motion import build_move
 from granflow.device.search import (
     build_bounds,
@@ -119,29 +118,12 @@ class Stepper:
         """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
         state = self.state
         self._wrap(state.count)
-        grid = self._lay_grid()
+        self._bounds(state.count)
+        grid = lay_grid(state)
         self._sort(state.count, grid.cell_count)
         self._set_history_aside()
         self._gather(state.count)
         return state.count - int(state.sorting.cell_start[grid.cell_count])
-
-    def _lay_grid(self) -> Grid:
-        """Cells over the particles there are, in the domain; over all of it along periodic axes."""
-        state, plan, sorting = self.state, self.state.plan, self.state.sorting
-        self._bounds(state.count)
-        low = np.maximum(sorting.low.to_numpy().min(axis=0).astype(float), plan.domain_low)
-        high = np.minimum(sorting.high.to_numpy().max(axis=0).astype(float), plan.domain_high)
-        across = list(plan.border.axes)
-        low[across], high[across] = plan.domain_low[across], plan.domain_high[across]
-        side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
-        grid = Grid.over(low, np.maximum(high, low), side, sorting.cell_capacity, across)
-        for field, values in (
-            (sorting.grid_low, grid.low),
-            (sorting.cell_side, grid.side),
-            (sorting.cells, grid.cells),
-        ):
-            field[0] = list(values)
-        return grid
 
     def _set_history_aside(self) -> None:
         state = self.state

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from granflow.observe.coarse import FieldFrames, Grid, Kernel
+from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 from granflow.plan.sizes import diameter_range
+from granflow.plan.walls import loaded_areas
 from granflow.scene.border import AXES, Border
 
 
@@ -38,13 +40,15 @@ def observers_for(
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
-    """Make the time series of the scene with its flow meters."""
+    """Make the time series of the scene with its flow meters and wall loads."""
     border = Border.of(scene.domain)
     meters = {
         name: FlowMeter(meter.point, meter.normal, meter.radius, border)
         for name, meter in (scene.output.meters or {}).items()
     }
-    return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
+    loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
+    interval = scene.output.timeseries_interval or scene.output.interval
+    return TimeSeries(out_dir, interval, meters, loads=loads)
 
 
 def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
@@ -72,5 +76,8 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
     return [(stage.name, stage.duration if stage.duration is not None else stage.at_most) for stage in scene.stages]
 
 
-def _reach(scene: Any) -> float:
+def _reach(scene: Any) -> float | None:
+    """Largest coordinate that occurs [m]; None where the domain grows."""
+    if scene.domain.leaving == "grow":
+        return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

@@ -19,9 +19,9 @@ from granflow.laws.material import (
     yield_strength,
 )
 from granflow.plan.approach import fastest_approach
+from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.pace import Pace, pace_of
-from granflow.plan.periodic import refuse_narrow, refuse_walls
 from granflow.plan.sizes import diameter_range
 from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
@@ -175,6 +175,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     skin = _skin(scene, radius_min, velocity, step.value)
     refuse_narrow(scene, radius_max, skin)
     refuse_walls(scene, walls, radius_max + skin)
+    refuse_endless_turns(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     return Plan(
         scene=scene,

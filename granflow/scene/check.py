@@ -4,14 +4,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import METER_QUANTITIES
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
 from granflow.scene.analysis import MOST_CELLS
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
 from granflow.scene.groups import Box, BoxRegion, CylinderRegion, Listed
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.schema import Domain, Scene, Stage, Wall
+from granflow.scene.schema import Domain, Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
@@ -309,6 +309,26 @@ def _across(domain: Domain, path: KeyPath, region: Box) -> Iterator[Finding]:
             yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
 
 
+def _loads(draft: Draft) -> Iterator[Finding]:
+    """Loads of walls that exist, expectations of loads that are measured, pressures where there is an area."""
+    asked, known = draft.scene.output.loads, draft.names("walls")
+    measured = known if asked is True else asked or ()
+    for index, name in enumerate(() if isinstance(asked, bool) else asked):
+        if name not in known:
+            yield _unknown(("output", "loads", index), name, known, "wall")
+    for index, expectation in enumerate(draft.scene.expect):
+        quantity, dot, wall = expectation.quantity.partition(".")
+        path: KeyPath = ("expect", index, "quantity")
+        if not dot or quantity not in LOAD_QUANTITIES:
+            continue
+        if wall not in known:
+            yield _unknown(path, wall, known, "wall")
+        elif wall not in measured:
+            yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
+        elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
+            yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")
+
+
 _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _materials),
     ((), _some_particles),
@@ -323,4 +343,5 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("domain",), _regions),
     (("output", "expect"), _meters),
     (("output", "stages", "domain"), _grids),
+    (("output", "expect"), _loads),
 )

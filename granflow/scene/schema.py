@@ -21,6 +21,7 @@ from granflow.scene.fields import (
     Energy,
     Fault,
     Flag,
+    FlagOrNames,
     Model,
     Name,
     NotNegative,
@@ -125,8 +126,9 @@ class Domain(Box):
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
         (), description="axes along which opposite faces are one, such as [x, y]"
     )
-    leaving: Literal["delete", "error"] = Field(
-        description="what becomes of particles whose centre leaves the domain: delete (and count) or error"
+    leaving: Literal["delete", "error", "grow"] = Field(
+        description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
+        "nothing, the domain grows with them"
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -216,6 +218,9 @@ class Output(Model):
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
+    loads: FlagOrNames = Field(
+        False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
+    )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
@@ -288,6 +293,12 @@ class Scene(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    @property
+    def loaded_walls(self) -> tuple[str, ...]:
+        """Names of the walls whose loads are measured, in the order of the walls."""
+        asked = self.output.loads
+        return tuple(name for name in self.walls if asked is True or (asked and name in asked))
 
     def pair(self, first: str, second: str) -> Pair:
         """The pair of two materials, named in either order. Raises KeyError where the scene has none."""

@@ -168,3 +168,11 @@ def test_who_is_placed_keeps_clear_of_images():
     gaps = np.linalg.norm(border.beside(grains.position[1:], grains.position[:1]) - grains.position[0], axis=1) - 0.025
     assert gaps.min() >= 0.0
     assert np.count_nonzero(np.linalg.norm(grains.position[1:] - grains.position[0], axis=1) - gaps > 0.026) > 10
+
+
+def test_an_endless_wall_does_not_turn_in_a_domain_that_grows():
+    turning = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
+    parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "leaving": "grow"}}
+    floor = plane([0, 0, 0], [0, 0, 1], motion=turning)
+    with pytest.raises(SceneError, match="walls.floor is endless and turns"):
+        plan_for(trial({"ball": balls([[0.05] * 3])}, walls={"floor": floor}, **parts))

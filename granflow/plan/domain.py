@@ -1,13 +1,16 @@
-"""What a periodic box asks of its size and of the walls in it."""
+"""What the domain asks of its size, and of the walls in it."""
 
 from collections.abc import Sequence
+from math import inf, isinf
 
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.plan.walls import PlannedWall
+from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.scene import Scene
 from granflow.scene.border import AXES, Border
+from granflow.walls.catalogue import reach_about
+from granflow.walls.motion import single_rotation
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
@@ -45,6 +48,21 @@ def refuse_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> No
                     f"periodic axis {AXES[axis]} than at the other. Let it run straight through from end to end, or "
                     f"keep {reach:.4g} m clear of both."
                 )
+
+
+def refuse_endless_turns(scene: Scene, walls: Sequence[PlannedWall]) -> None:
+    """Raise SceneError for an endless wall that turns in a domain that grows: far out it moves as fast as it likes."""
+    if scene.domain.leaving != "grow":
+        return
+    always = {stage.name: (0.0, inf) for stage in scene.schedule}
+    for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
+        turning = single_rotation(motions)
+        if turning and isinf(reach_about(wall.shape, np.array(turning.point), np.array(turning.axis), inf)):
+            raise SceneError(
+                f"{scene.place('walls', wall.name, 'motion')}: walls.{wall.name} is endless and turns, which cannot be "
+                "followed in a domain that grows. Give it an end (shape: rectangle), or let domain.leaving be delete "
+                "or error."
+            )
 
 
 def _face(border: Border, axis: int) -> np.ndarray:
