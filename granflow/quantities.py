@@ -130,6 +130,22 @@ METER_QUANTITIES = _by_name(
     )
 )
 
+LOAD_QUANTITIES = _by_name(
+    (
+        Quantity("wall_force_x", "Fx", "N", "x component of the force of the grains on a wall, a mean over time"),
+        Quantity("wall_force_y", "Fy", "N", "its y component"),
+        Quantity("wall_force_z", "Fz", "N", "its z component"),
+        Quantity("wall_torque_x", "Mx", "N m", "x component of their torque about the wall's point of reference"),
+        Quantity("wall_torque_y", "My", "N m", "its y component"),
+        Quantity("wall_torque_z", "Mz", "N m", "its z component"),
+        Quantity("wall_pressure", "p", "Pa", "normal forces of the grains over the area of the wall"),
+        Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
+        Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
+        Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
+        Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+    )
+)
+
 RUN_QUANTITIES = _by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
@@ -143,9 +159,9 @@ RUN_QUANTITIES = _by_name(
 
 
 def unit_of(name: str) -> str:
-    """Unit of a number of a finished run, a meter's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
+    """Unit of a number of a finished run, a part's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = METER_QUANTITIES if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    known = {**METER_QUANTITIES, **LOAD_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.plan.walls import loaded_areas
 from granflow.scene.border import Border
 
 
@@ -35,13 +37,15 @@ def observers_for(
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
-    """Make the time series of the scene with its flow meters."""
+    """Make the time series of the scene with its flow meters and wall loads."""
     border = Border.of(scene.domain)
     meters = {
         name: FlowMeter(meter.point, meter.normal, meter.radius, border)
         for name, meter in (scene.output.meters or {}).items()
     }
-    return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
+    loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
+    interval = scene.output.timeseries_interval or scene.output.interval
+    return TimeSeries(out_dir, interval, meters, loads=loads)
 
 
 def progress_for(scene: Any) -> ProgressDisplay:

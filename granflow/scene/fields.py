@@ -178,8 +178,16 @@ def couple(meaning: str) -> BeforeValidator:
     return BeforeValidator(read)
 
 
+def _flag_or_names(value: Any) -> Any:
+    names = tuple(value) if isinstance(value, list | tuple) else ()
+    if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
+        return value if isinstance(value, bool) else names
+    raise but("true, false or a list of names is asked here, such as [floor, lid]")
+
+
 Text = Annotated[str, BeforeValidator(_text)]
 Flag = Annotated[bool, BeforeValidator(_flag)]
+FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
 Name = Annotated[str, AfterValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
 PairName = Annotated[
     str, AfterValidator(_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})

@@ -44,6 +44,7 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
         "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "leaving": "delete"},
         "output": {
             "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy": True, "contacts": True,
+            "loads": True,
             "checkpoint": {"interval": duration / 11.0, "keep": 100},
             "meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
         },
@@ -60,7 +61,7 @@ def files_of(out):
     result = out / "result.json"
     if result.exists():
         said = json.loads(result.read_text())
-        found["totals"], found["meters"] = said["totals"], said["meters"]
+        found |= {part: said[part] for part in ("totals", "meters", "loads")}
     return found
 
 
