@@ -11,6 +11,7 @@ from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
 from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LEFT, Trip
+from granflow.device.loads import wall_impulses
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -185,14 +186,19 @@ class Engine:
         wanted = clock.step_count + steps
         while clock.step_count < wanted and self.time_step == before and not self.tripped:
             allowed = wanted - clock.step_count
-            if self.plan.pace is not None:
-                allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
-            searches = self.timing.search_count
-            done = self.stepper.advance(allowed, clock.step_count)
-            clock.step_count += done
-            self.steps_since_look += done
-            if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
-                self._keep_pace()
+            if self.plan.pace is None:
+                clock.step_count += self.stepper.advance(allowed, clock.step_count)
+            else:
+                self._advance_to_look(min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look))
+
+    def _advance_to_look(self, steps: int) -> None:
+        """Do up to `steps` steps; choose the time step anew if a look is due then."""
+        searches = self.timing.search_count
+        done = self.stepper.advance(steps, self.state.clock.step_count)
+        self.state.clock.step_count += done
+        self.steps_since_look += done
+        if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
+            self._keep_pace()
 
     def _keep_pace(self) -> None:
         """Choose the time step for the scene as it is now, where it follows the scene.
@@ -226,15 +232,18 @@ class Engine:
         """What stands on the device now; `wants` as for observers. Contacts are not surveyed if nothing rests on it."""
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
+            impulses = wall_impulses(self.state)
+            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count, impulses)
         self.stepper.stand_walls(self.step_count)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
+        totals = self._totals(arrays, measured)
+        arrays["position"] = self.plan.border.wrapped(arrays["position"])
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
-        totals = self._totals(arrays, measured)
-        return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
+        poses, impulses = self.wall_poses(), wall_impulses(self.state)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def wall_poses(self) -> dict[str, WallPose]:
         """Pose of every wall now, by name."""
