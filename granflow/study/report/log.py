@@ -32,10 +32,10 @@ class Session:
 
     began: str
     versions: str
-    arch: str = ""
-    precision: str = ""
-    compiled: str = ""
-    goes_on: str = ""
+    arch: str
+    precision: str
+    compiled: str
+    goes_on: str
 
 
 def read_log(path: Path) -> list[Entry]:
@@ -67,7 +67,8 @@ def sessions(entries: list[Entry]) -> list[Session]:
 def _session(entries: list[Entry]) -> Session:
     compiled = next(filter(None, (COMPILED.fullmatch(entry.words) for entry in entries)), None)
     goes_on = next((entry.words for entry in entries if entry.words.startswith(FROM_CHECKPOINT)), "")
-    return Session(entries[0].time, entries[0].words, *(compiled.groups() if compiled else ()), goes_on=goes_on)
+    arch, precision, seconds = compiled.groups() if compiled else ("", "", "")
+    return Session(entries[0].time, entries[0].words, arch, precision, seconds, goes_on)
 
 
 def explanation(entries: list[Entry]) -> str:
