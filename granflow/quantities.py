@@ -124,6 +124,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("overlap_mean", "", "1", "mean overlap over radius of the contacts"),
         Quantity("overlap_largest", "", "1", "largest overlap over radius of the contacts"),
         Quantity("coordination_number", "Z", "1", "mean number of contacts per particle that can move"),
+        Quantity("shear_strain", "", "1", "shear of the box since its start"),
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, from the origin"),
         Quantity("elastic_energy", "Ee", "J", "energy stored in contacts that they can give back"),
         Quantity("plastic_dissipation", "", "J", "energy lost in steeper unloading"),
@@ -131,7 +132,12 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rolling_dissipation", "", "J", "energy lost in rolling friction"),
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
-        Quantity("border_work", "", "J", "energy that particles gain in gravity by passing a periodic border"),
+        Quantity(
+            "border_work",
+            "",
+            "J",
+            "work of the border of a periodic box: by gravity on who passes, and by moving images",
+        ),
         Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
         Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
     )
