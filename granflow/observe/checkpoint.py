@@ -20,7 +20,7 @@ from granflow.errors import GranflowError
 from granflow.observe.files import replacing
 from granflow.observe.log import version_of
 
-FORMAT = 1
+FORMAT = 2
 """Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
 
 PATTERN = "checkpoint_*.npz"

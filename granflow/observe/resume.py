@@ -61,13 +61,13 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, anyway: bool) -> Change:
     """
     kept = checkpoint.kept
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
-    stages_over = [stage.name for stage in before.schedule].index(kept["stage"])
+    stages_over = [stage.name for stage in before.schedule].index(kept["course"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not anyway:
         named = "\n".join(f"{checkpoint.path}: {each}, which cannot change while a run goes on." for each in refused)
         raise GranflowError(f"{named}\nRun the scene anew, or go on all the same with --anyway.")
     _refuse_other_numbers(checkpoint, plan)
-    _refuse_jumps(before, plan, kept["stage_times"], checkpoint.time)
+    _refuse_jumps(before, plan, kept["course"]["stage_times"], checkpoint.time)
     return Change(differences(before, now))
 
 

@@ -66,8 +66,7 @@ def files_of(out):
 def state_of(path):
     """Everything in a checkpoint but wall clock, and counts that follow it launch by launch; arrays as digests."""
     kept = read_checkpoint(path).kept
-    for clocked in ("output_seconds", "wall_clock"):
-        del kept[clocked]
+    del kept["wall_clock"]
     for clocked in ("search", "advance", "sampled_forces", "sampled_motion", "particle_steps"):
         del kept["engine"]["clocks"][clocked]
     return _digested(kept)

@@ -1,0 +1,86 @@
+"""What a run took, and what came of it."""
+
+import logging
+import time as clock
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from granflow.device.engine import Engine
+from granflow.observe import Checkpoint, Result, versions
+from granflow.plan import Plan, explain
+
+
+class WallClock:
+    """Wall seconds of a run, those before it was gone on with included."""
+
+    def __init__(self) -> None:
+        self._began = clock.perf_counter()
+        self._before, self._setup = 0.0, 0.0
+        self.output = 0.0
+
+    def set_up(self, compile_seconds: float) -> None:
+        """Set-up is over; compiling is counted elsewhere."""
+        self._setup = clock.perf_counter() - self._began - compile_seconds
+
+    def start(self) -> None:
+        """The run begins; what passed since the set-up does not count."""
+        self._began = clock.perf_counter()
+
+    @contextmanager
+    def of_output(self) -> Iterator[None]:
+        """Count what happens within as output."""
+        began = clock.perf_counter()
+        yield
+        self.output += clock.perf_counter() - began
+
+    def total(self, engine: Engine) -> float:
+        """All of it so far [s]."""
+        return self._before + clock.perf_counter() - self._began + self._setup + engine.timing.compile
+
+    def keep(self, engine: Engine) -> dict[str, Any]:
+        """All of it, for a checkpoint."""
+        return {"output_seconds": self.output, "wall_clock": self.total(engine)}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        self.output, self._before = kept["output_seconds"], kept["wall_clock"]
+
+
+def outcome(
+    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], meters: Mapping[str, Mapping[str, float]]
+) -> Result:
+    """The numbers of a run, not yet held to what was expected."""
+    timing = engine.timing
+    computing = max(timing.search + timing.advance, 1e-9)
+    run = {
+        "simulated_time": engine.time,
+        "step_count": float(engine.step_count),
+        "time_step": engine.mean_time_step,
+        "steps_per_second": engine.step_count / computing,
+        "particle_steps_per_second": timing.particle_steps / computing,
+        "search_count": float(timing.search_count),
+        "wall_clock": wall_clock.total(engine),
+    }
+    seconds = {
+        "search": timing.search,
+        "forces": timing.forces,
+        "motion": timing.motion,
+        "output": wall_clock.output,
+        "compile": timing.compile,
+    }
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters)
+
+
+def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
+    """What is run and why, for the log of the run."""
+    log = logging.getLogger("granflow")
+    backend = engine.state.backend
+    log.info("%s", versions())
+    log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
+    for line in explain(plan).splitlines():
+        log.info("%s", line)
+    for warning in plan.step.warnings:
+        log.warning("%s", warning)
+    if resumed is not None:
+        log.info("goes on from %s at %.6g s", resumed.path, engine.time)
