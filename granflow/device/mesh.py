@@ -24,16 +24,17 @@ class MeshGeometry:
 
     cell: Any
     """(wall, point) -> where the triangles that could be near begin and end in `MeshFields.listed`."""
-    distance: Any
-    """(triangle, point) -> distance [m] of the triangle alone, for the list of near triangles."""
+    away: Any
+    """(triangle, point) -> the way from the nearest point of the triangle alone to the point [m]."""
+    may_answer: Any
+    """(triangle, point, slack) -> 1 unless the triangle cannot answer for any point within `slack` [m] of this one."""
     contact: Any
     """(triangle, point) -> (gap [m], normal); FAR_AWAY where another triangle answers."""
 
 
 def build_mesh_geometry(state: State) -> MeshGeometry:
     """Functions over the meshes of this plan."""
-    contact = _build_contact(state)
-    return MeshGeometry(_build_cell(state), _build_distance(state), contact)
+    return MeshGeometry(_build_cell(state), _build_away(state), _build_may_answer(state), _build_contact(state))
 
 
 def _build_cell(state: State) -> Any:
@@ -55,41 +56,103 @@ def _build_cell(state: State) -> Any:
     return cell
 
 
-def _build_distance(state: State) -> Any:
+def _build_away(state: State) -> Any:
+    mesh, real = state.mesh, state.backend.position_real
+
+    @ti.func
+    def away(t, point):
+        normal = mesh.normal[t]
+        found = (point - mesh.vertex[3 * t]).dot(normal) * normal
+        over, nearest = 1, ti.cast(FAR_AWAY, real)
+        beside = found
+        for k in range(3):
+            from_corner, along = point - mesh.vertex[3 * t + k], mesh.along[3 * t + k]
+            if normal.cross(along).dot(from_corner) <= 0.0:
+                over = 0
+            from_edge = from_corner - ti.min(ti.max(from_corner.dot(along), 0.0), mesh.length[3 * t + k]) * along
+            if from_edge.norm() < nearest:
+                nearest, beside = from_edge.norm(), from_edge
+        if over == 0:
+            found = beside
+        return found
+
+    return away
+
+
+def _build_may_answer(state: State) -> Any:
+    """Every length that `contact` decides by changes by no more than the point moves.
+
+    Without this a sphere would list all triangles within its radius, where it can touch one or two of them.
+    """
     mesh = state.mesh
 
     @ti.func
-    def distance(t, point):
-        found = ti.abs((point - mesh.vertex[3 * t]).dot(mesh.normal[t]))
+    def over_face(t, point, slack):
         over = 1
-        nearest = ti.cast(FAR_AWAY, found.dtype)
         for k in range(3):
-            away = point - mesh.vertex[3 * t + k]
-            along, length = mesh.along[3 * t + k], mesh.length[3 * t + k]
-            if mesh.normal[t].cross(along).dot(away) <= 0.0:
+            edge = 3 * t + k
+            if (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge]) < -slack:
                 over = 0
-            beside = away - ti.min(ti.max(away.dot(along), 0.0), length) * along
-            nearest = ti.min(nearest, beside.norm())
-        return ti.select(over == 1, found, nearest)
+        return over
 
-    return distance
+    @ti.func
+    def beside_edge(t, k, point, slack):
+        edge, beside = 3 * t + k, 0
+        if mesh.role[edge] != SILENT:
+            away = point - mesh.vertex[edge]
+            along, length = away.dot(mesh.along[edge]), mesh.length[edge]
+            off = away.dot(mesh.inward[edge]) <= slack
+            off = off and (mesh.role[edge] == OPEN or away.dot(mesh.beyond[edge]) <= slack)
+            beside = ti.cast(off and along > -slack and along < length + slack, ti.i32)
+        return beside
+
+    @ti.func
+    def above_corner(t, k, point, slack):
+        corner, above = mesh.point[3 * t + k], 0
+        if mesh.owner[corner] == t:
+            above = 1
+            away = point - mesh.vertex[3 * t + k]
+            for spoke in range(mesh.spoke_start[corner], mesh.spoke_start[corner + 1]):
+                if mesh.spoke[spoke].dot(away) > slack:
+                    above = 0
+        return above
+
+    @ti.func
+    def may_answer(t, point, slack):
+        possible = over_face(t, point, slack)
+        for k in range(3):
+            if possible == 0:
+                possible = ti.max(beside_edge(t, k, point, slack), above_corner(t, k, point, slack))
+        return possible
+
+    return may_answer
 
 
 def _build_contact(state: State) -> Any:
-    mesh, own = state.mesh, _build_own_contact(state)
+    mesh, own, real = state.mesh, _build_own_contact(state), state.backend.position_real
+
+    @ti.func
+    def height(t, point):
+        return (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
 
     @ti.func
     def contact(t, point):
-        gap, normal = own(t, point)
-        side = ti.cast((point - mesh.vertex[3 * t]).dot(mesh.normal[t]) < 0.0, ti.i32)
-        if gap < FAR_AWAY:
-            mine = gap
-            for k in range(mesh.rival_start[2 * t + side], mesh.rival_start[2 * t + side + 1]):
-                rival = mesh.rival[k]
-                if ti.abs((point - mesh.vertex[3 * rival]).dot(mesh.normal[rival])) <= mine:
-                    other, _direction = own(rival, point)
-                    if other < mine or (other == mine and rival < t):
-                        gap = ti.cast(FAR_AWAY, gap.dtype)
+        gap, mine, normal = ti.cast(FAR_AWAY, real), ti.cast(FAR_AWAY, real), 0.0 * point
+        row = 2 * t + ti.cast(height(t, point) < 0.0, ti.i32)
+        begin, turn, end = mesh.rival_start[row], -1, mesh.rival_start[row + 1] - mesh.rival_start[row]
+        while turn < end:  # this triangle itself, then its rivals: one loop, so that `own` is compiled once
+            one = t
+            if turn >= 0:
+                one = mesh.rival[begin + turn]
+            if turn < 0 or ti.abs(height(one, point)) <= mine:
+                found, direction = own(one, point)
+                if turn < 0:
+                    gap, mine, normal = found, found, direction
+                    if not found < FAR_AWAY:
+                        end = 0
+                elif found < mine or (found == mine and one < t):
+                    gap, end = ti.cast(FAR_AWAY, real), 0
+            turn += 1
         return gap, normal
 
     return contact
@@ -97,14 +160,14 @@ def _build_contact(state: State) -> Any:
 
 def _build_own_contact(state: State) -> Any:
     """As `contact`, before rivals are asked."""
-    mesh = state.mesh
+    mesh, real = state.mesh, state.backend.position_real
     above_corner, beside_edge = _build_above_corner(state), _build_beside_edge(state)
 
     @ti.func
     def own(t, point):
         height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
         normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
-        gap = ti.cast(FAR_AWAY, height.dtype)
+        gap = ti.cast(FAR_AWAY, real)
         near, over_count, lost = 0.0 * normal, 0, 0
         for k in range(3):
             over_count += over_edge(t, k, point)

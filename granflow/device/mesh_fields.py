@@ -17,7 +17,8 @@ class MeshFields:
     def __init__(self, block: Any, plan: Plan, backend: Any) -> None:
         parts = mesh_parts(plan)
         real, walls = backend.position_real, len(plan.walls)
-        triangles, points, spokes, rivals, cells, listed = (max(sum(counts), 1) for counts in zip(*map(_sizes, parts)))
+        sizes = zip(*map(_sizes, parts), strict=True)
+        triangles, points, spokes, rivals, cells, listed = (max(sum(counts), 1) for counts in sizes)
         self.wall = block.scalar(ti.i32, triangles)
         self.normal = block.vector(real, triangles)
         self.vertex, self.along, self.inward, self.beyond = (block.vector(real, 3 * triangles) for _ in range(4))
@@ -71,16 +72,18 @@ def _of_triangles(links: list[Links]) -> dict[str, np.ndarray]:
     triangles = np.cumsum([0, *(len(each.normal) for each in links)])
     points = np.cumsum([0, *(len(each.owner) for each in links)])
 
-    def joined(name: str, width: int = 1, shifts: Any = None) -> np.ndarray:
-        arrays = [getattr(each, name).reshape(-1, width) if width > 1 else getattr(each, name).reshape(-1) for each in links]
-        return np.concatenate([array + (0 if shifts is None else shifts[n]) for n, array in enumerate(arrays)])
+    def joined(name: str, *width: int) -> np.ndarray:
+        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in links])
 
-    names = ("normal", "vertex", "along", "inward", "beyond", "spoke")
-    found = {name: joined(name, 3) for name in names}
-    found |= {name: joined(name) for name in ("length", "base", "tie", "role", "longest")}
-    found |= {"point": joined("point", shifts=points), "owner": joined("owner", shifts=triangles)}
-    found |= {"rival": joined("rival", shifts=triangles)}
-    found |= {f"{name}_start": _starts([getattr(each, f"{name}_start") for each in links]) for name in ("spoke", "rival")}
+    def shifted(name: str, before: np.ndarray) -> np.ndarray:
+        return np.concatenate([getattr(each, name).reshape(-1) + n for each, n in zip(links, before, strict=False)])
+
+    vectors, numbers = ("normal", "vertex", "along", "inward", "beyond", "spoke"), ("length", "base", "tie", "role")
+    found = {name: joined(name, 3) for name in vectors} | {name: joined(name) for name in (*numbers, "longest")}
+    found["point"] = shifted("point", points)
+    found |= {name: shifted(name, triangles) for name in ("owner", "rival")}
+    for name in ("spoke_start", "rival_start"):
+        found[name] = _starts([getattr(each, name) for each in links])
     return found
 
 

@@ -39,6 +39,12 @@ class Mesh:
         """Extent (3,) along the axes [m]."""
         return np.ptp(self.points, axis=0)
 
+    @property
+    def typical_edge(self) -> float:
+        """Shorter side [m] of the right angle in a triangle of the median area."""
+        sides = self.points[self.corners[:, 1:]] - self.points[self.corners[:, :1]]
+        return float(np.sqrt(np.median(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))))
+
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
         """Largest distance [m] of any point from an axis."""
         return float(distance_from_axis(self.points, point, axis).max())

@@ -10,7 +10,7 @@ ROUNDING = 16.0
 
 
 def bare_distance(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distance (n,) [m] of points (n, 3) from triangles (n, 3, 3): to the face where the foot is on it, or to an edge."""
+    """Distance (n,) [m] of points (n, 3) from triangles (n, 3, 3): to the face if the foot is on it, or an edge."""
     sides = np.roll(vertex, -1, axis=1) - vertex
     away = points[:, None, :] - vertex
     share = np.clip(_dot(away, sides) / _dot(sides, sides), 0.0, 1.0)
@@ -29,15 +29,21 @@ def reference_contact(links: Links, triangles: np.ndarray, points: np.ndarray) -
     gap, normal = reference_own_contact(links, triangles, points)
     height = _dot(points - links.vertex[triangles, 0], links.normal[triangles])
     key = 2 * triangles + (height < 0.0)
-    counts = links.rival_start[key + 1] - links.rival_start[key]
-    asked = np.repeat(np.arange(len(points)), counts)
-    within = np.arange(len(asked)) - np.repeat(np.cumsum(counts) - counts, counts)
-    rival = links.rival[np.repeat(links.rival_start[key], counts) + within]
+    asked, place = rows(links.rival_start, key)
+    rival = links.rival[place]
     nearer, _ = reference_own_contact(links, rival, points[asked])
     outdone = (nearer < gap[asked]) | ((nearer == gap[asked]) & (rival < triangles[asked]))
     yields = np.zeros(len(points), bool)
     yields[asked[outdone]] = True
     return np.where(yields, FAR_AWAY, gap), normal
+
+
+def rows(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All entries (r,) of the wanted rows (n,), which begin at `start`, and which of the wanted (r,) each is from."""
+    counts = start[wanted + 1] - start[wanted]
+    asked = np.repeat(np.arange(len(wanted)), counts)
+    within = np.arange(len(asked)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return asked, start[wanted][asked] + within
 
 
 def reference_own_contact(links: Links, triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,9 +82,10 @@ def _above_corner(links: Links, triangles: np.ndarray, points: np.ndarray) -> np
         corner = links.point[triangles, k]
         away = points - links.vertex[triangles, k]
         slack = ROUNDING * eps * (links.longest[corner] + np.linalg.norm(away, axis=1))
-        for i, at in enumerate(corner):
-            spokes = links.spoke[links.spoke_start[at] : links.spoke_start[at + 1]]
-            found[i, k] = np.all(spokes @ away[i] <= slack[i])
+        point, spoke = rows(links.spoke_start, corner)
+        rises = np.full(len(points), -np.inf)
+        np.maximum.at(rises, point, _dot(links.spoke[spoke], away[point]))
+        found[:, k] = rises <= slack
     return found
 
 

@@ -1,6 +1,7 @@
 """Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK and VTU, by meshio but for binary STL."""
 
 import io
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -78,7 +79,7 @@ def _binary_stl(raw: bytes) -> Soup:
     if count < 0:
         raise MeshFileError(f"is cut short: it has {len(raw)} bytes, fewer than the head of an STL file")
     if count > room:
-        raise MeshFileError(f"says that it holds {count} triangles, but has room for {room}: it is cut short or damaged")
+        raise MeshFileError(f"says it holds {count} triangles, but has room for {room}: it is cut short or damaged")
     records = np.frombuffer(raw, STL_RECORD, min(count, MOST_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)
     return Soup(points, np.arange(len(points)).reshape(-1, 3))
@@ -88,7 +89,8 @@ def _by_meshio(path: Path, kind: str) -> Soup:
     """Whatever is wrong with a file, meshio says it in some exception of its own or of Python's."""
     read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             mesh = read(path)
     except (Exception, SystemExit) as error:
         why = " ".join(str(error).split())[:120]

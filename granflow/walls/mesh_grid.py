@@ -1,7 +1,7 @@
-"""The grid of one mesh at rest: for every cell the triangles that a sphere with its centre there could touch. numpy only.
+"""The grid of one mesh at rest: for every cell the triangles that a sphere centred there could touch. numpy only.
 
-A triangle is listed in all cells that it comes within reach of, so that a sphere looks into one cell only and finds each
-triangle once. What a sphere costs is then what there is near it, however many triangles there are elsewhere.
+A triangle is listed in all cells that it comes within reach of, so that a sphere looks into one cell only and finds
+each triangle once. What a sphere costs is then what there is near it, however many triangles there are elsewhere.
 """
 
 from dataclasses import dataclass

@@ -1,20 +1,21 @@
 """Which triangle of a mesh answers for a contact: what every edge and corner must know, found once. numpy only.
 
 A sphere touches a mesh wherever its centre has a nearest point that no point of the mesh around it outdoes. Each such
-place has one triangle that answers for it, and finds out alone. With `s` the centre's distance from the line of an edge,
-along the face of a triangle and positive over it:
+place has one triangle that answers for it, and finds out alone. With `s` the centre's distance from the line of an
+edge, along the face of a triangle and positive over it:
 
     face      s > 0 at all three edges
-    edge      s <= 0 for both triangles of the edge: the one with the lower number answers; at an open edge the one there is
+    edge      s <= 0 for both triangles of the edge: the one with the lower number answers; of an open edge the one
+              there is
     corner    no edge that leaves the corner comes nearer to the centre: the lowest triangle there answers
 
 Two triangles in one plane have exactly opposite `s` at the edge between them, so that one of them answers wherever the
 centre is, also on the seam. A fold of more than two triangles has an edge to touch only where the widest angle between
 two neighbours is above 180 degrees; those two share it.
 
-Where the mesh bends towards the sphere by little, it stands for a curved wall, which would be touched once: of triangles
-that meet at a point and whose planes enclose at most SMOOTH, only the nearest answers (`rivals`). Sharper corners are
-meant as corners and give a contact with each side.
+Where the mesh bends towards the sphere by little, it stands for a curved wall, which would be touched once: of
+triangles that meet at a point and whose planes enclose at most SMOOTH, only the nearest answers (`rivals`). Sharper
+corners are meant as corners and give a contact with each side.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ FLAT = 1e-4
 radius is how far a contact point may then lie beside its triangle."""
 
 SMOOTH = np.radians(30.0)
-"""Angle up to which a hollow edge is a facet's, not a corner's: a tube of twelve facets is meant as round, one of eight not."""
+"""Angle up to which a hollow edge is a facet's, not a corner's: a tube of twelve facets is round, one of eight is not."""
 
 SILENT, OPEN, SHARED = range(3)
 """What a triangle does at one of its edges: nothing, answer for an open edge, or answer for two triangles."""
