@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["scalar", "vector"]
+Kind = Literal["scalar", "vector", "tensor"]
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 
 
@@ -20,9 +20,9 @@ FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 class Quantity:
     """One word of the glossary.
 
-    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to
-    VTU files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for
-    what is worked out from other arrays when a file is written.
+    `unit` is SI, "1" for a pure number. `kind` tells (n,), (n, 3) and (n, 9) (xx, xy, xz, yx, ...) apart.
+    `file_type` is the width written to VTU files: float32 wherever its 7 digits are enough to look at and to
+    post-process. `stored` is False for what is worked out from other arrays when a file is written.
     """
 
     name: str
@@ -48,8 +48,8 @@ class Quantity:
         return replace(self, name=f"{self.name}.{part}").label
 
     def shape(self, count: int) -> tuple[int, ...]:
-        """Shape of the array that holds this quantity for `count` particles or contacts."""
-        return (count, 3) if self.kind == "vector" else (count,)
+        """Shape of the array that holds this quantity for `count` particles, contacts or cells."""
+        return {"scalar": (count,), "vector": (count, 3), "tensor": (count, 9)}[self.kind]
 
     def for_file(self, values: np.ndarray) -> np.ndarray:
         """Give the values the width in which they are written to VTU files."""
@@ -73,6 +73,7 @@ PARTICLE_QUANTITIES = _by_name(
         Quantity("material", "", "1", "index of the material in the scene", file_type="int32"),
         Quantity("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         Quantity("coordination_number", "Z", "1", "number of contacts of the particle", file_type="int32"),
+        Quantity("fixed", "", "1", "1 for particles that never move; only where a scene has such", file_type="uint8"),
         Quantity("diameter", "d", "m", "diameter of the sphere, twice the radius", stored=False),
         Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centre, m v^2 / 2", stored=False),
     )
@@ -96,6 +97,21 @@ CONTACT_QUANTITIES = _by_name(
     )
 )
 
+FIELD_QUANTITIES = _by_name(
+    (
+        Quantity("density", "rho", "kg/m3", "mass of the grains per volume of space"),
+        Quantity("solid_fraction", "phi", "1", "volume of the grains per volume of space"),
+        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
+        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
+        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
+    )
+)
+
 TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
@@ -107,7 +123,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
         Quantity("overlap_mean", "", "1", "mean overlap over radius of the contacts"),
         Quantity("overlap_largest", "", "1", "largest overlap over radius of the contacts"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle that can move"),
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, from the origin"),
         Quantity("elastic_energy", "Ee", "J", "energy stored in contacts that they can give back"),
         Quantity("plastic_dissipation", "", "J", "energy lost in steeper unloading"),
@@ -115,6 +131,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rolling_dissipation", "", "J", "energy lost in rolling friction"),
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
+        Quantity("border_work", "", "J", "energy that particles gain in gravity by passing a periodic border"),
         Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
         Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
     )
@@ -125,6 +142,22 @@ METER_QUANTITIES = _by_name(
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
         Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the table, steady mean in the result"),
+    )
+)
+
+LOAD_QUANTITIES = _by_name(
+    (
+        Quantity("wall_force_x", "Fx", "N", "x component of the force of the grains on a wall, a mean over time"),
+        Quantity("wall_force_y", "Fy", "N", "its y component"),
+        Quantity("wall_force_z", "Fz", "N", "its z component"),
+        Quantity("wall_torque_x", "Mx", "N m", "x component of their torque about the wall's point of reference"),
+        Quantity("wall_torque_y", "My", "N m", "its y component"),
+        Quantity("wall_torque_z", "Mz", "N m", "its z component"),
+        Quantity("wall_pressure", "p", "Pa", "normal forces of the grains over the area of the wall"),
+        Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
+        Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
+        Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
+        Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
     )
 )
 
@@ -141,9 +174,9 @@ RUN_QUANTITIES = _by_name(
 
 
 def unit_of(name: str) -> str:
-    """Unit of a number of a finished run, a meter's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
+    """Unit of a number of a finished run, a part's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = METER_QUANTITIES if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    known = {**METER_QUANTITIES, **LOAD_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -9,7 +9,9 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.apart import build_apart
 from granflow.device.encounter import build_effective, build_pair_number, build_weight
+from granflow.device.fixed import build_felt_mass
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.pair import build_meet, build_respond, build_touches, half_of_both
 from granflow.device.slots import build_forget, build_read
@@ -54,7 +56,7 @@ def _build_find(state: State) -> Any:
     plan, particles, contacts, control, batch = state.plan, state.particles, state.contacts, state.control, state.batch
     real, remembers = state.backend.real, bool(contacts.history)
     touches, forget, pair_number = build_touches(real), build_forget(state), build_pair_number(state)
-    effective, weight = build_effective(state, False), build_weight(state)
+    effective, weight, apart = build_effective(state, False), build_weight(state), build_apart(state)
 
     @ti.func
     def part(chunk, slot, i, j, dt):
@@ -76,15 +78,15 @@ def _build_find(state: State) -> Any:
         end = begin
         for slot in range(contacts.row_middle[i], contacts.row_end[i]):
             j = contacts.partner[slot]
-            apart = ti.cast(position - particles.position[j], real)
+            between = ti.cast(apart(position, particles.position[j]), real)
             radius_partner = particles.radius[j]
             batch.slot[worker, end] = slot
             batch.owner[worker, end] = i
             batch.partner[worker, end] = j
             batch.radius_partner[worker, end] = radius_partner
             for axis in ti.static(range(3)):
-                batch.apart[axis][worker, end] = apart[axis]
-            square, reach = apart.dot(apart), radius + radius_partner
+                batch.apart[axis][worker, end] = between[axis]
+            square, reach = between.dot(between), radius + radius_partner
             near = touches(square, reach)
             end += ti.cast(near, ti.i32)
             check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))
@@ -101,6 +103,7 @@ def _build_gather(state: State) -> Any:
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
+    felt_mass = build_felt_mass(state)
 
     @ti.func
     def prepared(constants, worker, entry, i, j, late, now, memory, dt):
@@ -110,7 +113,7 @@ def _build_gather(state: State) -> Any:
         radius, radius_partner = particles.radius[i], particles.radius[j]
         rate = -now.dot(1.0 / distance * apart)
         return law.prepare(
-            constants, half_of_both(radius, radius_partner), half_of_both(particles.mass[i], particles.mass[j]), dt,
+            constants, half_of_both(radius, radius_partner), half_of_both(felt_mass(i), felt_mass(j)), dt,
             radius + radius_partner - distance, rate, memory
         )  # fmt: skip
 
@@ -125,8 +128,8 @@ def _build_gather(state: State) -> Any:
             if ti.static(features.rate_dependent):
                 now = particles.velocity_now[i] - particles.velocity_now[j]
                 put(batch.now, worker, entry, now)
-            batch.mass[worker, entry] = particles.mass[i]
-            batch.mass_partner[worker, entry] = particles.mass[j]
+            batch.mass[worker, entry] = felt_mass(i)
+            batch.mass_partner[worker, entry] = felt_mass(j)
             if ti.static(features.rotation):
                 put(batch.spin, worker, entry, particles.spin[i])
                 put(batch.spin_partner, worker, entry, particles.spin[j])

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LOST, GUARD_OVERLAP, GUARD_TRAVEL, Pair, Party, Trip, trip_of
 from granflow.device.records import listed_pairs
 from granflow.device.state import State
@@ -17,7 +18,7 @@ from granflow.walls.mesh import Mesh
 from granflow.walls.mesh_contact import reference_contact
 from granflow.walls.motion import pose
 
-WANTED = ("id", "radius", "mass", "position", "position_at_search", "velocity", "force", "material")
+WANTED = ("id", "radius", "mass", "position", "position_at_search", "velocity", "force", "material", "fixed")
 
 TINY = 1e-300
 """Mass [kg] of places that hold no particle yet."""
@@ -46,7 +47,8 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
     if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand: a step ahead of the time
-        there["velocity"] += 0.5 * state.clock.time_step * there["force"] / np.maximum(there["mass"], TINY)[:, None]
+        mass = np.maximum(there["mass"], TINY)
+        there["velocity"] += 0.5 * state.clock.time_step * there["force"] * (free_shares(there) / mass)[:, None]
         time += state.clock.time_step
     found = np.flatnonzero(there["id"] == particle)
     index = int(found[0])  # one that left the domain stands right behind the others
@@ -80,7 +82,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, there["position_at_search"])
     other = np.maximum(partner, 0)
-    apart = position[owner] - position[other]
+    apart = position[owner] - state.plan.border.beside(position[other], position[owner])
     distance = np.linalg.norm(apart, axis=1)
     overlap = there["radius"][owner] + there["radius"][other] - distance
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]
@@ -89,7 +91,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
     partner = np.where(partner < 0, -1 - walls_of(state, np.minimum(partner, -1)), partner)
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
-        points = position[owner[of_wall]]
+        points = state.plan.border.wrapped(position[owner[of_wall]])
         gap, normal[of_wall], moving[of_wall] = _at_wall(state, index, face[of_wall], points, time)
         smaller[of_wall] = there["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
@@ -124,7 +126,8 @@ def _pair(plan: Plan, there: dict[str, np.ndarray], near: Near, worst: int) -> P
     if partner >= 0:
         second = _party(plan, there, partner)
         radius_eff = radius * there["radius"][partner] / (radius + there["radius"][partner])
-        mass_eff = mass * there["mass"][partner] / (mass + there["mass"][partner])
+        both = {name: values[[owner, partner]] for name, values in there.items()}
+        mass_eff = float(1.0 / (free_shares(both) / both["mass"]).sum())
         smaller = min(radius, there["radius"][partner])
     else:
         wall = plan.walls[-1 - partner]

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from granflow.device.fixed import free_shares
 from granflow.device.state import LOSSES, State
 
 SMALLEST_SHARE = 1e-9
@@ -32,11 +33,11 @@ class Books:
 
 
 def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
-    """Kinetic, rotational and gravitational energy [J] of particles.
+    """Kinetic, rotational and gravitational energy [J] of particles; fixed ones have none.
 
     `arrays`: mass (n,), radius (n,), position (n, 3), velocity (n, 3) and, if they turn, spin (n, 3).
     """
-    mass = arrays["mass"].astype(float)
+    mass = arrays["mass"].astype(float) * free_shares(arrays)
     kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
     rotational = 0.0
     if "spin" in arrays:
@@ -56,10 +57,12 @@ def ledger_totals(
     assert state.control.losses is not None
     losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
     losses["plastic"] += measured["plastic_dissipation"]
+    border = state.control.border_work
+    border_work = {} if border is None else {"border_work": float(border.to_numpy().sum())}
     dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
     held = sum(energies) + measured["elastic_energy"]
     removed = books.removed_energy - books.brought_energy
-    missing = held + dissipated + removed - losses["wall_work"]
+    missing = held + dissipated + removed - losses["wall_work"] - sum(border_work.values())
     passed = energies[0] + energies[1] + measured["elastic_energy"] + dissipated + books.removed_kinetic_energy
     rounding = SMALLEST_SHARE * (abs(energies[2]) + abs(removed))
     scale = max(passed, rounding)
@@ -71,6 +74,7 @@ def ledger_totals(
         "rolling_dissipation": losses["rolling"],
         "damping_dissipation": losses["damping"],
         "wall_work": losses["wall_work"],
+        **border_work,
         "removed_energy": removed,
         "energy_error": missing / scale if scale > 0.0 else 0.0,
     }

@@ -4,6 +4,8 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.apart import build_apart
+from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
 from granflow.device.walls import build_wall_geometry, build_wall_of
@@ -22,7 +24,7 @@ def build_encounter(state: State, with_wall: bool) -> Any:
 
 def _build_grain_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    meet, touches = build_meet(state.plan), build_touches(real)
+    meet, touches, apart = build_meet(state.plan), build_touches(real), build_apart(state)
 
     @ti.func
     def grain_encounter(i, j, pose, time_step):
@@ -30,14 +32,14 @@ def _build_grain_encounter(state: State) -> Any:
         zero = 0.0 * particles.velocity[i]
         overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
         normal, middle, across, late_rate = zero, zero, zero, 0.0 * radius
-        apart = ti.cast(particles.position[i] - particles.position[j], real)
-        if touches(apart.dot(apart), radius + radius_partner):
+        between = ti.cast(apart(particles.position[i], particles.position[j]), real)
+        if touches(between.dot(between), radius + radius_partner):
             late = particles.velocity[i] - particles.velocity[j]
             now = late
             if ti.static(features.rate_dependent):
                 now = particles.velocity_now[i] - particles.velocity_now[j]
             overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
-                radius, radius_partner, apart, late, now, time_step
+                radius, radius_partner, between, late, now, time_step
             )
         return overlap, normal, middle, across, late_rate, rate, arm, arm_partner
 
@@ -73,18 +75,18 @@ def _build_wall_encounter(state: State) -> Any:
 
 def build_effective(state: State, with_wall: bool) -> Any:
     """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair."""
-    particles = state.particles
+    particles, felt_mass = state.particles, build_felt_mass(state)
 
     @ti.func
     def inertia(i):
-        return 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+        return 0.4 * felt_mass(i) * particles.radius[i] * particles.radius[i]
 
     @ti.func
     def effective(i, j):
-        radius_eff, mass_eff, inertia_eff = particles.radius[i], particles.mass[i], inertia(i)
+        radius_eff, mass_eff, inertia_eff = particles.radius[i], felt_mass(i), inertia(i)
         if ti.static(not with_wall):
             radius_eff = half_of_both(radius_eff, particles.radius[j])
-            mass_eff = half_of_both(mass_eff, particles.mass[j])
+            mass_eff = half_of_both(mass_eff, felt_mass(j))
             inertia_eff = half_of_both(inertia_eff, inertia(j))
         return radius_eff, mass_eff, inertia_eff
 

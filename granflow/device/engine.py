@@ -9,7 +9,9 @@ from granflow.device.approach import FastestApproach
 from granflow.device.backend import Backend
 from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
+from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LEFT, Trip
+from granflow.device.loads import wall_impulses
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -126,9 +128,11 @@ class Engine:
         scene, books, count = self.plan.scene, self.books, len(grains)
         density = np.array([scene.materials[name].density for name in scene.materials])
         number = np.array([self._plan_number(name) for name in scene.materials])
+        fixed = np.array([group.fixed for group in scene.particles.values()])[grains.group]
         arrays = {
             "id": books.inserted_count + np.arange(count),
             "material": number[grains.material],
+            "fixed": fixed.astype(np.int32),
             "radius": grains.radius,
             "mass": 4.0 / 3.0 * pi * grains.radius**3 * density[grains.material],
             "position": grains.position,
@@ -137,7 +141,8 @@ class Engine:
         }
         books.brought_energy += sum(mechanical_energy(arrays, self._gravity))
         if self._begun:
-            arrays["velocity"] = grains.velocity - 0.5 * self.time_step * self._gravity
+            fallen = 0.5 * self.time_step * self._gravity
+            arrays["velocity"] = grains.velocity - free_shares(arrays)[:, None] * fallen
         self.transfer.append(arrays)
         books.inserted_count += count
         books.material.append(grains.material)
@@ -181,14 +186,19 @@ class Engine:
         wanted = clock.step_count + steps
         while clock.step_count < wanted and self.time_step == before and not self.tripped:
             allowed = wanted - clock.step_count
-            if self.plan.pace is not None:
-                allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
-            searches = self.timing.search_count
-            done = self.stepper.advance(allowed, clock.step_count)
-            clock.step_count += done
-            self.steps_since_look += done
-            if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
-                self._keep_pace()
+            if self.plan.pace is None:
+                clock.step_count += self.stepper.advance(allowed, clock.step_count)
+            else:
+                self._advance_to_look(min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look))
+
+    def _advance_to_look(self, steps: int) -> None:
+        """Do up to `steps` steps; choose the time step anew if a look is due then."""
+        searches = self.timing.search_count
+        done = self.stepper.advance(steps, self.state.clock.step_count)
+        self.state.clock.step_count += done
+        self.steps_since_look += done
+        if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
+            self._keep_pace()
 
     def _keep_pace(self) -> None:
         """Choose the time step for the scene as it is now, where it follows the scene.
@@ -213,24 +223,27 @@ class Engine:
         self._begun, self._walls_changed = True, False
 
     def mean_kinetic_energy(self) -> float:
-        """Mean kinetic energy per particle, of centres and spins [J]."""
+        """Mean kinetic energy per particle that can move, of centres and spins [J]."""
         arrays = self.synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
-        return (kinetic + rotational) / max(self.state.count, 1)
+        return (kinetic + rotational) / max(free_shares(arrays).sum(), 1.0)
 
     def snapshot(self, stage: str, wants: frozenset[str]) -> Snapshot:
         """What stands on the device now; `wants` as for observers. Contacts are not surveyed if nothing rests on it."""
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
+            impulses = wall_impulses(self.state)
+            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count, impulses)
         self.stepper.stand_walls(self.step_count)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
+        totals = self._totals(arrays, measured)
+        arrays["position"] = self.plan.border.wrapped(arrays["position"])
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
-        totals = self._totals(arrays, measured)
-        return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
+        poses, impulses = self.wall_poses(), wall_impulses(self.state)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def wall_poses(self) -> dict[str, WallPose]:
         """Pose of every wall now, by name."""
@@ -251,7 +264,7 @@ class Engine:
 
     def _on_gone(self, first: int, last: int) -> None:
         """Enter particles that left the domain into the books."""
-        arrays = self.transfer.taken(("id", "mass", "radius", "position", "velocity", "spin"), first, last)
+        arrays = self.transfer.taken(("id", "mass", "radius", "position", "velocity", "spin", "fixed"), first, last)
         if self.plan.scene.domain.leaving == "error":
             self.state.control.guard[0] = GUARD_LEFT
             self.state.control.guard_particle[0] = int(arrays["id"].min())
@@ -263,8 +276,8 @@ class Engine:
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host, velocities and spins brought forward to the time of the positions."""
-        arrays = self.transfer.taken(names)
-        half = 0.5 * self.time_step
+        arrays = self.transfer.taken((*names, "fixed"))
+        half = 0.5 * self.time_step * free_shares(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
         if "spin" in arrays:
@@ -292,7 +305,7 @@ class Engine:
     def _totals(self, arrays: dict[str, np.ndarray], measured: dict[str, float]) -> dict[str, float]:
         books, count = self.books, self.state.count
         energies = mechanical_energy(arrays, self._gravity)
-        contacts = measured["contact_count"]
+        contacts, free = measured["contact_count"], free_shares(arrays)
         totals = {
             "particle_count": float(count),
             "inserted_count": float(books.inserted_count),
@@ -303,7 +316,7 @@ class Engine:
             "rotational_energy": energies[1],
             "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
             "overlap_largest": measured["overlap_largest"],
-            "coordination_number": float(arrays["coordination"].mean()) if count else 0.0,
+            "coordination_number": float(free @ arrays["coordination"]) / max(free.sum(), 1.0),
         }
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)

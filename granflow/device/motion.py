@@ -9,6 +9,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.fixed import build_freedom
 from granflow.device.guards import GUARD_LOST, GUARD_TRAVEL
 from granflow.device.state import State
 
@@ -16,11 +17,12 @@ from granflow.device.state import State
 def build_move(state: State) -> Any:
     """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
 
-    Reads:   force, torque, mass, radius, position_at_search
+    Reads:   force, torque, mass, radius, fixed, position_at_search
     Writes:  velocity, velocity_now, spin, position, search_wanted, guard
     """
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size
+    free = build_freedom(state)
     near, far = (0.5 * plan.skin) ** 2, plan.skin**2
 
     @ti.func
@@ -32,7 +34,7 @@ def build_move(state: State) -> Any:
     def move(chunk, count, dt):
         wanted = 0
         for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
-            kick = dt / particles.mass[i] * particles.force[i]
+            kick = free(i) * dt / particles.mass[i] * particles.force[i]
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
                 particles.velocity_now[i] = velocity + 0.5 * kick
@@ -41,7 +43,7 @@ def build_move(state: State) -> Any:
             particles.position[i] = position
             if ti.static(features.rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
-                particles.spin[i] = particles.spin[i] + dt / inertia * particles.torque[i]
+                particles.spin[i] = particles.spin[i] + free(i) * dt / inertia * particles.torque[i]
             travel = position - particles.position_at_search[i]
             square = travel.dot(travel)
             if square > near:

@@ -97,12 +97,13 @@ class Particles:
         self.position_at_search = block.vector(backend.position_real, count)
         self.id = block.scalar(ti.i32, count)
         self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
+        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_grains else None
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that travel with a particle when it gets another place."""
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
-        optional = (self.material, self.spin, self.velocity_now)
+        optional = (self.material, self.fixed, self.spin, self.velocity_now)
         return fields + [field for field in optional if field is not None]
 
 
@@ -117,6 +118,8 @@ class Sorting:
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
+        self.cells = block.vector(ti.i32, 1)
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -182,6 +185,10 @@ class Batch:
         self.losses = columns(3 * features.ledger)
 
 
+NOT_MEASURED = -1
+"""Row of the loads for walls whose loads nobody asks for."""
+
+
 class Walls:
     """Shapes at rest, what they are made of, and where they stand in the next WALL_BATCH steps."""
 
@@ -196,6 +203,7 @@ class Walls:
         self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
         self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
         self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.load_row = block.scalar(ti.i32, count) if plan.features.loads else None
         self.spin = block.vector(backend.real, WALL_BATCH, count) if moving else None
 
     def fill(self, plan: Plan) -> None:
@@ -205,6 +213,9 @@ class Walls:
             self.material[index] = wall.material
             if isinstance(wall.shape, Shape):
                 self.parameters[index] = wall.shape.parameters.tolist()
+            if self.load_row is not None:
+                loaded = plan.scene.loaded_walls
+                self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
 
 
 class Control:
@@ -221,6 +232,10 @@ class Control:
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
+        loaded = len(plan.scene.loaded_walls)
+        self.impulses = block.vector(ti.f64, plan.chunk_capacity, loaded, count=IMPULSE_SIZE) if loaded else None
+        turns = ledger and plan.features.periodic != "none"
+        self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
@@ -233,6 +248,10 @@ LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
 """What each chunk adds up in the energy ledger [J]."""
 
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+
+
+IMPULSE_SIZE = 7
+"""What each chunk adds up for a wall: force (3), torque (3) and normal forces over time."""
 
 
 class State:

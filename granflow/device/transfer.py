@@ -7,6 +7,7 @@ import numpy as np
 import taichi as ti
 from taichi.lang.util import to_numpy_type
 
+from granflow.device.fixed import build_freedom
 from granflow.device.state import State
 
 
@@ -22,8 +23,8 @@ class Transfer:
     def append(self, arrays: dict[str, np.ndarray]) -> None:
         """Put n more particles behind those that are there.
 
-        `arrays`: id (n,), material (n,) numbers of the plan, radius (n,), mass (n,), position (n, 3), velocity
-        (n, 3) half a step back, spin (n, 3).
+        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,), mass (n,), position
+        (n, 3), velocity (n, 3) half a step back, spin (n, 3).
         """
         state, particles = self.state, self.state.particles
         count = len(arrays["radius"])
@@ -36,6 +37,7 @@ class Transfer:
             state.count,
             np.ascontiguousarray(arrays["id"], dtype=np.int32),
             np.ascontiguousarray(arrays["material"], dtype=np.int32),
+            np.ascontiguousarray(arrays["fixed"], dtype=np.int32),
             np.ascontiguousarray(arrays["radius"], dtype=wide),
             np.ascontiguousarray(arrays["mass"], dtype=wide),
             np.ascontiguousarray(arrays["position"], dtype=position),
@@ -122,7 +124,7 @@ def _build_append(state: State) -> Callable[..., None]:
 
     @ti.kernel
     def append(
-        first: ti.i32, ids: external, material: external, radius: external, mass: external,
+        first: ti.i32, ids: external, material: external, fixed: external, radius: external, mass: external,
         position: external, velocity: external, spin: external
     ):  # fmt: skip
         for k in range(ids.shape[0]):
@@ -141,19 +143,22 @@ def _build_append(state: State) -> Callable[..., None]:
                     particles.velocity_now[i][axis] = velocity[k, axis]
             if ti.static(not features.one_material):
                 particles.material[i] = material[k]
+            if ti.static(features.fixed_grains):
+                particles.fixed[i] = fixed[k]
 
     return append
 
 
 def _build_kick(state: State) -> Callable[..., None]:
     particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
+    free = build_freedom(state)
 
     @ti.kernel
     def kick(count: ti.i32, time: real):
         for i in range(count):
-            particles.velocity[i] = particles.velocity[i] + time / particles.mass[i] * particles.force[i]
+            particles.velocity[i] = particles.velocity[i] + free(i) * time / particles.mass[i] * particles.force[i]
             if ti.static(rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
-                particles.spin[i] = particles.spin[i] + time / inertia * particles.torque[i]
+                particles.spin[i] = particles.spin[i] + free(i) * time / inertia * particles.torque[i]
 
     return kick

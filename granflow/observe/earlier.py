@@ -49,6 +49,8 @@ def _grains(scene: Scene, name: str, checkpoint: Checkpoint, number: int) -> Gra
     chosen = order[kept["books"]["group"][particles["id"][order]] == number]
     arrays = {key: values[chosen].astype(np.float64) for key, values in particles.items()}
     velocity, spin = _at_the_time_of_positions(arrays, kept["clock"]["time_step"])
+    if scene.particles[name].fixed:
+        velocity, spin = np.zeros_like(velocity), np.zeros_like(spin)
     count, material = len(chosen), list(scene.materials).index(scene.particles[name].material)
     return Grains(
         position=arrays["position"],

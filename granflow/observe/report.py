@@ -16,6 +16,7 @@ from granflow.quantities import unit_of
 _COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
 _WHOLE = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
+_LOADS = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,14 @@ class Result:
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
     `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
     `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter.
+    meter. `loads`: wall_force_x and so on by the name of the wall.
     """
 
     run: Mapping[str, float]
     seconds: Mapping[str, float]
     totals: Mapping[str, float]
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    loads: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[Judgement, ...] = ()
 
     def held_to(self, expectations: Iterable[Expectation]) -> "Result":
@@ -42,13 +44,13 @@ class Result:
     def numbers(self) -> dict[str, float]:
         """All numbers by the names that a scene's `expect:` block uses.
 
-        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters as
-        `mass_flow.outlet`.
+        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters and
+        walls as `mass_flow.outlet`, `wall_force.floor`.
         """
         named = {**self.run, **self.totals}
         named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        for meter, readings in self.meters.items():
-            named.update({f"{quantity}.{meter}": number for quantity, number in readings.items()})
+        for part, readings in (*self.meters.items(), *self.loads.items()):
+            named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
 
 
@@ -59,6 +61,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "seconds": _finite(result.seconds),
         "totals": _finite(result.totals),
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
+        "loads": {name: _finite(readings) for name, readings in result.loads.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
@@ -67,12 +70,14 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def closing_table(result: Result, title: str = "Result") -> Table:
-    """Make the table that closes a run: where the time went, counts, energy, mass flow per meter."""
+    """Make the table that closes a run: where the time went, counts, energy, mass flow per meter, load per wall."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
     table.add_column(justify="left")
-    for section in (_run_rows(result), _time_rows(result), _total_rows(result), _meter_rows(result)):
+    for section in (
+        _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result)
+    ):  # fmt: skip
         for row in section:
             table.add_row(*row)
         table.add_section()
@@ -109,12 +114,22 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
-def _meter_rows(result: Result) -> list[tuple[str, str, str]]:
+def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
+    """Rows of meters or walls by name."""
     return [
-        (f"{_words(quantity)}, {meter}", readable(number), unit_of(f"{quantity}.{meter}"))
-        for meter, readings in result.meters.items()
+        (f"{_words(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
+        for part, readings in parts.items()
         for quantity, number in readings.items()
     ]
+
+
+def _load_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Magnitudes alone; components stand in result.json."""
+    shown = {
+        wall: {name: number for name, number in readings.items() if name in _LOADS}
+        for wall, readings in result.loads.items()
+    }
+    return _part_rows(shown)
 
 
 def _words(name: str) -> str:

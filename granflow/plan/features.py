@@ -20,7 +20,11 @@ class Features:
     mesh_walls: bool
     one_material: bool
     ledger: bool
+    loads: bool
     adaptive_step: bool
+    periodic: str
+    """Periodic axes, such as "x, y", or "none"."""
+    fixed_grains: bool
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,10 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
+        loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
+        periodic=", ".join(scene.domain.periodic) or "none",
+        fixed_grains=any(group.fixed for group in scene.particles.values()),
     )
 
 
@@ -71,7 +78,12 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
+        "loads": _loads_reason(scene, features),
         "adaptive_step": _step_reason(scene),
+        "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
+        if scene.domain.periodic
+        else "the domain has no periodic axes",
+        "fixed_grains": _fixed_reason(scene, features),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -129,6 +141,19 @@ def _mesh_reason(scene: Scene, features: Features) -> str:
         return "no wall is a mesh"
     name = next(name for name, wall in scene.walls.items() if wall.shape == "mesh")
     return f"walls.{name} is one ({scene.where('walls', name, 'shape')})"
+
+
+def _loads_reason(scene: Scene, features: Features) -> str:
+    if not features.loads:
+        return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
+    return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
+
+
+def _fixed_reason(scene: Scene, features: Features) -> str:
+    if not features.fixed_grains:
+        return "every group of particles can move"
+    name = next(name for name, group in scene.particles.items() if group.fixed)
+    return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
 
 
 def _step_reason(scene: Scene) -> str:

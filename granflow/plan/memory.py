@@ -57,7 +57,7 @@ def _fields(plan: Plan, real: int, position: int) -> int:
     features = plan.features
     velocity, force, radius, mass, number, coordination = VECTOR * real, VECTOR * real, real, real, INTEGER, INTEGER
     travelling = VECTOR * position + velocity + radius + mass + number
-    travelling += INTEGER * (not features.one_material)
+    travelling += INTEGER * ((not features.one_material) + features.fixed_grains)
     travelling += VECTOR * real * (features.rotation + features.rate_dependent)
     torque = VECTOR * real * features.rotation
     at_search = VECTOR * position

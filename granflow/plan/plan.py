@@ -19,6 +19,7 @@ from granflow.laws.material import (
     yield_strength,
 )
 from granflow.plan.approach import fastest_approach
+from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.pace import Pace, pace_of
@@ -27,6 +28,7 @@ from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles,
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
+from granflow.scene.border import Border
 from granflow.scene.schema import Group, RestitutionFit
 from granflow.walls.mesh import Mesh
 from granflow.walls.mesh_grid import MeshGrid, grid_over
@@ -170,6 +172,11 @@ class Plan:
         return self.step.warnings + tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
 
     @cached_property
+    def border(self) -> Border:
+        """Periodic faces of the domain."""
+        return Border.of(self.scene.domain)
+
+    @cached_property
     def domain_low(self) -> np.ndarray:
         """Smallest coordinates of the domain (3,) [m]."""
         return np.array(self.scene.domain.min)
@@ -196,6 +203,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
     speed = wall_speed(scene, walls)
+    skin = _skin(scene, radius_min, velocity, step.value)
+    refuse_narrow(scene, radius_max, skin)
+    refuse_walls(scene, walls, radius_max + skin)
+    refuse_endless_turns(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     return Plan(
         scene=scene,
@@ -208,7 +219,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         radius_min=radius_min,
         radius_max=radius_max,
         chunk_size=_chunk_size(scene, particle_count) if law.branch_free and not on_gpu else 1,
-        skin=_skin(scene, radius_min, velocity, step.value),
+        skin=skin,
         step=step,
         velocity_max=velocity,
         walls=walls,
@@ -281,17 +292,19 @@ def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tup
 def meetings_of(scene: Scene) -> list[Meeting]:
     """How any two groups, and any group and wall, can meet: their smallest particles.
 
-    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in.
+    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in. Fixed grains
+    meet none of their kind and no walls; others meet them as they would a wall as round as the largest of them.
     """
     found = []
     groups = list(scene.particles.items())
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, (name, group) in enumerate(groups):
         for other_name, other in groups[n:]:
-            if scene.pair_key(group.material, other.material) in scene.pairs:
+            if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
                 pair = pair_material(scene, group.material, other.material)
-                found.append(_meeting(scene, f"{name}-{other_name}", pair, group, other))
-        for wall in walls:
+                mobile, partner = (other, group) if group.fixed else (group, other)
+                found.append(_meeting(scene, f"{name}-{other_name}", pair, mobile, partner))
+        for wall in walls if not group.fixed else ():
             found.append(
                 _meeting(scene, f"{name}-{wall} wall", pair_material(scene, group.material, wall), group, None)
             )
@@ -305,11 +318,14 @@ def meetings_of(scene: Scene) -> list[Meeting]:
 
 
 def _meeting(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> Meeting:
-    """The smallest of a group with the smallest of another, or with a wall (None)."""
+    """The smallest of a group with the smallest of another, with the largest fixed one, or with a wall (None)."""
     radius, body = 0.5 * diameter_range(group)[0], solid(scene, group.material)
     mass = _sphere_mass(radius, body.density)
     if other is None:
         return Meeting(name, pair, radius, mass, radius, body)
+    if other.fixed:
+        other_radius = 0.5 * diameter_range(other)[1]
+        return Meeting(name, pair, radius * other_radius / (radius + other_radius), mass, radius, body)
     other_radius = 0.5 * diameter_range(other)[0]
     other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
     radius_eff = radius * other_radius / (radius + other_radius)

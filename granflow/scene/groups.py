@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, Tag, model_validator
 
 from granflow.scene.fields import (
     Count,
     Fault,
+    Flag,
     KeyPath,
     Model,
     Number,
@@ -236,6 +238,7 @@ class Group(Model):
     diameter: Sizes = Field(description="diameter [m], or a size distribution; a list with a list of positions")
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="velocity at the start [m/s]")
     spin: SpinOrMany = Field((0.0, 0.0, 0.0), description="angular velocity at the start [rad/s]")
+    fixed: Flag = Field(False, description="they never move, whatever meets them: grains of a rough wall")
     place: Place = Field(description="where they are: lattice, pack, rain or list")
 
     @model_validator(mode="before")
@@ -249,7 +252,9 @@ class Group(Model):
         return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
-        """Lists as long as the list of positions, and only beside one."""
+        """Lists as long as the list of positions, and only beside one; nothing that would move fixed grains."""
+        if self.fixed:
+            yield from self._faults_of_fixed()
         rows = len(self.place.positions) if self.place.kind == "list" else None
         if rows is not None and self.count != rows:
             yield Fault(("count",), f"place.positions has {rows} rows; leave the count out")
@@ -259,6 +264,14 @@ class Group(Model):
             elif length != rows:
                 reason = f"is a list of length {length} and place.positions one of {rows}; give one to each position"
                 yield Fault(key, reason, whole=True)
+
+    def _faults_of_fixed(self) -> Iterator[Fault]:
+        """Fixed grains are there from the start, and at rest."""
+        if self.place.kind == "rain":
+            yield Fault(("fixed",), "grains that rain move; place fixed ones by lattice, pack or list")
+        for key in ("velocity", "spin"):
+            if np.any(getattr(self, key)):
+                yield Fault((key,), "fixed is true: those grains never move; leave it out")
 
     def _lists(self) -> Iterator[tuple[KeyPath, int]]:
         if isinstance(self.diameter, tuple):

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from granflow.scene.analysis import FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -20,6 +21,7 @@ from granflow.scene.fields import (
     Energy,
     Fault,
     Flag,
+    FlagOrNames,
     Model,
     Name,
     NotNegative,
@@ -85,6 +87,7 @@ __all__ = [
     "Disc",
     "Domain",
     "Expectation",
+    "FieldGrid",
     "Group",
     "Lattice",
     "Listed",
@@ -122,9 +125,20 @@ AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True,
 class Domain(Box):
     """The box that is simulated."""
 
-    leaving: Literal["delete", "error"] = Field(
-        description="what becomes of particles whose centre leaves the domain: delete (and count) or error"
+    periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
+        (), description="axes along which opposite faces are one, such as [x, y]"
     )
+    leaving: Literal["delete", "error", "grow"] = Field(
+        description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
+        "nothing, the domain grows with them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A box with room in it, each axis once."""
+        yield from super().faults()
+        for index, axis in enumerate(self.periodic):
+            if axis in self.periodic[:index]:
+                yield Fault(("periodic", index), "it is there already; name each axis once")
 
 
 class Stage(Model):
@@ -206,7 +220,11 @@ class Output(Model):
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
+    loads: FlagOrNames = Field(
+        False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
+    )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
@@ -283,6 +301,12 @@ class Scene(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    @property
+    def loaded_walls(self) -> tuple[str, ...]:
+        """Names of the walls whose loads are measured, in the order of the walls."""
+        asked = self.output.loads
+        return tuple(name for name in self.walls if asked is True or (asked and name in asked))
 
     def pair(self, first: str, second: str) -> Pair:
         """The pair of two materials, named in either order. Raises KeyError where the scene has none."""

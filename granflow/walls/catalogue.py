@@ -3,6 +3,7 @@
 import numpy as np
 
 from granflow.walls.mesh import Mesh
+from granflow.walls.mesh_grid import distances, grid_over
 from granflow.walls.plane import HALF_SPACE, RECTANGLE
 from granflow.walls.revolved import REVOLVED
 from granflow.walls.shape import Shape, ShapeKind
@@ -33,6 +34,14 @@ def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.n
     if isinstance(surface, Mesh):
         return surface.points, surface.corners
     return surface.kind.triangles(surface.parameters, np.asarray(center, dtype=np.float64), extent)
+
+
+def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndarray:
+    """Distance (n,) [m] of points (n, 3) from a surface; of meshes only that within `reach`."""
+    if isinstance(surface, Mesh):
+        vertex = surface.links.vertex
+        return distances(grid_over(vertex, reach), vertex, points)
+    return surface.kind.reference_closest(points, surface.parameters)[0]
 
 
 def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest: float) -> float:

@@ -40,10 +40,20 @@ class Mesh:
         return np.ptp(self.points, axis=0)
 
     @property
-    def typical_edge(self) -> float:
-        """Shorter side [m] of the right angle in a triangle of the median area."""
+    def areas(self) -> np.ndarray:
+        """Area (t,) of every triangle [m2]."""
         sides = self.points[self.corners[:, 1:]] - self.points[self.corners[:, :1]]
-        return float(np.sqrt(np.median(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))))
+        return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+
+    @property
+    def area(self) -> float:
+        """Area of one side [m2]."""
+        return float(self.areas.sum())
+
+    @property
+    def typical_edge(self) -> float:
+        """Shorter sides [m] of a triangle with a right angle and the median area."""
+        return float(np.sqrt(2.0 * np.median(self.areas)))
 
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
         """Largest distance [m] of any point from an axis."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.walls.mesh_contact import bare_distance
+from granflow.walls.mesh_contact import bare_distance, rows
+from granflow.walls.shape import FAR_AWAY
 
 CELLS_PER_TRIANGLE, LEAST_CELLS = 8.0, 4096
 """Most cells of a grid."""
@@ -45,6 +46,17 @@ def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
     order = np.lexsort((triangle, cell))
     start = np.searchsorted(cell[order], np.arange(int(np.prod(shape)) + 1))
     return MeshGrid(low, side, shape, start, triangle[order])
+
+
+def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance (n,) [m] of points (n, 3) from the triangles (t, 3, 3) of the grid; FAR_AWAY beyond its reach."""
+    place = np.floor((points - grid.low) / grid.side).astype(np.int64)
+    inside = np.flatnonzero(np.all((place >= 0) & (place < grid.shape), axis=1))
+    x, y, z = place[inside].T
+    asked, listed = rows(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
+    found = np.full(len(points), FAR_AWAY)
+    np.minimum.at(found, inside[asked], bare_distance(vertex[grid.triangle[listed]], points[inside[asked]]))
+    return found
 
 
 def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray) -> float:

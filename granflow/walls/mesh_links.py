@@ -29,7 +29,7 @@ FLAT = 1e-4
 radius is how far a contact point may then lie beside its triangle."""
 
 SMOOTH = np.radians(30.0)
-"""Angle up to which a hollow edge is a facet's, not a corner's: a tube of twelve facets is round, one of eight is not."""
+"""Up to this angle a hollow edge is a facet's, not a corner's: a tube of twelve facets is round, one of ten is not."""
 
 SILENT, OPEN, SHARED = range(3)
 """What a triangle does at one of its edges: nothing, answer for an open edge, or answer for two triangles."""

@@ -32,7 +32,7 @@ def test_particles_come_back_number_for_number(tmp_path, count):
     np.testing.assert_array_equal(mesh.points, particles["position"].astype(np.float32))
     assert set(mesh.point_data) == {
         "id", "radius", "diameter", "velocity", "spin", "force", "material", "group", "coordination_number",
-        "kinetic_energy",
+        "kinetic_energy", "fixed",
     }  # fmt: skip
     for name, values in mesh.point_data.items():
         np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))
