@@ -33,7 +33,7 @@ def bouncing(walls, **parts):
 
 @pytest.mark.parametrize("law", ["zhou", "hertz"])
 def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
-    """Over two triangles and over 2048, while contacts slide over seams with their friction and their largest overlap."""
+    """Over two triangles and over 2048, while contacts slide over seams with what they remember."""
     write(folder / "two.stl", *sheet(1, 0.4))
     write(folder / "many.obj", *sheet(32, 0.4))
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}

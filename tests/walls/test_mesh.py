@@ -25,6 +25,8 @@ def turned(surface):
     return surface.placed(0.7, rotation, np.array([0.3, -0.2, 0.9])), rotation
 
 
+FOLD = [[0, 1, 2], [0, 1, 3], [0, 1, 4]]
+
 SURFACES = {
     "cube": mesh(*cube()),
     "sheet": mesh(*sheet(5)),
@@ -32,11 +34,9 @@ SURFACES = {
     "rough sheet": mesh(*sheet(5, bumps=0.15)),
     "tube": mesh(*tube(24, rings=2)),
     "tube of eight": mesh(*tube(8)),
-    "three at one edge": mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0.2, 0], [0.3, 1, 0.5]], [[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
-    "plate on a plate": mesh(
-        [[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0.5, 1]], [[0, 1, 2], [0, 1, 3], [0, 1, 4]]
-    ),
-}  # fmt: skip
+    "three at one edge": mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0.2, 0], [0.3, 1, 0.5]], FOLD),
+    "plate on a plate": mesh([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0.5, 1]], FOLD),
+}
 
 
 @pytest.mark.parametrize("name", SURFACES)
