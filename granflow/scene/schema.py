@@ -64,6 +64,7 @@ from granflow.scene.shapes import (
     Cone,
     Cylinder,
     Disc,
+    MeshWall,
     Plane,
     Rectangle,
     Rotation,
@@ -92,6 +93,7 @@ __all__ = [
     "Listed",
     "LogNormalSizes",
     "Material",
+    "MeshWall",
     "Meter",
     "NormalSizes",
     "Numerics",
@@ -277,6 +279,7 @@ class Scene(Model):
     expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
 
     _path: Path = PrivateAttr(Path())
+    _folder: Path = PrivateAttr(Path())
     _document: Document | None = PrivateAttr(None)
 
     def __eq__(self, other: object) -> bool:
@@ -289,6 +292,11 @@ class Scene(Model):
     def path(self) -> Path:
         """The file this scene was read from; an empty path if there is none."""
         return self._path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
+        return self._folder
 
     @property
     def schedule(self) -> tuple[Stage, ...]:
