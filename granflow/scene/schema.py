@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
-from granflow.scene.analysis import FieldGrid
+from granflow.scene.analysis import AnyIndex, FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -65,6 +65,7 @@ from granflow.scene.shapes import (
     Cone,
     Cylinder,
     Disc,
+    MeshWall,
     Plane,
     Rectangle,
     Rotation,
@@ -93,6 +94,7 @@ __all__ = [
     "Listed",
     "LogNormalSizes",
     "Material",
+    "MeshWall",
     "Meter",
     "NormalSizes",
     "Numerics",
@@ -244,6 +246,7 @@ class Output(Model):
     )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
+    indices: dict[Name, AnyIndex] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
@@ -297,6 +300,7 @@ class Scene(Model):
     expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
 
     _path: Path = PrivateAttr(Path())
+    _folder: Path = PrivateAttr(Path())
     _document: Document | None = PrivateAttr(None)
 
     def __eq__(self, other: object) -> bool:
@@ -309,6 +313,11 @@ class Scene(Model):
     def path(self) -> Path:
         """The file this scene was read from; an empty path if there is none."""
         return self._path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
+        return self._folder
 
     @property
     def schedule(self) -> tuple[Stage, ...]:

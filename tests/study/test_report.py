@@ -47,7 +47,9 @@ RESULT = {
     "totals": {"particle_count": 2, "energy_error": 1e-4},
     "meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
     "expect": [{"sentence": "it is 1, as expected.", "met": True}, {"sentence": "it is <2>.", "met": False}],
+    "loads": {"lid": {"wall_force": 7.5}},
     "packing": {"solid_fraction": 0.62, "not_known": None},
+    "feeds": {"beads": {"came_count": 40321, "missing_count": 0}},
 }
 
 
@@ -77,7 +79,15 @@ def test_the_page_says_all_of_a_run_that_is_done(run):
     text = text_of(run)
     for words in (
         *("The run is done.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
-        *("Two <beads> (two.yaml)", "every pair has friction 0", "granflow 0.1.0, taichi 1.7.4", "solid fraction"),
+        *(
+            "Two <beads> (two.yaml)",
+            "every pair has friction 0",
+            "granflow 0.1.0, taichi 1.7.4",
+            "solid fraction",
+            "40 321",
+            "wall force (N)",
+            "7.5",
+        ),
         *("not a scene: at all", "This version cannot read it", "Zero throughout: idle", "it burst\nat the seams"),
     ):
         assert words in text, words
@@ -99,7 +109,9 @@ def test_an_interrupted_run_says_why_and_how_far(run):
     text = text_of(run)
     assert "The run did not come to its end (ended by RunError: it burst): granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
-    assert re.search(r"meter.*a\s*3\s*4", text, re.DOTALL), "the meter's last row stands in for the result"
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
+        "the last row stands in for the result"
+    )
 
 
 def test_a_resumed_run_lists_its_parts(run):
@@ -184,6 +196,9 @@ def test_a_plot_is_json_without_a_way_out_of_its_script():
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
     html = html_of(Page("t", "l", [Section("s", [plot])]))
     assert html.count("</script>") == 1
+    assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
+        "a click would send data away"
+    )
     lifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
     assert lifts[0] != lifts[1], "names of stages that begin soon after each other overlap"
 
