@@ -17,7 +17,7 @@ def scene_of(**output):
         "energy": False, "meters": {"outlet": meter}, "fields": {}, "indices": {}, **output,
     }  # fmt: skip
     domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), leaving="error")
-    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain, loaded_walls=())
+    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=())
 
 
 def kinds(scene, triangles, path):

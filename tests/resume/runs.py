@@ -16,7 +16,7 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
     """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
 
     Friction, rolling springs, the ledger, a flow meter, fields and indices are on; a row of fixed grains lies in the
-    gate, which goes with the first stage; the floor and one side go with the second. Small beads leave before that side.
+    gate, which goes with the first stage; the floor and one side go with the second. Small beads leave before that.
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
