@@ -11,6 +11,12 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.state import WALL_BATCH, State
+from granflow.scene.border import Border
+
+
+def _sheared_axes(border: Border) -> tuple[int, int]:
+    """Axes of velocity and gradient; of a box without shear, any."""
+    return (0, 0) if border.shear is None else (border.shear.along, border.shear.across)
 
 
 def build_turn(state: State) -> Any:
@@ -19,7 +25,8 @@ def build_turn(state: State) -> Any:
     Of a sheared box, along the axis of its gradient.
     """
     real, border = state.backend.position_real, state.plan.border
-    across, half = border.shear.across, 0.5 * float(border.width[border.shear.across])
+    _, across = _sheared_axes(border)
+    half = 0.5 * float(border.width[across])
 
     @ti.func
     def turn(one, other):
@@ -36,7 +43,7 @@ def build_apart(state: State) -> Any:
     """
     real, border = state.backend.position_real, state.plan.border
     widths, sheared = [float(width) for width in border.width], border.shear is not None
-    along = border.shear.along if sheared else 0
+    along, _ = _sheared_axes(border)
     turn, offset = build_turn(state) if sheared else None, state.control.border_offset
 
     @ti.func
@@ -59,7 +66,7 @@ def build_seen_from(state: State) -> Any:
     """Device function (point, turn, pose): where the box has the point [m] that is so many images above it."""
     real, border, offset = state.backend.position_real, state.plan.border, state.control.border_offset
     sheared = border.shear is not None
-    along, across = (border.shear.along, border.shear.across) if sheared else (0, 0)
+    along, across = _sheared_axes(border)
     height = float(border.width[across])
 
     @ti.func
@@ -81,7 +88,8 @@ def build_drift(state: State) -> Any:
     """
     real, position, border = state.backend.real, state.particles.position, state.plan.border
     sheared, speed = border.shear is not None, state.control.border_speed
-    along, turn = (border.shear.along, build_turn(state)) if sheared else (0, None)
+    along, _ = _sheared_axes(border)
+    turn = build_turn(state) if sheared else None
 
     @ti.func
     def drift(i, j, pose):
@@ -163,7 +171,7 @@ def _build_step_over(state: State) -> Any:
         state.plan.border,
         state.control,
     )
-    along, across = border.shear.along, border.shear.across
+    along, across = _sheared_axes(border)
     low, width = float(border.low[across]), float(border.width[across])
 
     @ti.func

@@ -29,7 +29,7 @@ def put(columns: ti.template(), worker, entry, vector):
 
 
 def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between grains of the rows first..last.
+    """Device function (worker, chunk, first, last, pose, time_step): add contacts between grains, rows first..last.
 
     Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows
     Writes:  force, torque, history, losses, guard, the worker's batch

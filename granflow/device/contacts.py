@@ -31,12 +31,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
     features, real = plan.features, state.backend.real
     encounter, effective = build_encounter(state, with_wall), build_effective(state, with_wall)
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
-<<<<<<< HEAD
     enter_border_work = build_border_work(state)
-=======
     wall_of, handing = build_wall_of(state), with_wall and hands_over(state)
     leave, inherit = (build_leave(state), build_inherit(state)) if handing else (None, None)
->>>>>>> periodic
     respond, read, write, forget = (
         build_respond(plan, False),
         build_read(state),

@@ -352,7 +352,7 @@ def build_rows(state: State) -> Callable[..., None]:
     number, place, apart = build_cell_number(), build_place(state), build_apart(state)
     around, meant = build_around(state)
     classes, within = len(plan.size_classes), build_within(state)
-    sheared = plan.features.shear
+    sheared, by_class = plan.features.shear, sorting.listed is not None
     images, turn = int(sheared), build_turn(state) if sheared else None
     seen_from = build_seen_from(state)
     geometry, has_mesh = build_wall_geometry(state), plan.features.mesh_walls
@@ -448,7 +448,7 @@ def build_rows(state: State) -> Callable[..., None]:
         if ti.static(wall_count > 0):
             filled = near_walls(chunk, filled, i, skin, pose)
         contacts.row_middle[i] = filled
-        if ti.static(sorting.listed is not None):
+        if ti.static(by_class):
             filled = near_grains_by_class(chunk, filled, i, skin, pose)
         else:
             filled = near_grains(chunk, filled, i, skin)

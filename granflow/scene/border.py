@@ -69,7 +69,7 @@ class Border:
         return float(self.width[self.shear.across])
 
     def wrapped(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved by whole widths of the box into it, and by the offset where they pass a sheared face."""
+        """Points (n, 3) [m] moved by whole widths of the box into it, and by the offset through sheared faces."""
         return self._moved(points, lambda axis, found: np.floor((found - self.low[axis]) / self.width[axis]))[0]
 
     def brought_in(self, points: np.ndarray, velocity: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
