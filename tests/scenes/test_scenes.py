@@ -12,7 +12,7 @@ LONG = ("haff_cooling",)
 LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse")
 
 SMALL = {
-    # Half as wide and high, six beads: the same a, an eighth of the beads. M g h / 4 = 8.3 g 9.81 7.1 mm / 4 = 0.145 mJ, and
+    # Half as wide and high, an eighth of the beads, the same a: M g h / 4 = 8.3 g 9.81 7.1 mm / 4 = 0.145 mJ, and
     # for a radius up to 8 % larger or, as so few beads run out less far (Man et al. 2021), up to 13 % smaller:
     "column_collapse": (
         "particles.beads.count=780",
