@@ -101,6 +101,7 @@ TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
+        Quantity("waiting_count", "", "1", "particles due that wait for room to come in; where some come in"),
         Quantity("deleted_count", "", "1", "particles that left the domain"),
         Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain"),
         Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
@@ -129,6 +130,14 @@ METER_QUANTITIES = _by_name(
     )
 )
 
+FEED_QUANTITIES = _by_name(
+    (
+        Quantity("came_count", "", "1", "particles of the group that came in"),
+        Quantity("came_mass", "", "kg", "mass of the particles of the group that came in"),
+        Quantity("missing_count", "", "1", "particles of the group that had not come at the end"),
+    )
+)
+
 RUN_QUANTITIES = _by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
@@ -142,9 +151,9 @@ RUN_QUANTITIES = _by_name(
 
 
 def unit_of(name: str) -> str:
-    """Unit of a number of a finished run, a meter's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
+    """Unit of a number of a finished run, a part's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = METER_QUANTITIES if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    known = {**METER_QUANTITIES, **FEED_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
+        warn([*simulation.scene.remarks, *simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -54,16 +54,16 @@ def check(options: argparse.Namespace) -> int:
     from granflow.observe import earlier_grains
     from granflow.plan import plan_for
     from granflow.plan.room import fits, memory_warning, refuse_too_many
-    from granflow.scene.generate import initial_grains, rains
+    from granflow.scene.generate import initial_grains, streams
 
     plan = plan_for(scene)
     refuse_too_many(plan)
-    warn([*plan.step.warnings, *filter(None, [memory_warning(plan)])])
+    warn([*scene.remarks, *plan.step.warnings, *filter(None, [memory_warning(plan)])])
     if not fits(plan):
         print(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
     initial_grains(scene, earlier_grains(scene))
-    rains(scene)
+    streams(scene)
     print(f"{options.scene}: no problems found.")
     return 0
 

@@ -21,6 +21,8 @@ class Books:
     brought_energy: float = 0.0
     removed_energy: float = 0.0
     removed_kinetic_energy: float = 0.0
+    waiting_count: int | None = None
+    """Particles that wait for room to come in; None where none come in."""
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
 

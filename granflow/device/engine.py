@@ -309,6 +309,8 @@ class Engine:
             "overlap_largest": measured["overlap_largest"],
             "coordination_number": float(free @ arrays["coordination"]) / max(free.sum(), 1.0),
         }
+        if books.waiting_count is not None:
+            totals["waiting_count"] = float(books.waiting_count)
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)
         self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))

@@ -13,7 +13,7 @@ from granflow.observe.expect import Expectation, Judgement, judge
 from granflow.observe.files import write_text
 from granflow.quantities import unit_of
 
-_COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
+_COUNTS = ("particle_count", "inserted_count", "waiting_count", "deleted_count", "contact_count")
 _WHOLE = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
 
@@ -25,13 +25,14 @@ class Result:
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
     `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
     `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter.
+    meter. `feeds`: came_count, came_mass and missing_count by the name of a group that comes in.
     """
 
     run: Mapping[str, float]
     seconds: Mapping[str, float]
     totals: Mapping[str, float]
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    feeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[Judgement, ...] = ()
 
     def held_to(self, expectations: Iterable[Expectation]) -> "Result":
@@ -43,12 +44,12 @@ class Result:
         """All numbers by the names that a scene's `expect:` block uses.
 
         Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters as
-        `mass_flow.outlet`.
+        `mass_flow.outlet`, feeds as `came_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        for meter, readings in self.meters.items():
-            named.update({f"{quantity}.{meter}": number for quantity, number in readings.items()})
+        for part, readings in (*self.meters.items(), *self.feeds.items()):
+            named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
 
 
@@ -59,6 +60,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "seconds": _finite(result.seconds),
         "totals": _finite(result.totals),
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
+        "feeds": {name: _finite(readings) for name, readings in result.feeds.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
@@ -67,12 +69,12 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def closing_table(result: Result, title: str = "Result") -> Table:
-    """Make the table that closes a run: where the time went, counts, energy, mass flow per meter."""
+    """Make the table that closes a run: where the time went, counts, energy, meters, groups that came in."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
     table.add_column(justify="left")
-    for section in (_run_rows(result), _time_rows(result), _total_rows(result), _meter_rows(result)):
+    for section in (_run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result)):
         for row in section:
             table.add_row(*row)
         table.add_section()
@@ -109,10 +111,10 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
-def _meter_rows(result: Result) -> list[tuple[str, str, str]]:
+def _part_rows(result: Result) -> list[tuple[str, str, str]]:
     return [
-        (f"{_words(quantity)}, {meter}", readable(number), unit_of(f"{quantity}.{meter}"))
-        for meter, readings in result.meters.items()
+        (f"{_words(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
+        for part, readings in (*result.meters.items(), *result.feeds.items())
         for quantity, number in readings.items()
     ]
 

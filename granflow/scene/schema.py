@@ -36,19 +36,11 @@ from granflow.scene.fields import (
     listing,
 )
 from granflow.scene.groups import (
-    Box,
-    BoxRegion,
     ClassSizes,
-    CylinderRegion,
     Group,
-    Lattice,
-    Listed,
     LogNormalSizes,
     NormalSizes,
-    Pack,
-    Rain,
     SizeClass,
-    Tube,
     UniformSizes,
 )
 from granflow.scene.matter import (
@@ -56,6 +48,20 @@ from granflow.scene.matter import (
     Material,
     Pair,
     RestitutionFit,
+)
+from granflow.scene.places import (
+    Box,
+    BoxRegion,
+    CylinderRegion,
+    DiscFace,
+    FromFile,
+    Inlet,
+    Lattice,
+    Listed,
+    Pack,
+    Rain,
+    RectangleFace,
+    Tube,
 )
 from granflow.scene.shapes import (
     AnyWall,
@@ -82,9 +88,12 @@ __all__ = [
     "Cylinder",
     "CylinderRegion",
     "Disc",
+    "DiscFace",
     "Domain",
     "Expectation",
+    "FromFile",
     "Group",
+    "Inlet",
     "Lattice",
     "Listed",
     "LogNormalSizes",
@@ -98,6 +107,7 @@ __all__ = [
     "Plane",
     "Rain",
     "Rectangle",
+    "RectangleFace",
     "RestitutionFit",
     "Rotation",
     "Run",
@@ -219,6 +229,7 @@ class Expectation(Model):
     above: AnyQuantity | None = Field(None, description="it must be above this")
     equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
     tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
+    any_size: Flag = Field(False, description="judge it whatever the size of the scene, not only at size 1")
 
     def faults(self) -> Iterator[Fault]:
         """Exactly one comparison, with a tolerance for equals."""
@@ -241,6 +252,9 @@ class Scene(Model):
     title: Text = Field(description="one line that says what this is")
     description: Text | None = Field(None, description="what should be seen")
     seed: Seed = Field(1, description="seed of everything random")
+    size: Positive = Field(
+        1.0, description="makes equipment so many times larger, and particles more by its cube; they stay as they are"
+    )
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, Pair] = Field(description="pairs of materials, each key two names with a dash between")
@@ -258,7 +272,9 @@ class Scene(Model):
     expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
 
     _path: Path = PrivateAttr(Path())
+    _folder: Path = PrivateAttr(Path())
     _document: Document | None = PrivateAttr(None)
+    _remarks: tuple[str, ...] = PrivateAttr(())
 
     def __eq__(self, other: object) -> bool:
         """Scenes are equal that say the same, wherever they were read."""
@@ -270,6 +286,16 @@ class Scene(Model):
     def path(self) -> Path:
         """The file this scene was read from; an empty path if there is none."""
         return self._path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
+        return self._folder
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was made of the scene as it was written, a sentence each: another size, overlaps in files."""
+        return self._remarks
 
     @property
     def schedule(self) -> tuple[Stage, ...]:

@@ -8,7 +8,7 @@ import pytest
 from generate.scenes import UNIFORM, room_left, scene_with, smallest_gap
 
 from granflow.errors import SceneError
-from granflow.scene.generate import Rain, rains
+from granflow.scene.generate import Stream, streams
 
 REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
 
@@ -16,7 +16,7 @@ REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
 def rain_of(count=8000, rate=8000.0, start=0.0, diameter=UNIFORM, region=REGION, seed=1):
     place = {"kind": "rain", "region": region, "rate": rate, "start": start}
     group = {"count": count, "diameter": diameter, "velocity": [0, 0, -0.5], "place": place}
-    return Rain(
+    return Stream(
         scene_with(
             {"still": {"diameter": 0.004, "place": {"kind": "list", "positions": [[0, 0, 0]]}}, "rain": group}, seed
         ),
@@ -116,13 +116,13 @@ def test_slow_rain_comes_one_by_one():
 def test_too_wide_for_the_region():
     place = {"kind": "rain", "region": REGION, "rate": 1.0}
     with pytest.raises(SceneError, match=r"particles\.wide\.count is 3, but none fits in its region"):
-        rains(scene_with({"wide": {"count": 3, "diameter": 0.07, "place": place}}))
+        streams(scene_with({"wide": {"count": 3, "diameter": 0.07, "place": place}}))
 
 
-def test_rains_of_a_scene():
+def test_streams_of_a_scene():
     place = {"kind": "rain", "region": REGION, "rate": 1.0}
     groups = {name: {"count": 3, "diameter": 0.004, "place": place} for name in ("first", "second")}
-    found = rains(scene_with(groups))
+    found = streams(scene_with(groups))
     assert [each.group_name for each in found] == ["first", "second"]
     places = [each.pour(0.0, np.empty((0, 3)), np.empty(0)).position for each in found]
     assert not np.any(places[0] == places[1])
