@@ -117,6 +117,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("rolling_dissipation", "", "J", "energy lost in rolling friction"),
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
+        Quantity("border_work", "", "J", "energy that particles gain in gravity by passing a periodic border"),
         Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
         Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
     )

@@ -87,3 +87,24 @@ def column(snapshots, name):
 def times(snapshots):
     """Times [s] of snapshots."""
     return np.array([snapshot.time for snapshot in snapshots])
+
+
+def rows_of(engine):
+    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
+    state = engine.state
+    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
+    partner, ids = state.contacts.partner.to_numpy(), state.particles.id.to_numpy()
+    found = []
+    for i in range(state.count):
+        for j in partner[begin[i] : end[i]]:
+            same = j >= 0 and i // state.plan.chunk_size == j // state.plan.chunk_size
+            found.append((ids[i], ids[j] if j >= 0 else j, same))
+    return found
+
+
+def begun(scene):
+    """A simulation whose first search is done."""
+    simulation = Simulation(scene)
+    simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
+    simulation.engine.refresh()
+    return simulation

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.device.apart import build_apart
 from granflow.device.encounter import build_effective, build_pair_number
 from granflow.device.pair import build_meet
 from granflow.device.state import Block, State
@@ -75,16 +76,16 @@ def _build_square(state: State) -> Any:
 def _build_closing(state: State) -> Any:
     """Device function: overlap [m], 0 or less where a pair is apart, and its rate [m/s]; walls at pose 0."""
     particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
-    meet, geometry = build_meet(state.plan), build_wall_geometry(state)
+    meet, geometry, apart = build_meet(state.plan), build_wall_geometry(state), build_apart(state)
 
     @ti.func
     def closing(i, j, dt):
         overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
         if j >= 0:
-            apart = ti.cast(particles.position[i] - particles.position[j], real)
+            between = ti.cast(apart(particles.position[i], particles.position[j]), real)
             late = particles.velocity[i] - particles.velocity[j]
             overlap, _n, _m, _c, rate, _r, _a, _p = meet(
-                particles.radius[i], particles.radius[j], apart, late, late, dt
+                particles.radius[i], particles.radius[j], between, late, late, dt
             )
         elif ti.static(has_walls):
             gap, normal = geometry.closest(-1 - j, 0, particles.position[i])

@@ -9,6 +9,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.apart import build_apart
 from granflow.device.encounter import build_effective, build_pair_number, build_weight
 from granflow.device.fixed import build_felt_mass
 from granflow.device.guards import GUARD_OVERLAP
@@ -55,7 +56,7 @@ def _build_find(state: State) -> Any:
     plan, particles, contacts, control, batch = state.plan, state.particles, state.contacts, state.control, state.batch
     real, remembers = state.backend.real, bool(contacts.history)
     touches, forget, pair_number = build_touches(real), build_forget(state), build_pair_number(state)
-    effective, weight = build_effective(state, False), build_weight(state)
+    effective, weight, apart = build_effective(state, False), build_weight(state), build_apart(state)
 
     @ti.func
     def part(chunk, slot, i, j, dt):
@@ -77,15 +78,15 @@ def _build_find(state: State) -> Any:
         end = begin
         for slot in range(contacts.row_middle[i], contacts.row_end[i]):
             j = contacts.partner[slot]
-            apart = ti.cast(position - particles.position[j], real)
+            between = ti.cast(apart(position, particles.position[j]), real)
             radius_partner = particles.radius[j]
             batch.slot[worker, end] = slot
             batch.owner[worker, end] = i
             batch.partner[worker, end] = j
             batch.radius_partner[worker, end] = radius_partner
             for axis in ti.static(range(3)):
-                batch.apart[axis][worker, end] = apart[axis]
-            square, reach = apart.dot(apart), radius + radius_partner
+                batch.apart[axis][worker, end] = between[axis]
+            square, reach = between.dot(between), radius + radius_partner
             near = touches(square, reach)
             end += ti.cast(near, ti.i32)
             check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))

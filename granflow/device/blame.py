@@ -79,14 +79,15 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, there["position_at_search"])
     other = np.maximum(partner, 0)
-    apart = position[owner] - position[other]
+    apart = position[owner] - state.plan.border.beside(position[other], position[owner])
     distance = np.linalg.norm(apart, axis=1)
     overlap = there["radius"][owner] + there["radius"][other] - distance
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]
     moving, smaller = velocity[other], np.minimum(there["radius"][owner], there["radius"][other])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
-        gap, normal[of_wall], moving[of_wall] = _at_wall(state, index, position[owner[of_wall]], time)
+        points = state.plan.border.wrapped(position[owner[of_wall]])
+        gap, normal[of_wall], moving[of_wall] = _at_wall(state, index, points, time)
         smaller[of_wall] = there["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
     approach = -np.sum((velocity[owner] - moving) * normal, axis=1)

@@ -59,10 +59,12 @@ def ledger_totals(
     assert state.control.losses is not None
     losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
     losses["plastic"] += measured["plastic_dissipation"]
+    border = state.control.border_work
+    border_work = {} if border is None else {"border_work": float(border.to_numpy().sum())}
     dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
     held = sum(energies) + measured["elastic_energy"]
     removed = books.removed_energy - books.brought_energy
-    missing = held + dissipated + removed - losses["wall_work"]
+    missing = held + dissipated + removed - losses["wall_work"] - sum(border_work.values())
     passed = energies[0] + energies[1] + measured["elastic_energy"] + dissipated + books.removed_kinetic_energy
     rounding = SMALLEST_SHARE * (abs(energies[2]) + abs(removed))
     scale = max(passed, rounding)
@@ -74,6 +76,7 @@ def ledger_totals(
         "rolling_dissipation": losses["rolling"],
         "damping_dissipation": losses["damping"],
         "wall_work": losses["wall_work"],
+        **border_work,
         "removed_energy": removed,
         "energy_error": missing / scale if scale > 0.0 else 0.0,
     }

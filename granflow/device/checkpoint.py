@@ -63,7 +63,7 @@ class EngineKeeper:
             "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
             "particles": self._particles.take(np.arange(state.count)),
             "contacts": self._take_contacts(),
-            "ledger": {} if state.control.losses is None else {"losses": state.control.losses.to_numpy()},
+            "ledger": {name: field.to_numpy() for name, field in self._ledger().items()},
         }
 
     def put_back(self, kept: Kept, motions: Sequence[Sequence[Motion]]) -> None:
@@ -75,8 +75,9 @@ class EngineKeeper:
         state.count = kept["particle_count"]
         self._put_contacts(_named(kept["contacts"], ["row_length", "row_walls", *self._slots.fields]))
         self._particles.put(np.arange(state.count), _named(kept["particles"], self._particles.fields))
-        if state.control.losses is not None:
-            state.control.losses.from_numpy(_named(kept["ledger"], ["losses"])["losses"])
+        ledger = self._ledger()
+        for name, values in _named(kept["ledger"], ledger).items():
+            ledger[name].from_numpy(values)
         for name in BOOKS:
             setattr(books, name, kept["books"][name])
         for name in ("material", "group"):
@@ -87,6 +88,12 @@ class EngineKeeper:
         state.clock.put_back(kept["clock"])
         engine.set_walls(kept["walls_present"], motions)
         engine.go_on(kept["steps_since_look"])
+
+    def _ledger(self) -> dict[str, Any]:
+        """Fields of the energy ledger by name."""
+        control = self.engine.state.control
+        fields = {"losses": control.losses, "border_work": control.border_work}
+        return {name: field for name, field in fields.items() if field is not None}
 
     def _take_contacts(self) -> dict[str, np.ndarray]:
         """Length of every row (n,), how many of it are walls (n,), and all slots row after row."""

@@ -4,6 +4,7 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.device.apart import build_apart
 from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
@@ -23,7 +24,7 @@ def build_encounter(state: State, with_wall: bool) -> Any:
 
 def _build_grain_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    meet, touches = build_meet(state.plan), build_touches(real)
+    meet, touches, apart = build_meet(state.plan), build_touches(real), build_apart(state)
 
     @ti.func
     def grain_encounter(i, j, pose, time_step):
@@ -31,14 +32,14 @@ def _build_grain_encounter(state: State) -> Any:
         zero = 0.0 * particles.velocity[i]
         overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
         normal, middle, across, late_rate = zero, zero, zero, 0.0 * radius
-        apart = ti.cast(particles.position[i] - particles.position[j], real)
-        if touches(apart.dot(apart), radius + radius_partner):
+        between = ti.cast(apart(particles.position[i], particles.position[j]), real)
+        if touches(between.dot(between), radius + radius_partner):
             late = particles.velocity[i] - particles.velocity[j]
             now = late
             if ti.static(features.rate_dependent):
                 now = particles.velocity_now[i] - particles.velocity_now[j]
             overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
-                radius, radius_partner, apart, late, now, time_step
+                radius, radius_partner, between, late, now, time_step
             )
         return overlap, normal, middle, across, late_rate, rate, arm, arm_partner
 

@@ -185,14 +185,19 @@ class Engine:
         wanted = clock.step_count + steps
         while clock.step_count < wanted and self.time_step == before and not self.tripped:
             allowed = wanted - clock.step_count
-            if self.plan.pace is not None:
-                allowed = min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look)
-            searches = self.timing.search_count
-            done = self.stepper.advance(allowed, clock.step_count)
-            clock.step_count += done
-            self.steps_since_look += done
-            if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
-                self._keep_pace()
+            if self.plan.pace is None:
+                clock.step_count += self.stepper.advance(allowed, clock.step_count)
+            else:
+                self._advance_to_look(min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look))
+
+    def _advance_to_look(self, steps: int) -> None:
+        """Do up to `steps` steps; choose the time step anew if a look is due then."""
+        searches = self.timing.search_count
+        done = self.stepper.advance(steps, self.state.clock.step_count)
+        self.state.clock.step_count += done
+        self.steps_since_look += done
+        if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
+            self._keep_pace()
 
     def _keep_pace(self) -> None:
         """Choose the time step for the scene as it is now, where it follows the scene.
@@ -231,9 +236,10 @@ class Engine:
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
+        totals = self._totals(arrays, measured)
+        arrays["position"] = self.plan.border.wrapped(arrays["position"])
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
-        totals = self._totals(arrays, measured)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
 
     def wall_poses(self) -> dict[str, WallPose]:

@@ -12,15 +12,18 @@ def build_stays(state: State) -> Any:
 
     Reads:   position
     """
-    position = state.particles.position
-    low_x, low_y, low_z = (float(value) for value in state.plan.domain_low)
-    high_x, high_y, high_z = (float(value) for value in state.plan.domain_high)
+    position, real, border = state.particles.position, state.backend.position_real, state.plan.border
+    free = range(3) if state.plan.scene.domain.leaving == "grow" else border.axes
+    lows, highs = ([float(value) for value in corner] for corner in (state.plan.domain_low, state.plan.domain_high))
 
     @ti.func
     def stays(i):
-        p = position[i]
-        in_x = p[0] >= low_x and p[0] <= high_x
-        in_y = p[1] >= low_y and p[1] <= high_y
-        return in_x and in_y and p[2] >= low_z and p[2] <= high_z
+        p, inside = position[i], True
+        for axis in ti.static(range(3)):
+            if ti.static(axis in free):
+                inside = inside and p[axis] == p[axis]
+            else:
+                inside = inside and p[axis] >= real(lows[axis]) and p[axis] <= real(highs[axis])
+        return inside
 
     return stays

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import taichi as ti
 
+from granflow.device.apart import build_inside
 from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
 from granflow.device.walls import build_wall_geometry
@@ -46,13 +47,14 @@ class ContactRecords:
         other = np.maximum(partner, 0)
         with_wall = partner < 0
         foot, force = self.foot.to_numpy()[slot], self.force.to_numpy()[slot]
-        cap = found.pop("friction_limit")
+        cap, first = found.pop("friction_limit"), arrays["position"][owner]
+        second = self.state.plan.border.beside(arrays["position"][other], first)
         return found | memory | {
             "first_id": arrays["id"][owner].astype(np.int64),
             "second_id": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),
             "wall": np.where(with_wall, -1 - partner, -1).astype(np.int32),
-            "first_position": arrays["position"][owner],
-            "second_position": np.where(with_wall[:, None], foot, arrays["position"][other]),
+            "first_position": first,
+            "second_position": np.where(with_wall[:, None], foot, second),
             "force": force.astype(float),
             "state": np.where(loading, 0, 1).astype(np.uint8),
             "sliding": ((cap > 0.0) & (found["tangential_force"] >= AT_LIMIT * cap)).astype(np.uint8),
@@ -90,11 +92,11 @@ def _build_record(state: State, records: ContactRecords) -> Callable[..., None]:
         build_pair_number(state),
         build_wall_geometry(state),
     )
-    force_of, numbers = whole_force(law), records.numbers
+    force_of, numbers, inside = whole_force(law), records.numbers, build_inside(state)
 
     @ti.func
     def foot_point(i, j):
-        foot = particles.position[i]
+        foot = inside(particles.position[i])
         if ti.static(plan.has_walls):
             if j < 0:
                 gap, direction = geometry.closest(-1 - j, 0, foot)

@@ -1,47 +1,20 @@
 """Neighbour search: particles sorted in cell order, then one row of near partners for each.
 
-Cells lie in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is a compact lump and few pairs cross
-chunks. Everything is decided by integers or by one order of the sums: the same bits on any number of threads.
+Everything is decided by integers or by one order of the sums: the same bits on any number of threads.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import taichi as ti
 
+from granflow.device.apart import build_apart
 from granflow.device.fixed import build_can_meet
+from granflow.device.grid import build_cell_number
 from granflow.device.leaving import build_stays
 from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 from granflow.plan.slots import BOUNDS
-
-BLOCK_SIDE = 8
-BLOCK_CELLS = BLOCK_SIDE**3
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Cells over the particles that are there: low corner, side, blocks along each axis."""
-
-    low: np.ndarray
-    side: float
-    blocks: tuple[int, int, int]
-
-    @property
-    def cell_count(self) -> int:
-        """Cells in all blocks."""
-        return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
-
-    @classmethod
-    def over(cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int) -> "Grid":
-        """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells."""
-        while True:
-            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1.0)
-            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
-                return cls(low, side, (int(blocks[0]), int(blocks[1]), int(blocks[2])))
-            side *= 1.25
 
 
 def build_bounds(state: State) -> Callable[[int], None]:
@@ -61,16 +34,48 @@ def build_bounds(state: State) -> Callable[[int], None]:
     return bounds
 
 
-def build_cell_of() -> Any:
-    """Device function: cell coordinates to the number of the cell in block order."""
+def build_place(state: State) -> Any:
+    """Device function (point): coordinates of the cell it stands in, or of the one at the edge that is nearest."""
+    sorting, real = state.sorting, state.backend.position_real
 
     @ti.func
-    def cell_number(x, y, z, blocks_x, blocks_y):
-        block = ((z // BLOCK_SIDE) * blocks_y + y // BLOCK_SIDE) * blocks_x + x // BLOCK_SIDE
-        inside = ((z % BLOCK_SIDE) * BLOCK_SIDE + y % BLOCK_SIDE) * BLOCK_SIDE + x % BLOCK_SIDE
-        return block * BLOCK_CELLS + inside
+    def place(point):
+        p, cells = (point - sorting.grid_low[0]) / sorting.cell_side[0], sorting.cells[0]
+        last = ti.cast(cells, real) - 1.0
+        x = ti.cast(ti.max(ti.min(p[0], last[0]), 0.0), ti.i32)
+        y = ti.cast(ti.max(ti.min(p[1], last[1]), 0.0), ti.i32)
+        z = ti.cast(ti.max(ti.min(p[2], last[2]), 0.0), ti.i32)
+        return x, y, z
 
-    return cell_number
+    return place
+
+
+def build_around(state: State) -> tuple[Any, Any]:
+    """Device functions (cell, cells, axis) for the cells next to one along an axis.
+
+    The first gives where they begin and end, the second the cell that a number off the grid stands for. Along a
+    periodic axis the first and the last cell are neighbours; where there are less than three, all are near.
+    """
+    periodic = state.plan.border.axes
+
+    @ti.func
+    def around(cell, cells, axis: ti.template()):
+        first, end = cell - 1, cell + 2
+        if ti.static(axis in periodic):
+            if cells[axis] < 3:
+                first, end = 0, cells[axis]
+        else:
+            first, end = ti.max(first, 0), ti.min(end, cells[axis])
+        return first, end
+
+    @ti.func
+    def meant(cell, cells, axis: ti.template()):
+        found = cell
+        if ti.static(axis in periodic):
+            found = (cell + cells[axis]) % cells[axis]
+        return found
+
+    return around, meant
 
 
 def build_sort(state: State) -> Callable[..., None]:
@@ -79,25 +84,21 @@ def build_sort(state: State) -> Callable[..., None]:
     Reads:   position, id
     Writes:  cell, cell_start, order
     """
-    particles, sorting, real = state.particles, state.sorting, state.backend.position_real
-    number = build_cell_of()
-    stays = build_stays(state)
+    particles, sorting = state.particles, state.sorting
+    number, stays, place = build_cell_number(), build_stays(state), build_place(state)
 
     @ti.kernel
-    def sort(count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32):
-        cells = bx * by * bz * BLOCK_CELLS + 1
+    def sort(count: ti.i32, cell_count: ti.i32):
+        cells = cell_count + 1
         blocks = (cells + 1 + SCAN_BLOCK - 1) // SCAN_BLOCK
         for c in range(cells + 1):
             sorting.cell_start[c] = 0
             sorting.cell_fill[c] = 0
         for i in range(count):
-            p = particles.position[i]
-            x = ti.min(ti.cast((p[0] - x0) / side, ti.i32), bx * BLOCK_SIDE - 1)
-            y = ti.min(ti.cast((p[1] - y0) / side, ti.i32), by * BLOCK_SIDE - 1)
-            z = ti.min(ti.cast((p[2] - z0) / side, ti.i32), bz * BLOCK_SIDE - 1)
             cell = cells - 1
             if stays(i):
-                cell = number(ti.max(x, 0), ti.max(y, 0), ti.max(z, 0), bx, by)
+                x, y, z = place(particles.position[i])
+                cell = number(x, y, z, sorting.cells[0])
             sorting.cell[i] = cell
             ti.atomic_add(sorting.cell_start[cell], 1)
         for b in range(blocks):
@@ -257,7 +258,8 @@ def build_rows(state: State) -> Callable[..., None]:
     plan, particles, sorting, contacts = state.plan, state.particles, state.sorting, state.contacts
     real, chunk_size, slots = state.backend.position_real, plan.chunk_size, contacts.slots_per_chunk
     wall_count, remembers, stride = len(plan.walls), bool(contacts.history), state.stride
-    number = build_cell_of()
+    number, place, apart = build_cell_number(), build_place(state), build_apart(state)
+    around, meant = build_around(state)
     geometry = build_wall_geometry(state)
     recall = build_recall(state) if remembers else None
     can_meet = build_can_meet(state)
@@ -285,31 +287,32 @@ def build_rows(state: State) -> Callable[..., None]:
         first, last = chunk * chunk_size, (chunk + 1) * chunk_size
         for j in range(sorting.cell_start[cell], sorting.cell_start[cell + 1]):
             if j > i or (j < first) or (j >= last):
-                apart = particles.position[i] - particles.position[j]
+                between = apart(particles.position[i], particles.position[j])
                 reach = particles.radius[i] + particles.radius[j] + skin
-                if apart.dot(apart) < reach * reach and can_meet(i, j):
+                if between.dot(between) < reach * reach and can_meet(i, j):
                     filled = append(chunk, filled, i, j)
         return filled
 
     @ti.func
-    def fill_row(chunk, slot, i, low, side, bx, by, bz, skin, pose):
+    def fill_row(chunk, slot, i, skin, pose):
         filled = slot
         if ti.static(wall_count > 0):
             filled = near_walls(chunk, filled, i, skin, pose)
         contacts.row_middle[i] = filled
-        p = (particles.position[i] - low) / side
-        x, y, z = ti.cast(p[0], ti.i32), ti.cast(p[1], ti.i32), ti.cast(p[2], ti.i32)
-        for dz in range(ti.max(z - 1, 0), ti.min(z + 2, bz * BLOCK_SIDE)):
-            for dy in range(ti.max(y - 1, 0), ti.min(y + 2, by * BLOCK_SIDE)):
-                for dx in range(ti.max(x - 1, 0), ti.min(x + 2, bx * BLOCK_SIDE)):
-                    filled = near_in_cell(chunk, filled, i, number(dx, dy, dz, bx, by), skin)
+        cells = sorting.cells[0]
+        x, y, z = place(particles.position[i])
+        first_x, end_x = around(x, cells, 0)
+        first_y, end_y = around(y, cells, 1)
+        first_z, end_z = around(z, cells, 2)
+        for next_z in range(first_z, end_z):
+            for next_y in range(first_y, end_y):
+                for next_x in range(first_x, end_x):
+                    cell = number(meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells)
+                    filled = near_in_cell(chunk, filled, i, cell, skin)
         return filled
 
     @ti.kernel
-    def rows(
-        count: ti.i32, x0: real, y0: real, z0: real, side: real, bx: ti.i32, by: ti.i32, bz: ti.i32,
-        skin: real, pose: ti.i32
-    ):  # fmt: skip
+    def rows(count: ti.i32, skin: real, pose: ti.i32):
         state.control.search_due[0] = 0
         state.control.search_wanted[0] = 0
         state.control.slots_needed[0] = 0
@@ -320,7 +323,7 @@ def build_rows(state: State) -> Callable[..., None]:
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     particles.position_at_search[i] = particles.position[i]
                     contacts.row_begin[i] = slot
-                    slot = fill_row(chunk, slot, i, ti.Vector([x0, y0, z0]), side, bx, by, bz, skin, pose)
+                    slot = fill_row(chunk, slot, i, skin, pose)
                     contacts.row_end[i] = slot
                 ti.atomic_max(state.control.slots_needed[0], slot - chunk * slots)
 

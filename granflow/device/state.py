@@ -117,6 +117,8 @@ class Sorting:
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
         self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
         self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
+        self.cells = block.vector(ti.i32, 1)
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -220,6 +222,8 @@ class Control:
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
+        turns = ledger and plan.features.periodic != "none"
+        self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import taichi as ti
 
+from granflow.device.apart import build_wrap
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
+from granflow.device.grid import lay_grid
 from granflow.device.motion import build_move
 from granflow.device.search import (
-    Grid,
     build_bounds,
     build_gather,
     build_rows,
@@ -85,15 +85,17 @@ class Stepper:
     def _build(self) -> None:
         """Compile all phases, by launching them over nothing."""
         began, state = clock.perf_counter(), self.state
+        periodic = state.plan.features.periodic != "none"
+        self._wrap = build_wrap(state) if periodic else lambda count: None
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._set_aside = build_set_aside(state) if state.contacts.history else lambda count: None
         self._rows = build_rows(state)
         build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
         self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
-        self._sort(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1)
+        self._sort(0, 0)
         self._gather(0)
-        self._rows(0, 0.0, 0.0, 0.0, 1.0, 1, 1, 1, 0.0, 0)
+        self._rows(0, 0.0, 0)
         self._set_aside(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
@@ -114,16 +116,14 @@ class Stepper:
 
     def _sort_particles(self) -> int:
         """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
-        state, plan = self.state, self.state.plan
+        state = self.state
+        self._wrap(state.count)
         self._bounds(state.count)
-        low = np.maximum(state.sorting.low.to_numpy().min(axis=0).astype(float), plan.domain_low)
-        high = np.minimum(state.sorting.high.to_numpy().max(axis=0).astype(float), plan.domain_high)
-        side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
-        self._grid = Grid.over(low, np.maximum(high, low), side, state.sorting.cell_capacity)
-        self._sort(state.count, *self._grid.low, self._grid.side, *self._grid.blocks)
+        grid = lay_grid(state)
+        self._sort(state.count, grid.cell_count)
         self._set_history_aside()
         self._gather(state.count)
-        return state.count - int(state.sorting.cell_start[self._grid.cell_count])
+        return state.count - int(state.sorting.cell_start[grid.cell_count])
 
     def _set_history_aside(self) -> None:
         state = self.state
@@ -151,7 +151,7 @@ class Stepper:
             state.control.search_wanted[0] = 0
             return
         while True:
-            self._rows(state.count, *self._grid.low, self._grid.side, *self._grid.blocks, state.plan.skin, pose)
+            self._rows(state.count, state.plan.skin, pose)
             need = self._largest_need()
             if need <= state.contacts.slots_per_chunk:
                 return

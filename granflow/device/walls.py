@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.device.apart import build_inside
 from granflow.device.state import WALL_BATCH, State
 from granflow.walls.catalogue import SHAPE_KINDS
 from granflow.walls.motion import pose
@@ -24,15 +25,19 @@ class WallGeometry:
 
 
 def build_wall_geometry(state: State) -> WallGeometry:
-    """Functions that know only the kinds of shapes this plan has, and motion only where a wall moves."""
+    """Functions that know only the kinds of shapes this plan has, and motion only where a wall moves.
+
+    In a periodic box a point meets walls where its image in the box stands.
+    """
     walls, moving = state.walls, state.plan.features.moving_walls
+    inside = build_inside(state)
     used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls})
 
     @ti.func
     def to_rest(w, pose, point):
-        local = point
+        local = inside(point)
         if ti.static(moving):
-            local = walls.rotation[pose, w].transpose() @ (point - walls.center[pose, w]) + walls.pivot[w]
+            local = walls.rotation[pose, w].transpose() @ (local - walls.center[pose, w]) + walls.pivot[w]
         return local
 
     @ti.func

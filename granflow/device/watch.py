@@ -92,7 +92,8 @@ def _keeps_energy(plan: Plan) -> bool:
     """Whether nothing but arriving particles can bring energy."""
     walls = plan.scene.walls.values()
     stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
-    return stay and not plan.features.moving_walls and not plan.law.attracts
+    turns = any(plan.gravity[axis] for axis in plan.border.axes)  # who passes a border may fall for ever
+    return stay and not turns and not plan.features.moving_walls and not plan.law.attracts
 
 
 def largest_speed(velocity: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.scene.border import Border
 
 
 def observers_for(
@@ -35,8 +36,10 @@ def observers_for(
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters."""
+    border = Border.of(scene.domain)
     meters = {
-        name: FlowMeter(meter.point, meter.normal, meter.radius) for name, meter in (scene.output.meters or {}).items()
+        name: FlowMeter(meter.point, meter.normal, meter.radius, border)
+        for name, meter in (scene.output.meters or {}).items()
     }
     return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
 
@@ -53,5 +56,8 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
     return [(stage.name, stage.duration if stage.duration is not None else stage.at_most) for stage in scene.stages]
 
 
-def _reach(scene: Any) -> float:
+def _reach(scene: Any) -> float | None:
+    """Largest coordinate that occurs [m]; None where the domain grows."""
+    if scene.domain.leaving == "grow":
+        return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

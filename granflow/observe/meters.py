@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.scene.border import Border
 from granflow.snapshot import Snapshot
 
 
@@ -27,19 +28,27 @@ class FlowMeter:
     """Net mass and number of particles through a plane, or through a disc in it if a radius is given.
 
     `point` (3,) [m] on the plane and centre of the disc, `normal` (3,) the direction that counts as forward,
-    `radius` [m]. Particles are followed by id from look to look:
+    `radius` [m], `border` of a periodic box. Particles are followed by id from look to look:
 
     - a centre that changed sides crossed where the straight line between the two looks cuts the plane; it
       counts if that is within the radius, forward as plus and back as minus;
     - a particle deleted since the last look counts as crossed if it was then on the near side and no
       further than the radius from the axis: it left the domain too fast to be seen on the far side;
+    - in a periodic box the line goes to the nearest image: who comes in again on the other side has not gone back;
     - what stood on the far side at the first look, or was put in there, never counts.
     """
 
-    def __init__(self, point: Sequence[float], normal: Sequence[float], radius: float | None = None) -> None:
+    def __init__(
+        self,
+        point: Sequence[float],
+        normal: Sequence[float],
+        radius: float | None = None,
+        border: Border | None = None,
+    ) -> None:
         self.point = np.asarray(point, dtype=np.float64)
         self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
         self.radius = np.inf if radius is None else radius
+        self._border = border
         self.mass = 0.0
         self.count = 0
         self.history: list[tuple[float, str, float]] = []
@@ -83,13 +92,21 @@ class FlowMeter:
 
     def _count_crossed(self, last: _Look, now: _Look) -> None:
         _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
-        direction = (now.distance[after] > 0).astype(int) - (last.distance[before] > 0).astype(int)
-        crossed = np.flatnonzero(direction)
-        before, after, direction = before[crossed], after[crossed], direction[crossed]
-        way = last.distance[before] / (last.distance[before] - now.distance[after])
-        place = last.position[before] + way[:, None] * (now.position[after] - last.position[before])
-        inside = np.linalg.norm(place - self.point, axis=1) <= self.radius
-        self._add(now.mass[after][inside], direction[inside])
+        start, end = last.position[before], now.position[after]
+        direction = self._crossing(start, end if self._border is None else self._border.beside(end, start))
+        if self._border is not None:
+            entered = self._crossing(self._border.beside(start, end), end)
+            direction = np.where(direction == 0, entered, direction)
+        crossed = direction != 0
+        self._add(now.mass[after][crossed], direction[crossed])
+
+    def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """1, -1 or 0 (n,) for ways (n, 3) [m] through the meter forward, back or not at all."""
+        first, last = ((points - self.point) @ self.normal for points in (start, end))
+        direction = (last > 0).astype(int) - (first > 0).astype(int)
+        way = first / np.where(direction == 0, 1.0, first - last)
+        place = start + way[:, None] * (end - start)
+        return np.where(np.linalg.norm(place - self.point, axis=1) <= self.radius, direction, 0)
 
     def _count_deleted(self, last: _Look, now: _Look) -> None:
         in_plane = last.position - self.point - last.distance[:, None] * self.normal

@@ -20,6 +20,8 @@ class Features:
     one_material: bool
     ledger: bool
     adaptive_step: bool
+    periodic: str
+    """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
 
 
@@ -49,6 +51,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
         adaptive_step=scene.run.time_step == "adaptive",
+        periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
     )
 
@@ -71,6 +74,9 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "adaptive_step": _step_reason(scene),
+        "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
+        if scene.domain.periodic
+        else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))

@@ -19,6 +19,7 @@ from granflow.laws.material import (
     yield_strength,
 )
 from granflow.plan.approach import fastest_approach
+from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range
@@ -26,6 +27,7 @@ from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
+from granflow.scene.border import Border
 from granflow.scene.schema import Group, RestitutionFit
 
 FEW_PARTICLES = 64
@@ -139,6 +141,11 @@ class Plan:
         return self.scene.numerics.overlap_limit
 
     @cached_property
+    def border(self) -> Border:
+        """Periodic faces of the domain."""
+        return Border.of(self.scene.domain)
+
+    @cached_property
     def domain_low(self) -> np.ndarray:
         """Smallest coordinates of the domain (3,) [m]."""
         return np.array(self.scene.domain.min)
@@ -165,6 +172,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
     speed = wall_speed(scene, walls)
+    skin = _skin(scene, radius_min, velocity, step.value)
+    refuse_narrow(scene, radius_max, skin)
+    refuse_walls(scene, walls, radius_max + skin)
+    refuse_endless_turns(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     return Plan(
         scene=scene,
@@ -177,7 +188,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         radius_min=radius_min,
         radius_max=radius_max,
         chunk_size=_chunk_size(scene, particle_count) if law.branch_free and not on_gpu else 1,
-        skin=_skin(scene, radius_min, velocity, step.value),
+        skin=skin,
         step=step,
         velocity_max=velocity,
         walls=walls,

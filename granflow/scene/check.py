@@ -8,8 +8,8 @@ from granflow.quantities import METER_QUANTITIES
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
-from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, RectangleFace
 from granflow.scene.matter import RestitutionFit
+from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, RectangleFace
 from granflow.scene.schema import Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest

@@ -117,8 +117,8 @@ Tagger = Callable[[Any], str | None]
 def choice(key: str, *, number: str = "", listed: str = "", none: str = "") -> Discriminator:
     """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
 
-    What is no mapping goes to the tag `number`, or `listed` if it is a list, or `none` if it is nothing. The angle brackets keep tags apart
-    from keys in the places of errors.
+    What is no mapping goes to the tag `number`, or `listed` if it is a list, or `none` if it is nothing. The angle
+    brackets keep tags apart from keys in the places of errors.
     """
 
     def tag(value: Any) -> str | None:

@@ -54,7 +54,9 @@ def unclaimed(scene: Scene) -> list[str]:
             left = ~np.isin(table.material, taken)
             if left.any():
                 row, material = table.line[left][0], table.material[left][0]
-                problems.append(f"{table.path}:{row}: this particle is of {material}, but no group takes those; add one.")
+                problems.append(
+                    f"{table.path}:{row}: this particle is of {material}, but no group takes those; add one."
+                )
     return problems
 
 

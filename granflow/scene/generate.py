@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.scene.border import Border
 from granflow.scene.filed import grains_from
 from granflow.scene.grains import Grains, grains_of, random_for, shortfall
 from granflow.scene.places import FromFile, Lattice, Listed, Pack
@@ -37,7 +38,7 @@ def initial_grains(scene: Scene, earlier: Mapping[str, Grains] | None = None) ->
     for kind in PLACING_ORDER:
         for name in (name for name, group in to_place.items() if group.place.kind == kind):
             try:
-                placed[name] = place_group(scene, name, all_spheres(placed))
+                placed[name] = place_group(scene, name, all_spheres(placed, Border.of(scene.domain)))
             except NoRoomError as error:
                 problems.append(shortfall(scene, name, error))
     if problems:
@@ -45,10 +46,10 @@ def initial_grains(scene: Scene, earlier: Mapping[str, Grains] | None = None) ->
     return Grains.joined([placed[name] for name in scene.particles if name in placed])
 
 
-def all_spheres(placed: dict[str, Grains]) -> Spheres:
-    """The spheres of all groups placed so far."""
+def all_spheres(placed: dict[str, Grains], border: Border) -> Spheres:
+    """The spheres of all groups placed so far, with the images of those that reach through a periodic border."""
     together = Grains.joined(list(placed.values()))
-    return Spheres(together.position, together.radius)
+    return Spheres(*border.with_images(together.position, together.radius))
 
 
 def place_group(scene: Scene, name: str, present: Spheres) -> Grains:

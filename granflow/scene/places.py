@@ -168,7 +168,7 @@ Face = Annotated[
     Annotated[RectangleFace, Tag("<rectangle>")] | Annotated[DiscFace, Tag("<disc>")],
     chosen(
         one_of(rectangle=RectangleFace, disc=DiscFace),
-        "it must be {rectangle: {corner: [..], sides: [[..], [..]]}} or {disc: {center: [..], normal: [..], radius: ..}}",
+        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]
 
@@ -220,5 +220,3 @@ Place = Annotated[
     | Annotated[FromFile, Tag("<file>")],
     choice("kind"),
 ]
-
-

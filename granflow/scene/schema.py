@@ -130,9 +130,20 @@ AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True,
 class Domain(Box):
     """The box that is simulated."""
 
-    leaving: Literal["delete", "error"] = Field(
-        description="what becomes of particles whose centre leaves the domain: delete (and count) or error"
+    periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
+        (), description="axes along which opposite faces are one, such as [x, y]"
     )
+    leaving: Literal["delete", "error", "grow"] = Field(
+        description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
+        "nothing, the domain grows with them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A box with room in it, each axis once."""
+        yield from super().faults()
+        for index, axis in enumerate(self.periodic):
+            if axis in self.periodic[:index]:
+                yield Fault(("periodic", index), "it is there already; name each axis once")
 
 
 class Stage(Model):

@@ -48,21 +48,22 @@ def settled(scene: Scene) -> Scene:
 
 
 def _at_size_1(scene: Scene) -> tuple[Scene, list[str]]:
-    """Equipment and amounts as the size says; what was expected of another size is left out, unless it says otherwise."""
+    """Equipment and amounts as the size says; expectations of size 1 are left out, unless they say otherwise."""
     if scene.size == 1.0:
         return scene, []
     for name, group in scene.particles.items():
         if group.place.kind in ("list", "file"):
             raise SceneError(
-                f"{scene.place('size')}: size is {scene.size:g}, but the positions of particles.{name} are given one by "
-                "one; leave size out."
+                f"{scene.place('size')}: size is {scene.size:g}, but the positions of particles.{name} are given one "
+                "by one; leave size out."
             )
     larger = scaled(scene, scene.size)
     kept = tuple(each for each in scene.expect if each.any_size)
-    remarks = [f"size {scene.size:g}: lengths of the equipment are {scene.size:g} times those written, and numbers and "
-               f"masses of particles {scene.size**3:.4g} times; their diameters, velocities and times are as written."]  # fmt: skip
+    said = f"size {scene.size:g}"
+    times = f"{scene.size:g} times those written, numbers and masses of particles {scene.size**3:.4g} times"
+    remarks = [f"{said}: lengths of the equipment are {times}; diameters, velocities and times are as written."]
     if len(kept) < len(scene.expect):
-        remarks.append(f"size {scene.size:g}: {len(scene.expect) - len(kept)} of expect: made for size 1, not judged.")
+        remarks.append(f"{said}: {len(scene.expect) - len(kept)} of expect were made for size 1, and are not judged.")
     return larger.model_copy(update={"size": 1.0, "expect": kept}), remarks
 
 
@@ -191,4 +192,3 @@ def _overlap(scene: Scene, name: str, rows: Table) -> tuple[float, list[str]]:
     return float(share[worst]), [
         f"particles.{name}: {pairs} in {rows.path}, by up to {share[worst]:.3g} of the smaller radius ({lines})."
     ]
-

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.scene.border import Border
 from granflow.scene.grains import Grains, grains_of, random_for, shortfall, stream_of
 from granflow.scene.nearness import meets_any
 from granflow.scene.places import DiscFace, Inlet, Rain
@@ -96,7 +97,9 @@ class Stream:
         queue = np.concatenate([self.waiting, arriving])
         self.due_count += len(arriving)
         trying = queue[: RETRIED_BATCHES * self.batch + len(arriving)]
-        present = Spheres(np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
+        border = Border.of(self.scene.domain)
+        there = (np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
+        present = Spheres(*border.with_images(*there))
         random = np.random.default_rng([*stream_of(self.scene, self.group_name), self.pour_count])
         places = self.find_places(trying, present.near(self.room), random)
         poured = np.array(list(places), dtype=np.int64)

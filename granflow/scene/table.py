@@ -23,7 +23,7 @@ Problem = tuple[int, str]
 
 AXES = "xyz"
 WORDS = {
-    "position": ("", "p", "pos", "position", "point", "points", "coord", "coordinate", "coordinates", "center", "centre"),
+    "position": ("", "p", "pos", "position", "point", "points", "coord", "coordinate", "coordinates", "center"),
     "velocity": ("v", "vel", "velocity"),
     "spin": ("w", "omega", "spin", "angvel", "angularvelocity"),
 }
@@ -56,9 +56,9 @@ class Table:
 
     def part(self, chosen: np.ndarray) -> "Table":
         """The rows at these indices, or where this is true."""
-        columns = ("position", "radius", "velocity", "spin", "material", "line")
-        found = {name: getattr(self, name) for name in columns}
-        return Table(self.path, **{name: None if each is None else each[chosen] for name, each in found.items()})
+        optional = (self.velocity, self.spin, self.material)
+        velocity, spin, material = (None if each is None else each[chosen] for each in optional)
+        return Table(self.path, self.position[chosen], self.radius[chosen], velocity, spin, material, self.line[chosen])
 
 
 def read_table(path: Path) -> Table:
@@ -95,7 +95,7 @@ def _faults(table: Table) -> Iterator[Problem]:
     for name in ("position", "radius", "velocity", "spin"):
         values = getattr(table, name)
         if values is not None:
-            bad = ~np.isfinite(values.reshape(len(table), -1)).all(axis=1)
+            bad = ~np.isfinite(np.atleast_2d(values.T)).all(axis=0)
             yield from ((int(line), f"the {name} holds what is no finite number.") for line in table.line[bad])
     yield from ((int(line), "the radius must be above 0.") for line in table.line[table.radius <= 0.0])
 
@@ -105,7 +105,7 @@ def _frame(path: Path) -> tuple[Table, list[Problem]]:
     import meshio
 
     try:
-        mesh = meshio.read(path)
+        mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot
     except Exception as error:  # meshio raises whatever its parsers do
         raise SceneError(f"{path}: this is no VTU file that can be read: {error}.") from None
     data = mesh.point_data
@@ -142,7 +142,9 @@ def _text(path: Path) -> tuple[Table, list[Problem]]:
     numbered = [(n, line) for n, line in enumerate(lines[first:], first + 1) if line.strip() and line.strip()[0] != "#"]
     rows = [(n, heading.cells(line)) for n, line in numbered]
     width = len(heading.names)
-    problems = [(n, f"it has {len(row)} values, but {width} columns are named.") for n, row in rows if len(row) != width]
+    problems = [
+        (n, f"it has {len(row)} values, but {width} columns are named.") for n, row in rows if len(row) != width
+    ]
     whole = [(n, row) for n, row in rows if len(row) == width]
     cells = [row for _, row in whole]
     numbers = {}
@@ -168,7 +170,9 @@ def _column(
     try:
         return np.array(cells, dtype=str).astype(float)
     except ValueError:
-        return np.array([_number(cell, row, heading.names[column], problems) for cell, row in zip(cells, rows, strict=True)])
+        return np.array(
+            [_number(cell, row, heading.names[column], problems) for cell, row in zip(cells, rows, strict=True)]
+        )
 
 
 def _number(cell: str, row: tuple[int, list[str]], name: str, problems: list[Problem]) -> float:
@@ -193,7 +197,9 @@ def _heading(path: Path, lines: Sequence[str]) -> tuple[_Heading, int]:
         if not line.strip().startswith("#"):
             shown = " ".join(line.split())[:60]
             asked = "x, y, z and r (or radius, or diameter)"
-            raise SceneError(f"{path}:{n + 1}: the first line must name the columns, among them {asked}, but it is {shown}.")
+            raise SceneError(
+                f"{path}:{n + 1}: the first line must name the columns, among them {asked}, but it is {shown}."
+            )
     raise SceneError(f"{path}: there is no particle in it.")
 
 
@@ -208,10 +214,12 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
     """Where every quantity stands that all components of are there."""
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", name).lower()) for name in names]
     wanted = {
-        quantity: [[word + axis for word in words] + [word + str(k) for word in words if word] + [axis + word for word in words]
-                   for k, axis in enumerate(AXES)]
+        quantity: [
+            [name for word in words for name in (word + axis, axis + word, *([f"{word}{k}"] if word else []))]
+            for k, axis in enumerate(AXES)
+        ]
         for quantity, words in WORDS.items()
-    }  # fmt: skip
+    }
     wanted |= {name: [list(words)] for name, words in SIZES.items()} | {"material": [list(MATERIALS)]}
     found = {}
     for quantity, components in wanted.items():

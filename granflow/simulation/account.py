@@ -48,7 +48,11 @@ class WallClock:
 
 
 def outcome(
-    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], meters: Mapping[str, Mapping[str, float]]
+    engine: Engine,
+    wall_clock: WallClock,
+    totals: Mapping[str, float],
+    meters: Mapping[str, Mapping[str, float]],
+    feeds: Mapping[str, Mapping[str, float]],
 ) -> Result:
     """The numbers of a run, not yet held to what was expected."""
     timing = engine.timing
@@ -69,7 +73,7 @@ def outcome(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    return Result(run=run, seconds=seconds, totals=totals, meters=meters)
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters, feeds=feeds)
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
@@ -80,7 +84,7 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
     log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
     for line in explain(plan).splitlines():
         log.info("%s", line)
-    for warning in plan.step.warnings:
+    for warning in (*plan.scene.remarks, *plan.step.warnings):
         log.warning("%s", warning)
     if resumed is not None:
         log.info("goes on from %s at %.6g s", resumed.path, engine.time)

@@ -9,7 +9,7 @@ import numpy as np
 
 from granflow.device.engine import Engine
 from granflow.scene import Scene
-from granflow.scene.generate import Stream, streams
+from granflow.scene.generate import streams
 from granflow.scene.schema import ClassSizes
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trials import balls, box, trial
 
-from granflow.device.search import Grid
+from granflow.device.grid import Grid
 from granflow.observe import every
 from granflow.plan import Plan, slots
 from granflow.simulation import Simulation
@@ -93,4 +93,4 @@ def test_the_search_grid_fits_into_its_cells_however_far_apart_the_particles_are
     grid = Grid.over(np.zeros(3), np.full(3, extent), side, limit)
     assert 1 <= grid.cell_count <= limit
     assert min(grid.blocks) >= 1
-    assert grid.side * min(grid.blocks) * 8 >= extent
+    assert min(np.multiply(grid.side, grid.cells)) >= extent

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from trials import SOFT, balls, box, finished, plane, trial, watched
+from trials import SOFT, balls, begun, box, finished, plane, rows_of, trial, watched
 
 from granflow.errors import RunError
 from granflow.observe import every
@@ -15,27 +15,6 @@ def crowd(count, seed=1):
     """Spheres of many sizes anywhere in a box of 12 cm, overlapping or not."""
     rng = np.random.default_rng(seed)
     return {"balls": balls(rng.uniform(0.0, 0.12, (count, 3)), rng.uniform(0.004, 0.016, count))}
-
-
-def rows_of(engine):
-    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
-    state = engine.state
-    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
-    partner, ids = state.contacts.partner.to_numpy(), state.particles.id.to_numpy()
-    found = []
-    for i in range(state.count):
-        for j in partner[begin[i] : end[i]]:
-            same = j >= 0 and i // state.plan.chunk_size == j // state.plan.chunk_size
-            found.append((ids[i], ids[j] if j >= 0 else j, same))
-    return found
-
-
-def begun(scene):
-    """A simulation whose first search is done."""
-    simulation = Simulation(scene)
-    simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
-    simulation.engine.refresh()
-    return simulation
 
 
 @pytest.mark.parametrize("chunk_size", [1, 37, 512])
@@ -152,6 +131,41 @@ def test_a_particle_that_leaves_stops_the_run_where_that_is_an_error(taichi_f64)
         RunError, match="particle [0-9]+ at 0.0[0-9]+ s is outside the domain, and domain.leaving is error"
     ):
         watched(leaving_scene("error"), 0.01)
+
+
+def test_a_domain_that_grows_loses_nobody(taichi_f64):
+    """They fly on as they flew, x = x0 + v t, and two that meet far out do so as in a domain that is large enough."""
+    *_, last = watched(leaving_scene("grow"), 0.01)
+    ways = np.concatenate([np.eye(3), -np.eye(3)])
+    assert last.totals["deleted_count"] == 0.0
+    np.testing.assert_allclose(last.particles["position"][:6], (0.05 + 2.0 * last.time) * ways, rtol=1e-12)
+    meeting = {"two": balls([[0.05, 0, 0], [-0.05, 0, 0.002]], velocity=[[2.0, 0, 0], [4.0, 0, 0]])}
+    large, small = (
+        finished(
+            trial(meeting, domain={"min": [-size] * 3, "max": [size] * 3, "leaving": "grow"},
+                  run={"duration": 0.06, "velocity_max": 4.0, "time_step": 2e-6})
+        )[0] for size in (1.0, 0.06)
+    )  # fmt: skip
+    assert np.all(large.particles["position"][:, 0] > 0.1)
+    assert np.ptp(large.particles["velocity"][:, 2]) > 0.1
+    np.testing.assert_array_equal(small.particles["velocity"], large.particles["velocity"])
+
+
+def test_stragglers_do_not_make_cells_large(taichi_f64):
+    """A few balls a kilometre away stand off the grid, and are near to each other as anywhere."""
+    rng = np.random.default_rng(7)
+    bulk = rng.uniform(0.0, 0.1, (600, 3))
+    far = np.array([[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]])
+    scene = trial(
+        {"balls": balls(np.concatenate([bulk, far]), 0.01)}, numerics={"skin": 0.001, "chunk_size": 64},
+        domain={"min": [0.0] * 3, "max": [0.1] * 3, "leaving": "grow"},
+    )  # fmt: skip
+    simulation = begun(scene)
+    assert simulation.engine.state.sorting.cell_side[0].to_numpy() == pytest.approx(np.full(3, 0.011), rel=1e-5)
+    near = {tuple(pair) for pair in cKDTree(np.concatenate([bulk, far])).query_pairs(0.011).copy()}
+    found = {tuple(sorted(row[:2])) for row in rows_of(simulation.engine)}
+    assert {(600, 601), (602, 603)} <= found == near
+    simulation.free()
 
 
 def test_ids_stay_with_their_particles_when_others_leave(taichi_f64):

@@ -1,0 +1,109 @@
+"""Search cells over the particles that are there.
+
+Cells lie in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is a compact lump and few pairs cross
+chunks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import State
+from granflow.plan.slots import BOUNDS
+
+BLOCK_SIDE = 8
+BLOCK_CELLS = BLOCK_SIDE**3
+
+STRAGGLERS = 1 / 16
+"""Share of the parts of the particles whose farthest may stand off the grid at each end, where it has to."""
+
+FINER = 1 / 2
+"""Share of their volume that cells must shrink to for stragglers to be left out."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells along each axis, their sides (3,) [m] and the low corner (3,) [m] of all of them."""
+
+    low: np.ndarray
+    side: np.ndarray
+    cells: tuple[int, int, int]
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Blocks along each axis."""
+        return tuple(-(-cells // BLOCK_SIDE) for cells in self.cells)
+
+    @property
+    def cell_count(self) -> int:
+        """Cells in all blocks."""
+        return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
+
+    @classmethod
+    def over(
+        cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int, periodic: Sequence[int] = ()
+    ) -> "Grid":
+        """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells.
+
+        Along periodic axes cells are as wide as fill the box exactly, elsewhere as wide as asked, in whole blocks.
+        """
+        across = np.isin(np.arange(3), periodic)
+        while True:
+            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1.0)
+            cells = np.where(across, np.maximum(np.floor((high - low) / side), 1.0), BLOCK_SIDE * blocks)
+            sides = np.where(across, (high - low) / cells, side)
+            blocks = np.ceil(cells / BLOCK_SIDE)
+            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
+                return cls(low, sides, (int(cells[0]), int(cells[1]), int(cells[2])))
+            side *= 1.25
+
+
+def lay_grid(state: State) -> Grid:
+    """Write the grid for a search: over the particles there are, over the whole domain along periodic axes.
+
+    Reads:   low, high (see `build_bounds`)
+    Writes:  grid_low, cell_side, cells
+
+    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
+    count as in the cell at its edge that is nearest to where they are.
+    """
+    plan, sorting = state.plan, state.sorting
+    side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
+    lows, highs = (
+        np.sort(field.to_numpy()[: min(state.count, BOUNDS)].astype(float), axis=0)
+        for field in (sorting.low, sorting.high)
+    )
+    grid = _grid_over(state, lows[0], highs[-1], side)
+    if np.any(np.delete(grid.side, plan.border.axes) > side):
+        left_out = int(STRAGGLERS * len(lows))
+        finer = _grid_over(state, lows[left_out], highs[-1 - left_out], side)
+        grid = finer if np.prod(finer.side) < FINER * np.prod(grid.side) else grid
+    for field, values in ((sorting.grid_low, grid.low), (sorting.cell_side, grid.side), (sorting.cells, grid.cells)):
+        field[0] = list(values)
+    return grid
+
+
+def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float) -> Grid:
+    """The grid over a box and in the domain, if that does not grow."""
+    plan, across = state.plan, list(state.plan.border.axes)
+    if plan.scene.domain.leaving != "grow":
+        low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
+    low, high = low.copy(), np.maximum(high, low)
+    low[across], high[across] = plan.domain_low[across], plan.domain_high[across]
+    return Grid.over(low, high, side, state.sorting.cell_capacity, across)
+
+
+def build_cell_number() -> Any:
+    """Device function: cell coordinates, and cells along each axis, to the number of the cell in block order."""
+
+    @ti.func
+    def cell_number(x, y, z, cells):
+        blocks_x, blocks_y = (cells[0] + BLOCK_SIDE - 1) // BLOCK_SIDE, (cells[1] + BLOCK_SIDE - 1) // BLOCK_SIDE
+        block = ((z // BLOCK_SIDE) * blocks_y + y // BLOCK_SIDE) * blocks_x + x // BLOCK_SIDE
+        inside = ((z % BLOCK_SIDE) * BLOCK_SIDE + y % BLOCK_SIDE) * BLOCK_SIDE + x % BLOCK_SIDE
+        return block * BLOCK_CELLS + inside
+
+    return cell_number

@@ -1,0 +1,131 @@
+"""Where a picture is taken from: a direction of view, and a camera that has everything in sight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.errors import GranflowError
+
+VIEWS = ("iso", "front", "side", "top")
+ISO = (0.6, -1.0, 0.45)
+"""Towards the viewer of `iso`, in right, into and up."""
+
+OPENING = np.radians(24.0)
+"""Angle that the height of a perspective picture covers; narrow, so that grains look alike near and far."""
+
+MARGIN = 1.05
+"""Room around what is shown."""
+
+CENTRINGS = 6
+"""Steps that bring the middle of a perspective picture to its centre: each leaves a tenth of the error."""
+
+
+@dataclass(frozen=True)
+class View:
+    """How a picture is looked at: `toward` the viewer and `up` (3,), unit vectors at right angles; in perspective?"""
+
+    toward: np.ndarray
+    up: np.ndarray
+    perspective: bool
+
+    @property
+    def right(self) -> np.ndarray:
+        """To the right in the picture (3,)."""
+        return np.cross(self.up, self.toward)
+
+    def projected(self, points: np.ndarray) -> np.ndarray:
+        """Coordinates (n, 3) [m] of points to the right, up and towards the viewer."""
+        return points @ np.stack([self.right, self.up, self.toward], axis=1)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """`eye` and `focus` (3,) [m]; `half_height` [m] of what is seen where there is no perspective."""
+
+    view: View
+    eye: np.ndarray
+    focus: np.ndarray
+    half_height: float
+
+
+def view_of(words: str, gravity: np.ndarray | None = None) -> View:
+    """The view that words name: iso, front, side, top, or the direction of the viewer as three numbers "1,-2,0.8".
+
+    Up is the axis against `gravity` (z without); front, side and top show true lengths, the others perspective.
+    Raises GranflowError for other words.
+    """
+    up = _upward(gravity)
+    right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
+    into = np.cross(up, right)
+    flat = {"front": (-into, up), "side": (right, up), "top": (up, into)}
+    if words in flat:
+        toward, top = flat[words]
+        return View(toward, top, perspective=False)
+    if words == "iso":
+        toward = ISO[0] * right + ISO[1] * into + ISO[2] * up
+    else:
+        toward = _direction(words)
+    return _upright(toward, up, into)
+
+
+def _upward(gravity: np.ndarray | None) -> np.ndarray:
+    up = np.zeros(3)
+    if gravity is None or not np.any(gravity):
+        up[2] = 1.0
+    else:
+        axis = int(np.argmax(np.abs(gravity)))
+        up[axis] = -np.sign(gravity[axis])
+    return up
+
+
+def _direction(words: str) -> np.ndarray:
+    try:
+        numbers = np.array([float(word) for word in words.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != 3 or not np.all(np.isfinite(numbers)) or not np.any(numbers):
+        raise GranflowError(
+            f"--view {words}: give {', '.join(VIEWS)}, or where the viewer stands, such as --view=1,-2,0.8."
+        )
+    return numbers
+
+
+def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:
+    """Perspective from there, with `up` upright; seen from straight above, `into` is."""
+    toward = toward / np.linalg.norm(toward)
+    axis = up if abs(toward @ up) < np.cos(np.radians(1.0)) else into
+    upright = axis - (axis @ toward) * toward
+    return View(toward, upright / np.linalg.norm(upright), perspective=True)
+
+
+def aspect_of(view: View, points: np.ndarray) -> float:
+    """Width over height of what points (n, 3) [m] cover in a view."""
+    width, height, _ = np.ptp(view.projected(points), axis=0)
+    return float(width / height) if width > 0.0 and height > 0.0 else 1.0
+
+
+def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0) -> Camera:
+    """The camera that has points (n, 3) [m] just in sight, in a picture of that width over height."""
+    seen = view.projected(points)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
+    half_height = 0.5 * MARGIN * max(size[1], size[0] / aspect) / zoom
+    tangent = np.tan(0.5 * OPENING) * np.array([aspect, 1.0]) / MARGIN
+    distance = half_height / tangent[1] + size[2]
+    for _ in range(CENTRINGS if view.perspective else 0):
+        distance = _distance(seen - middle, tangent) / zoom
+        middle[:2] += _off_centre(seen - middle, distance)
+    focus = middle @ np.stack([view.right, view.up, view.toward])
+    return Camera(view, focus + distance * view.toward, focus, half_height)
+
+
+def _distance(seen: np.ndarray, tangent: np.ndarray) -> float:
+    """Least distance [m] of the eye from the origin at which everything is within the angles."""
+    return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
+
+
+def _off_centre(seen: np.ndarray, distance: float) -> np.ndarray:
+    """How far (2,) [m] the middle of what is seen lies off the centre of the picture, in the plane of the focus."""
+    depth = np.maximum(distance - seen[:, 2:], 1e-3 * distance)
+    shown = seen[:, :2] / depth
+    return 0.5 * (shown.min(axis=0) + shown.max(axis=0)) * distance

@@ -1,0 +1,117 @@
+"""What the colours of a picture mean: values of one array, its name and unit, and a range."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.scene.suggest import nearest
+
+AXES = ("x", "y", "z")
+PERCENTILES = (1.0, 99.0)
+"""Of all values in all frames: what lies beyond takes the colour of the end."""
+
+FROM_ZERO = 0.5
+"""A range begins at 0 where its lower end is nearer to 0 than this share of the upper one."""
+
+PREFIXES = {-9: "n", -6: "\N{MICRO SIGN}", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+CATEGORIES = ("material", "group")
+SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What colours mean: the array, a title of one or two lines, `limits` [SI], and the unit shown, that many SI.
+
+    `names` by number: of materials or groups, which get a colour each; none for a scale without steps.
+    """
+
+    color: str
+    title: str
+    unit: str
+    factor: float
+    limits: tuple[float, float]
+    names: Mapping[int, str] | None = None
+    beyond: tuple[bool, bool] = (False, False)
+
+    @property
+    def map_name(self) -> str:
+        """The colour map: from blue over white to red where values have both signs, from pale to red for contacts."""
+        if self.color in CONTACT_QUANTITIES and self.color not in PARTICLE_QUANTITIES:
+            return OF_CONTACTS
+        return SIGNED if self.limits[0] < 0.0 < self.limits[1] else UNSIGNED
+
+
+def values_of(arrays: Mapping[str, np.ndarray], color: str) -> np.ndarray:
+    """The values (n,) that give the colour: of an array, the magnitude of a vector, or one component as velocity.z.
+
+    Raises GranflowError with the names there are for one that is not among them.
+    """
+    name, _, axis = color.partition(".")
+    if name not in arrays or (axis and (axis not in AXES or arrays[name].ndim != 2)):
+        near = nearest(name, list(arrays))
+        hint = f" Did you mean {near}?" if near and near != name else ""
+        raise GranflowError(f"--color {color}: there is no such array; there are {', '.join(arrays)}.{hint}")
+    values = np.asarray(arrays[name], dtype=np.float64)
+    if values.ndim == 2:
+        return values[:, AXES.index(axis)] if axis else np.linalg.norm(values, axis=1)
+    return values
+
+
+def scale_for(
+    color: str,
+    values: Iterable[np.ndarray],
+    is_vector: bool = False,
+    names: Mapping[str, Sequence[str]] | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Scale:
+    """The scale for an array from all its values that are to be shown, or from given `limits` [SI].
+
+    `names`: of the materials and the groups of the scene, by the name of the array.
+    """
+    there = np.concatenate([np.zeros(0), *values])
+    there = there[np.isfinite(there)]
+    name, _, axis = color.partition(".")
+    if name in CATEGORIES:
+        return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, there, names or {}))
+    low, high = limits or _range(there, signed=bool(axis))
+    quantity = PARTICLE_QUANTITIES.get(name) or CONTACT_QUANTITIES.get(name)
+    factor, unit = prefixed("" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high)))
+    words = name.replace("_", " ") + (f", {axis}" if axis else "\nmagnitude" if is_vector else "")
+    beyond = (bool(np.any(there < low)), bool(np.any(there > high)))
+    return Scale(color, words, unit, factor, (low, high), beyond=beyond)
+
+
+def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]]) -> dict[int, str]:
+    known = names.get(name, ())
+    numbers = sorted({int(value) for value in values})
+    return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
+
+
+def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
+    """A range that shows most values; symmetric for components, from 0 where that is near."""
+    if not len(values):
+        return 0.0, 1.0
+    low, high = (float(end) for end in np.percentile(values, PERCENTILES))
+    if signed:
+        high = max(abs(low), abs(high)) or 1.0
+        return -high, high
+    if 0.0 <= low < FROM_ZERO * high:
+        low = 0.0
+    if low == high:
+        return min(2.0 * high, 0.0), max(2.0 * high, 0.0) if high else 1.0
+    return low, high
+
+
+def prefixed(unit: str, largest: float) -> tuple[float, str]:
+    """How many SI a unit with the prefix that suits the largest number is, and that unit; powers stay as they are."""
+    if not largest > 0.0 or not unit or any(sign in unit for sign in "^0123456789"):
+        return 1.0, unit
+    grams = unit.startswith("kg")
+    power = int(np.floor(np.log10(largest * (1000.0 if grams else 1.0)) / 3.0 + 1e-9)) * 3
+    power = min(max(power, min(PREFIXES)), max(PREFIXES))
+    if grams:
+        return 10.0 ** (power - 3), f"{PREFIXES[power]}{unit[1:]}"
+    return 10.0**power, f"{PREFIXES[power]}{unit}"

@@ -1,0 +1,176 @@
+"""The frames of a run as arrays: grains, walls and contacts of each moment, read from its VTU files."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import meshio
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.scene.units import UnitError, to_si
+
+SAME_TIME = 1e-9
+"""Largest difference of times, relative, at which frames of grains, walls and contacts belong together."""
+
+HEAD, EMPTY = 1000, b'NumberOfCells="0"'
+"""What stands near the beginning of a VTU file that holds nothing."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One moment of a run: the number in its file names, its time [s], and its files."""
+
+    number: int
+    time: float
+    particles: Path
+    walls: Path | None = None
+    contacts: Path | None = None
+
+
+@dataclass(frozen=True)
+class Grains:
+    """Grains of one frame: `position` (n, 3) [m], `radius` (n,) [m], and every array of the file by name."""
+
+    position: np.ndarray
+    radius: np.ndarray
+    arrays: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and numbers of walls (k,)."""
+
+    points: np.ndarray
+    polygons: tuple[np.ndarray, ...]
+    walls: tuple[np.ndarray, ...]
+
+    def same_as(self, other: "Surface | None") -> bool:
+        """Whether both show the same walls at the same place."""
+        if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
+            return False
+        mine, theirs = (self.points, *self.polygons), (other.points, *other.polygons)
+        return all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+    def points_of(self, walls: Sequence[int]) -> np.ndarray:
+        """Corners (m, 3) [m] of the walls with these numbers."""
+        chosen = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
+        return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in chosen)]))]
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Contacts of one frame: `ends` (k, 2, 3) [m] and `normal_force` (k,) [N]."""
+
+    ends: np.ndarray
+    normal_force: np.ndarray
+
+
+def frames_of(directory: Path) -> list[Frame]:
+    """The frames of grains that a run has written, in order, each with its walls and contacts.
+
+    Raises GranflowError where the directory holds no frames.
+    """
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; name the directory of a run, such as out/hopper."
+        )
+    series = _series(directory, "particles")
+    if not series:
+        is_run = (directory / "run.log").exists() or (directory / "scene_as_run.yaml").exists()
+        why = "its scene writes none (output.particles), or it ended before the first" if is_run else "it is no run's"
+        raise GranflowError(f"{directory} holds no frames of grains to draw (no particles.pvd): {why}.")
+    walls, contacts = _series(directory, "walls"), _series(directory, "contacts")
+    return [
+        Frame(int(path.stem.rpartition("_")[2]), time, path, _at(walls, time), _at(contacts, time))
+        for time, path in series
+    ]
+
+
+def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
+    """Times and files of a PVD file, those that still exist; empty without one."""
+    listing = directory / f"{stem}.pvd"
+    if not listing.exists():
+        return []
+    try:
+        rows = ElementTree.parse(listing).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        raise GranflowError(
+            f"{listing} cannot be read ({error}): write it again with granflow run or resume."
+        ) from None
+    return [(time, path) for time, path in found if path.exists()]
+
+
+def _at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
+    """The file of that time in another series of the same run."""
+    near = min(series, key=lambda each: abs(each[0] - time), default=None)
+    return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+
+
+def chosen(frames: Sequence[Frame], words: str) -> list[Frame]:
+    """The frames that words name: last, first, all, a number as in the file names, a time such as 0.4s; or several.
+
+    Raises GranflowError for anything else and for a number that there is not.
+    """
+    if words == "all":
+        return list(frames)
+    return [_one(frames, word.strip()) for word in words.split(",")]
+
+
+def _one(frames: Sequence[Frame], word: str) -> Frame:
+    if word in ("last", "first"):
+        return frames[-1 if word == "last" else 0]
+    if word.isdecimal():
+        found = [frame for frame in frames if frame.number == int(word)]
+        if not found:
+            numbers = f"{frames[0].number} to {frames[-1].number}"
+            raise GranflowError(
+                f"--frame {word}: the run has no such frame, but {numbers}; a time has a unit, {word}s."
+            )
+        return found[0]
+    try:
+        time = to_si(word, "time")
+    except UnitError as error:
+        raise GranflowError(f"--frame {word}: {error}; or give last, first, all, or the number of a frame.") from None
+    return min(frames, key=lambda frame: abs(frame.time - time))
+
+
+def read_grains(frame: Frame) -> Grains:
+    """Grains of a frame. Raises GranflowError where the file cannot be read."""
+    mesh = _read(frame.particles)
+    arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    radius = arrays.get("radius", np.zeros(len(mesh.points)))
+    return Grains(mesh.points.astype(np.float64), radius, arrays)
+
+
+def read_walls(frame: Frame) -> Surface | None:
+    """Walls of a frame, none where it has no file of walls. Raises GranflowError where it cannot be read."""
+    if frame.walls is None:
+        return None
+    mesh = _read(frame.walls)
+    numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
+    blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
+    return Surface(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
+
+
+def read_chains(frame: Frame) -> Chains | None:
+    """Contacts of a frame, none where it has no file of them. Raises GranflowError where it cannot be read."""
+    if frame.contacts is None:
+        return None
+    mesh = _read(frame.contacts)
+    lines = [block.data for block in mesh.cells if block.type == "line"]
+    ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
+    forces = mesh.cell_data.get("normal_force", [])
+    return Chains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
+
+
+def _read(path: Path) -> meshio.Mesh:
+    try:
+        with path.open("rb") as file:
+            if EMPTY in file.read(HEAD):  # which meshio cannot read
+                return meshio.Mesh(np.zeros((0, 3)), [])
+        return meshio.read(path)
+    except (Exception, SystemExit) as error:  # a file that is cut short has many ways to fail, meshio's exit is one
+        raise GranflowError(f"{path} cannot be read ({error}): take this frame away, or run again.") from None
