@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["scalar", "vector"]
+Kind = Literal["scalar", "vector", "tensor"]
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 
 
@@ -20,9 +20,9 @@ FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 class Quantity:
     """One word of the glossary.
 
-    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to
-    VTU files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for
-    what is worked out from other arrays when a file is written.
+    `unit` is SI, "1" for a pure number. `kind` tells (n,), (n, 3) and (n, 9) (xx, xy, xz, yx, ...) apart.
+    `file_type` is the width written to VTU files: float32 wherever its 7 digits are enough to look at and to
+    post-process. `stored` is False for what is worked out from other arrays when a file is written.
     """
 
     name: str
@@ -48,8 +48,8 @@ class Quantity:
         return replace(self, name=f"{self.name}.{part}").label
 
     def shape(self, count: int) -> tuple[int, ...]:
-        """Shape of the array that holds this quantity for `count` particles or contacts."""
-        return (count, 3) if self.kind == "vector" else (count,)
+        """Shape of the array that holds this quantity for `count` particles, contacts or cells."""
+        return {"scalar": (count,), "vector": (count, 3), "tensor": (count, 9)}[self.kind]
 
     def for_file(self, values: np.ndarray) -> np.ndarray:
         """Give the values the width in which they are written to VTU files."""
@@ -97,6 +97,21 @@ CONTACT_QUANTITIES = _by_name(
     )
 )
 
+FIELD_QUANTITIES = _by_name(
+    (
+        Quantity("density", "rho", "kg/m3", "mass of the grains per volume of space"),
+        Quantity("solid_fraction", "phi", "1", "volume of the grains per volume of space"),
+        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
+        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
+        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
+    )
+)
+
 TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
@@ -139,6 +154,22 @@ FEED_QUANTITIES = _by_name(
     )
 )
 
+LOAD_QUANTITIES = _by_name(
+    (
+        Quantity("wall_force_x", "Fx", "N", "x component of the force of the grains on a wall, a mean over time"),
+        Quantity("wall_force_y", "Fy", "N", "its y component"),
+        Quantity("wall_force_z", "Fz", "N", "its z component"),
+        Quantity("wall_torque_x", "Mx", "N m", "x component of their torque about the wall's point of reference"),
+        Quantity("wall_torque_y", "My", "N m", "its y component"),
+        Quantity("wall_torque_z", "Mz", "N m", "its z component"),
+        Quantity("wall_pressure", "p", "Pa", "normal forces of the grains over the area of the wall"),
+        Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
+        Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
+        Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
+        Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+    )
+)
+
 RUN_QUANTITIES = _by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
@@ -156,5 +187,6 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = {**METER_QUANTITIES, **FEED_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **FEED_QUANTITIES}
+    known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -1,7 +1,7 @@
 """What a simulation shows to the outside: read-only numpy arrays of one moment, in SI."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -53,7 +53,9 @@ class Snapshot:
     `time` [s]; `step`: steps done; `stage`: name of the stage. `particles`: arrays ordered by id, as many of
     `PARTICLE_QUANTITIES` as were wanted, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, each
     contact once, or None if not wanted. `walls`: pose by name, in the order of the scene. `totals`: numbers
-    of `TOTAL_QUANTITIES`. All arrays and mappings are read-only.
+    of `TOTAL_QUANTITIES`. `impulses`: what the grains have given to every wall whose loads are measured, since the
+    start (7,): force over time [N s], torque over time [N m s], normal forces over time [N s].
+    All arrays and mappings are read-only.
     """
 
     time: float
@@ -63,6 +65,7 @@ class Snapshot:
     contacts: Mapping[str, np.ndarray] | None
     walls: Mapping[str, WallPose]
     totals: Mapping[str, float]
+    impulses: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", _read_only_arrays(self.particles))
@@ -70,9 +73,10 @@ class Snapshot:
             object.__setattr__(self, "contacts", _read_only_arrays(self.contacts))
         object.__setattr__(self, "walls", MappingProxyType(dict(self.walls)))
         object.__setattr__(self, "totals", MappingProxyType(dict(self.totals)))
+        object.__setattr__(self, "impulses", _read_only_arrays(self.impulses))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; child processes hand snapshots back as plain ones.
         contacts = None if self.contacts is None else dict(self.contacts)
-        plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals))
+        plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), dict(self.impulses))
         return Snapshot, (self.time, self.step, self.stage, *plain)

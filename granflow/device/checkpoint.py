@@ -90,9 +90,9 @@ class EngineKeeper:
         engine.go_on(kept["steps_since_look"])
 
     def _ledger(self) -> dict[str, Any]:
-        """Fields of the energy ledger by name."""
+        """Fields of the energy ledger and of the loads on walls by name."""
         control = self.engine.state.control
-        fields = {"losses": control.losses, "border_work": control.border_work}
+        fields = {"losses": control.losses, "border_work": control.border_work, "impulses": control.impulses}
         return {name: field for name, field in fields.items() if field is not None}
 
     def _take_contacts(self) -> dict[str, np.ndarray]:
@@ -128,8 +128,8 @@ def _named(kept: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, A
     if set(kept) != set(names):
         there, asked = (", ".join(sorted(each)) or "none" for each in (kept, names))
         raise GranflowError(
-            f"The checkpoint holds the arrays {there}, but this scene needs {asked}. Friction, rolling friction and "
-            "the energy ledger cannot be switched on or off in a run that goes on."
+            f"The checkpoint holds the arrays {there}, but this scene needs {asked}. Friction, rolling friction, "
+            "the energy ledger and wall loads cannot be switched on or off in a run that goes on."
         )
     return dict(kept)
 

@@ -11,6 +11,7 @@ import taichi as ti
 from granflow.device.batch import build_batched_forces
 from granflow.device.encounter import build_effective, build_encounter, build_pair_number, build_weight
 from granflow.device.guards import GUARD_OVERLAP
+from granflow.device.loads import build_enter_load
 from granflow.device.pair import build_respond
 from granflow.device.slots import build_forget, build_read, build_write
 from granflow.device.state import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK, State
@@ -29,6 +30,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
         build_write(state),
         build_forget(state),
     )
+    measured = with_wall and features.loads
+    enter_load = build_enter_load(state) if measured else None
 
     @ti.func
     def partner_spin(i, j, pose):
@@ -74,6 +77,14 @@ def build_contact(state: State, with_wall: bool) -> Any:
         control.losses[chunk] = losses
 
     @ti.func
+    def enter_books(chunk, i, j, pose, normal, force, torque, friction_loss, rolling_loss, damping_loss, dt):
+        if ti.static(features.ledger):
+            work = wall_work(i, j, pose, force, torque, dt)
+            enter_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
+        if ti.static(measured):
+            enter_load(chunk, -1 - j, i, normal, force, torque, dt)
+
+    @ti.func
     def contact(chunk, i, slot, j, pose, dt):
         force, torque = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
         overlap, normal, middle, across, late_rate, rate, arm, arm_partner = encounter(i, j, pose, dt)
@@ -87,9 +98,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
                 arm_partner, own_spin(i), partner_spin(i, j, pose), memory, slide, angle, dt
             )  # fmt: skip
             write(slot, memory, slide, angle)
-            if ti.static(features.ledger):
-                work = wall_work(i, j, pose, force, torque, dt)
-                enter_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
+            enter_books(chunk, i, j, pose, normal, force, torque, friction_loss, rolling_loss, damping_loss, dt)
         else:
             lost = forget(slot, constants, radius_eff, mass_eff, dt)
             if ti.static(features.ledger):
@@ -103,7 +112,7 @@ def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
     Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
-    Writes:  force, torque, history, losses, guard
+    Writes:  force, torque, history, losses, impulses, guard
     """
     plan, particles, contacts = state.plan, state.particles, state.contacts
     features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size

@@ -11,6 +11,7 @@ from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
 from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LEFT, Trip
+from granflow.device.loads import wall_impulses
 from granflow.device.records import ContactRecords
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
@@ -231,7 +232,8 @@ class Engine:
         """What stands on the device now; `wants` as for observers. Contacts are not surveyed if nothing rests on it."""
         if wants <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count)
+            impulses = wall_impulses(self.state)
+            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count, impulses)
         self.stepper.stand_walls(self.step_count)
         measured = self.survey.measure()
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
@@ -240,7 +242,8 @@ class Engine:
         arrays["position"] = self.plan.border.wrapped(arrays["position"])
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
-        return Snapshot(self.time, self.step_count, stage, particles, contacts, self.wall_poses(), totals)
+        poses, impulses = self.wall_poses(), wall_impulses(self.state)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def wall_poses(self) -> dict[str, WallPose]:
         """Pose of every wall now, by name."""

@@ -184,6 +184,10 @@ class Batch:
         self.losses = columns(3 * features.ledger)
 
 
+NOT_MEASURED = -1
+"""Row of the loads for walls whose loads nobody asks for."""
+
+
 class Walls:
     """Shapes at rest, what they are made of, and where they stand in the next WALL_BATCH steps."""
 
@@ -198,6 +202,7 @@ class Walls:
         self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
         self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
         self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.load_row = block.scalar(ti.i32, count) if plan.features.loads else None
         self.spin = block.vector(backend.real, WALL_BATCH, count) if moving else None
 
     def fill(self, plan: Plan) -> None:
@@ -206,6 +211,9 @@ class Walls:
             self.kind[index] = kind_code(wall.shape.kind)
             self.parameters[index] = wall.shape.parameters.tolist()
             self.material[index] = wall.material
+            if self.load_row is not None:
+                loaded = plan.scene.loaded_walls
+                self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
 
 
 class Control:
@@ -222,6 +230,8 @@ class Control:
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         ledger = plan.features.ledger
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
+        loaded = len(plan.scene.loaded_walls)
+        self.impulses = block.vector(ti.f64, plan.chunk_capacity, loaded, count=IMPULSE_SIZE) if loaded else None
         turns = ledger and plan.features.periodic != "none"
         self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
 
@@ -236,6 +246,10 @@ LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
 """What each chunk adds up in the energy ledger [J]."""
 
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+
+
+IMPULSE_SIZE = 7
+"""What each chunk adds up for a wall: force (3), torque (3) and normal forces over time."""
 
 
 class State:

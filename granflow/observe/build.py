@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from granflow.observe.coarse import FieldFrames, Grid, Kernel
+from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
-from granflow.scene.border import Border
+from granflow.plan.sizes import diameter_range
+from granflow.plan.walls import loaded_areas
+from granflow.scene.border import AXES, Border
 
 
 def observers_for(
@@ -31,17 +35,33 @@ def observers_for(
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
         observers.append(WallFrames(out_dir, interval, wall_triangles))
+    observers += [_field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
     return observers
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
-    """Make the time series of the scene with its flow meters."""
+    """Make the time series of the scene with its flow meters and wall loads."""
     border = Border.of(scene.domain)
     meters = {
         name: FlowMeter(meter.point, meter.normal, meter.radius, border)
         for name, meter in (scene.output.meters or {}).items()
     }
-    return TimeSeries(out_dir, scene.output.timeseries_interval or scene.output.interval, meters)
+    loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
+    interval = scene.output.timeseries_interval or scene.output.interval
+    return TimeSeries(out_dir, interval, meters, loads=loads)
+
+
+def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+    box = asked.region or scene.domain
+    periodic_x, periodic_y, periodic_z = (axis in scene.domain.periodic for axis in AXES)
+    grid = Grid(box.min, box.max, asked.counts_in(scene.domain), (periodic_x, periodic_y, periodic_z))
+    width = asked.width
+    if width == "auto":
+        width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
+    interval = asked.interval or scene.output.interval
+    return FieldFrames(
+        out_dir, name, interval, grid, Kernel(width, asked.cut_off), asked.quantities, asked.stages or ()
+    )
 
 
 def progress_for(scene: Any) -> ProgressDisplay:

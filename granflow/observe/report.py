@@ -16,6 +16,7 @@ from granflow.quantities import unit_of
 _COUNTS = ("particle_count", "inserted_count", "waiting_count", "deleted_count", "contact_count")
 _WHOLE = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
+_LOADS = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,15 @@ class Result:
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
     `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
     `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter. `feeds`: came_count, came_mass and missing_count by the name of a group that comes in.
+    meter. `loads`: wall_force_x and so on by the name of the wall. `feeds`: came_count, came_mass and missing_count by
+    the name of a group that comes in.
     """
 
     run: Mapping[str, float]
     seconds: Mapping[str, float]
     totals: Mapping[str, float]
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    loads: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     feeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[Judgement, ...] = ()
 
@@ -43,12 +46,12 @@ class Result:
     def numbers(self) -> dict[str, float]:
         """All numbers by the names that a scene's `expect:` block uses.
 
-        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters as
-        `mass_flow.outlet`, feeds as `came_mass.beads`.
+        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`; of meters, walls and
+        groups that come in as `mass_flow.outlet`, `wall_force.floor`, `came_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        for part, readings in (*self.meters.items(), *self.feeds.items()):
+        for part, readings in (*self.meters.items(), *self.loads.items(), *self.feeds.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
 
@@ -60,6 +63,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "seconds": _finite(result.seconds),
         "totals": _finite(result.totals),
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
+        "loads": {name: _finite(readings) for name, readings in result.loads.items()},
         "feeds": {name: _finite(readings) for name, readings in result.feeds.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
@@ -69,12 +73,15 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def closing_table(result: Result, title: str = "Result") -> Table:
-    """Make the table that closes a run: where the time went, counts, energy, meters, groups that came in."""
+    """Make the table that closes a run: where the time went, counts, energy, meters, loads of walls, feeds."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
     table.add_column(justify="left")
-    for section in (_run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result)):
+    for section in (
+        _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result),
+        _part_rows(result.feeds),
+    ):  # fmt: skip
         for row in section:
             table.add_row(*row)
         table.add_section()
@@ -111,12 +118,22 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
-def _part_rows(result: Result) -> list[tuple[str, str, str]]:
+def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
+    """Rows of meters or walls by name."""
     return [
         (f"{_words(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
-        for part, readings in (*result.meters.items(), *result.feeds.items())
+        for part, readings in parts.items()
         for quantity, number in readings.items()
     ]
+
+
+def _load_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Magnitudes alone; components stand in result.json."""
+    shown = {
+        wall: {name: number for name, number in readings.items() if name in _LOADS}
+        for wall, readings in result.loads.items()
+    }
+    return _part_rows(shown)
 
 
 def _words(name: str) -> str:

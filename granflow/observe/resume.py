@@ -24,7 +24,10 @@ from granflow.walls.motion import Motion, pose
 DECIDED = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must be those of the run so far: positions and what contacts remember rest on them."""
 
-SWITCHES = ("friction", "rolling", "rotation", "rate_dependent", "adhesion", "one_material", "ledger", "fixed_grains")
+SWITCHES = (
+    *("friction", "rolling", "rotation", "rate_dependent", "adhesion", "one_material", "ledger", "loads"),
+    "fixed_grains",
+)
 """Features on which it depends which arrays there are."""
 
 LARGEST_JUMP = 1e-3

@@ -7,19 +7,21 @@ from io import FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
+from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
-from granflow.quantities import METER_QUANTITIES, TOTAL_QUANTITIES
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES
 from granflow.snapshot import Snapshot
 
 
 class TimeSeries:
-    """Writes the totals of the snapshots and the readings of the flow meters, and flushes every row.
+    """Writes the totals of the snapshots and the readings of flow meters and loads, and flushes every row.
 
     The columns are fixed by the first snapshot: time [s], stage, the totals it has in the order of the
-    glossary, then per meter the mass and number passed and the mass flow since the row before. Units stand
-    in the header. Without a directory nothing is written and the meters are read all the same.
+    glossary, then per meter the mass and number passed and the mass flow since the row before, then per
+    measured wall the mean load since the row before. Units stand in the header. Without a directory nothing
+    is written, and meters and loads are read all the same.
     """
 
     def __init__(
@@ -28,8 +30,9 @@ class TimeSeries:
         interval: float,
         meters: Mapping[str, FlowMeter] | None = None,
         start: float = 0.0,
+        loads: Mapping[str, LoadMeter] | None = None,
     ) -> None:
-        self.meters = dict(meters or {})
+        self.meters, self.loads = dict(meters or {}), dict(loads or {})
         self.wants = frozenset({TOTALS, PARTICLES} if self.meters else {TOTALS})
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
         self._schedule = Schedule(interval, start)
@@ -48,6 +51,8 @@ class TimeSeries:
             return
         for meter in self.meters.values():
             meter.look(snapshot)
+        for load in self.loads.values():
+            load.look(snapshot)
         if self.path is None:
             return
         if not self._size and not self._unwritten:
@@ -65,6 +70,10 @@ class TimeSeries:
         """Numbers of every meter at the end, by the meter's name."""
         return {name: meter.result() for name, meter in self.meters.items()}
 
+    def load_results(self) -> dict[str, dict[str, float]]:
+        """Numbers of every measured wall at the end, by the wall's name."""
+        return {name: load.result() for name, load in self.loads.items()}
+
     def keep(self) -> dict[str, Any]:
         """The size of the file, all rows of which are brought to the disk first, and what the meters counted."""
         if self._file is not None:
@@ -75,6 +84,7 @@ class TimeSeries:
             "size": self._size,
             "unwritten": self._unwritten.decode(),
             "meters": {name: meter.keep() for name, meter in self.meters.items()},
+            "loads": {name: load.keep() for name, load in self.loads.items()},
         }
 
     def put_back(self, kept: dict[str, Any]) -> None:
@@ -83,6 +93,8 @@ class TimeSeries:
         self._names, self._size, self._unwritten = kept["columns"], kept["size"], kept["unwritten"].encode()
         for name, meter in self.meters.items():
             meter.put_back(kept["meters"][name])
+        for name, load in self.loads.items():
+            load.put_back(kept["loads"][name])
 
     @property
     def rows_are_there(self) -> bool:
@@ -117,11 +129,14 @@ class TimeSeries:
 
     def _readings(self) -> list[float]:
         meters = self.meters.values()
-        return [number for meter in meters for number in (meter.mass, meter.count, meter.mass_flow())]
+        flows = [number for meter in meters for number in (meter.mass, meter.count, meter.mass_flow())]
+        return flows + [number for load in self.loads.values() for number in load.readings().values()]
 
     def _meter_labels(self) -> list[str]:
         quantities = METER_QUANTITIES.values()
-        return [quantity.label_of(name) for name in self.meters for quantity in quantities]
+        flows = [quantity.label_of(name) for name in self.meters for quantity in quantities]
+        loads = self.loads.items()
+        return flows + [LOAD_QUANTITIES[each].label_of(name) for name, load in loads for each in load.readings()]
 
 
 def _size_of(path: Path) -> int:

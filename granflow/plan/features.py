@@ -19,6 +19,7 @@ class Features:
     moving_walls: bool
     one_material: bool
     ledger: bool
+    loads: bool
     adaptive_step: bool
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
@@ -50,6 +51,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
+        loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
@@ -73,6 +75,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "moving_walls": _moving_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
+        "loads": _loads_reason(scene, features),
         "adaptive_step": _step_reason(scene),
         "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
         if scene.domain.periodic
@@ -128,6 +131,12 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _loads_reason(scene: Scene, features: Features) -> str:
+    if not features.loads:
+        return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
+    return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
 
 
 def _fixed_reason(scene: Scene, features: Features) -> str:

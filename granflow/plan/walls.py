@@ -97,6 +97,12 @@ def wall_change_times(scene: Scene) -> tuple[float, ...]:
     return tuple(sorted(times))
 
 
+def loaded_areas(scene: Scene) -> dict[str, float | None]:
+    """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
+    shapes = {name: shape_of(scene.walls[name]) for name in scene.loaded_walls}
+    return {name: shape.kind.area(shape.parameters) for name, shape in shapes.items()}
+
+
 def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
     """Largest speed [m/s] at which the geometry of any wall can move within the domain."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}

@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import METER_QUANTITIES
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
+from granflow.scene.analysis import MOST_CELLS
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, RectangleFace
-from granflow.scene.schema import Scene, Stage, Wall
+from granflow.scene.places import Box, BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, RectangleFace
+from granflow.scene.schema import Domain, Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
@@ -296,6 +297,52 @@ def _meters(draft: Draft) -> Iterator[Finding]:
             yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
 
 
+def _grids(draft: Draft) -> Iterator[Finding]:
+    """Fields with no more cells than memory holds, in stages that exist."""
+    stages = [stage.name for stage in draft.scene.stages]
+    for name, grid in draft.scene.output.fields.items():
+        if (grid.cell is None) != (grid.cells is None):
+            count = math.prod(grid.counts_in(draft.scene.domain))
+            if count > MOST_CELLS:
+                key = "cell" if grid.cells is None else "cells"
+                reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
+                yield ("output", "fields", name, key), Fault((), reason)
+        if grid.region is not None:
+            yield from _across(draft.scene.domain, ("output", "fields", name, "region"), grid.region)
+        for index, stage in enumerate(grid.stages or ()):
+            if stage not in stages:
+                yield _unknown(("output", "fields", name, "stages", index), stage, stages, "stage")
+
+
+def _across(domain: Domain, path: KeyPath, region: Box) -> Iterator[Finding]:
+    """A region of cells that reaches across the domain where that is periodic."""
+    for axis in domain.periodic:
+        k = _AXES.index(axis)
+        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
+
+
+def _loads(draft: Draft) -> Iterator[Finding]:
+    """Loads of walls that exist, expectations of loads that are measured, pressures where there is an area."""
+    asked, known = draft.scene.output.loads, draft.names("walls")
+    measured = known if asked is True else asked or ()
+    for index, name in enumerate(() if isinstance(asked, bool) else asked):
+        if name not in known:
+            yield _unknown(("output", "loads", index), name, known, "wall")
+    for index, expectation in enumerate(draft.scene.expect):
+        quantity, dot, wall = expectation.quantity.partition(".")
+        path: KeyPath = ("expect", index, "quantity")
+        if not dot or quantity not in LOAD_QUANTITIES:
+            continue
+        if wall not in known:
+            yield _unknown(path, wall, known, "wall")
+        elif wall not in measured:
+            yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
+        elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
+            yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")
+
+
 _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _materials),
     ((), _some_particles),
@@ -309,4 +356,6 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("gravity",), _gamma),
     (("domain",), _regions),
     (("output", "expect"), _meters),
+    (("output", "stages", "domain"), _grids),
+    (("output", "expect"), _loads),
 )

@@ -178,8 +178,16 @@ def couple(meaning: str) -> BeforeValidator:
     return BeforeValidator(read)
 
 
+def _flag_or_names(value: Any) -> Any:
+    names = tuple(value) if isinstance(value, list | tuple) else ()
+    if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
+        return value if isinstance(value, bool) else names
+    raise but("true, false or a list of names is asked here, such as [floor, lid]")
+
+
 Text = Annotated[str, BeforeValidator(_text)]
 Flag = Annotated[bool, BeforeValidator(_flag)]
+FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
 Name = Annotated[str, AfterValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
 PairName = Annotated[
     str, AfterValidator(_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
@@ -190,6 +198,7 @@ Plain = Annotated[float, Number()]
 NotNegative = Annotated[float, Number(at_least=0)]
 Positive = Annotated[float, Number(above=0)]
 Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
+Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_three)]
 GrainCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 Length = Annotated[float, Number("length", scaling=1)]

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from granflow.scene.analysis import FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -20,6 +21,7 @@ from granflow.scene.fields import (
     Energy,
     Fault,
     Flag,
+    FlagOrNames,
     Model,
     Name,
     NotNegative,
@@ -91,6 +93,7 @@ __all__ = [
     "DiscFace",
     "Domain",
     "Expectation",
+    "FieldGrid",
     "FromFile",
     "Group",
     "Inlet",
@@ -225,7 +228,11 @@ class Output(Model):
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy: Flag = Field(False, description="keep the energy ledger")
+    loads: FlagOrNames = Field(
+        False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
+    )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
@@ -312,6 +319,12 @@ class Scene(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    @property
+    def loaded_walls(self) -> tuple[str, ...]:
+        """Names of the walls whose loads are measured, in the order of the walls."""
+        asked = self.output.loads
+        return tuple(name for name in self.walls if asked is True or (asked and name in asked))
 
     def pair(self, first: str, second: str) -> Pair:
         """The pair of two materials, named in either order. Raises KeyError where the scene has none."""

@@ -47,12 +47,17 @@ class WallClock:
         self.output, self._before = kept["output_seconds"], kept["wall_clock"]
 
 
+Readings = Mapping[str, Mapping[str, float]]
+"""Numbers by quantity of every meter, or wall, by name."""
+
+
 def outcome(
     engine: Engine,
     wall_clock: WallClock,
     totals: Mapping[str, float],
-    meters: Mapping[str, Mapping[str, float]],
-    feeds: Mapping[str, Mapping[str, float]],
+    meters: Readings,
+    loads: Readings,
+    feeds: Readings,
 ) -> Result:
     """The numbers of a run, not yet held to what was expected."""
     timing = engine.timing
@@ -73,7 +78,7 @@ def outcome(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    return Result(run=run, seconds=seconds, totals=totals, meters=meters, feeds=feeds)
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads, feeds=feeds)
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:

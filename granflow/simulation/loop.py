@@ -43,7 +43,7 @@ from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
 from granflow.scene.schema import Stage
 from granflow.scene.settle import settled
-from granflow.simulation.account import WallClock, log_plan, outcome
+from granflow.simulation.account import Readings, WallClock, log_plan, outcome
 from granflow.simulation.course import REST_LOOKS, Course
 from granflow.simulation.feeds import Feeds
 from granflow.snapshot import Snapshot
@@ -148,7 +148,7 @@ class Simulation:
                 self._run_stage(stage, end)
         self._save()
         last = self._show_to(self._observers, TOTALS)
-        result = outcome(self.engine, self._wall_clock, last.totals, self._meters(), self._feeds.results())
+        result = outcome(self.engine, self._wall_clock, last.totals, *self._readings(), self._feeds.results())
         if self.time < end or until is None:
             result = result.held_to(self.scene.expect)
         self._log_end()
@@ -184,10 +184,10 @@ class Simulation:
                 if isinstance(observer, Keepable):
                     observer.cut_back()
 
-    def _meters(self) -> dict[str, dict[str, float]]:
-        """What the flow meters counted."""
+    def _readings(self) -> tuple[Readings, Readings]:
+        """What the flow meters counted, and the loads on the walls."""
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
-        return series[0].results() if series else {}
+        return (series[0].results(), series[0].load_results()) if series else ({}, {})
 
     def _own_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
@@ -196,7 +196,7 @@ class Simulation:
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.meters:
+        elif self.scene.output.meters or self.scene.loaded_walls:
             found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))

@@ -134,6 +134,7 @@ HALF_SPACE = ShapeKind(
     reference_closest=reference_closest_on_half_space,
     triangles=half_space_triangles,
     reach_about=half_space_reach,
+    area=lambda parameters: None,
 )
 
 RECTANGLE = ShapeKind(
@@ -150,6 +151,7 @@ RECTANGLE = ShapeKind(
     reference_closest=reference_closest_on_rectangle,
     triangles=rectangle_triangles,
     reach_about=rectangle_reach,
+    area=lambda parameters: float(parameters[12] * parameters[13]),
 )
 
 

@@ -163,6 +163,12 @@ def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) 
     return 0.0 if is_parallel(own_axis, axis) and away <= 1e-9 * size else float(away + radius)
 
 
+def revolved_area(parameters: np.ndarray) -> float:
+    """Length of the segment times the way of its middle about the axis (Pappus) [m2]."""
+    start, end = profile(parameters)
+    return float(np.pi * (start[0] + end[0]) * parameters[7])
+
+
 REVOLVED = ShapeKind(
     name="revolved",
     parameter_names=(
@@ -177,6 +183,7 @@ REVOLVED = ShapeKind(
     reference_closest=reference_closest_on_revolved,
     triangles=revolved_triangles,
     reach_about=revolved_reach,
+    area=revolved_area,
 )
 
 

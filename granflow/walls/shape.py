@@ -29,6 +29,7 @@ class ShapeKind:
                        unbounded kinds show a square patch of half width `extent` about the foot of `center`.
     reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] from the axis of any
                        point of the surface, 0 where turning about the axis maps the surface onto itself.
+    area               (parameters) -> area [m2] of the surface, None where it has no end.
     """
 
     name: str
@@ -38,6 +39,7 @@ class ShapeKind:
     reference_closest: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     triangles: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
     reach_about: Callable[[np.ndarray, np.ndarray, np.ndarray], float]
+    area: Callable[[np.ndarray], float | None]
 
 
 @dataclass(frozen=True, eq=False)

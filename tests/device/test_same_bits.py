@@ -28,7 +28,7 @@ def busy_scene():
         {"lattice": lattice, "rain": rain}, walls=walls, rolling="epsd",
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
         gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 64},
-        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6},
+        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6}, output={"interval": 1.0, "loads": True},
     )  # fmt: skip
 
 
@@ -38,6 +38,7 @@ def fingerprint(threads, in_parallel, precision="f64"):
         stepper.ONE_WORKER = 0
     last, simulation = finished(busy_scene(), threads=threads, precision=precision)
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
+    digest.update(b"".join(each.tobytes() for each in last.impulses.values()))
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.search_count)
     return [digest.hexdigest(), *counts]
 

@@ -44,6 +44,8 @@ def test_every_feature_has_its_reason(tmp_path):
         (("friction: 0,", "friction: 0.4,"), "rotation", "on", "friction or rolling turns the particles", None),
         (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),
         (("interval: 10 ms", "interval: 10 ms\n  energy: true"), "ledger", "on", "output.energy is on", "energy"),
+        ((), "loads", "off", "output.loads asks for no wall", "output:"),
+        (("interval: 10 ms", "interval: 10 ms\n  loads: true"), "loads", "on", "output.loads asks for floor", "loads"),
         ((FLOOR, SHAKEN), "moving_walls", "on", "walls.floor moves", "floor"),
         (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz law reaches", "normal"),
         (
