@@ -12,6 +12,7 @@ from granflow.errors import GranflowError
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
+    *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
 )
 """What a run writes into its directory, as patterns: tells an earlier run from other files."""
 
