@@ -115,7 +115,8 @@ def _time_rows(result: Result) -> list[tuple[str, str, str]]:
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
-    return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
+    names += [name for name in result.totals if "." in name]
+    return [(_words(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:

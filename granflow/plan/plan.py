@@ -21,6 +21,7 @@ from granflow.laws.material import (
 from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
+from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range
 from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
@@ -144,6 +145,11 @@ class Plan:
     def border(self) -> Border:
         """Periodic faces of the domain."""
         return Border.of(self.scene.domain)
+
+    @cached_property
+    def drains(self) -> tuple[Drain, ...]:
+        """The outlets in plain numbers."""
+        return drains_of(self.scene)
 
     @cached_property
     def domain_low(self) -> np.ndarray:

@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
+from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
 from granflow.scene.analysis import MOST_CELLS
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.places import Box, BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, RectangleFace
+from granflow.scene.places import Box, BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
 from granflow.scene.schema import Domain, Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
@@ -22,7 +22,9 @@ SEVERAL = 2
 Finding = tuple[KeyPath, Fault]
 Check = Callable[[Draft], Iterator[Finding]]
 _AXES = "xyz"
-_MOST = {"materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "stages": 1000, "expect": 1000}
+_MOST = {
+    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
+}  # fmt: skip
 """Entries of a section: what is worked out for every two of them must stay quick."""
 
 
@@ -288,13 +290,22 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
     return low, high  # type: ignore[return-value]
 
 
-def _meters(draft: Draft) -> Iterator[Finding]:
-    """Expectations of flow meters that exist."""
-    meters = draft.scene.output.meters
+def _parts(draft: Draft) -> Iterator[Finding]:
+    """Expectations of flow meters, outlets and groups that exist."""
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (METER_QUANTITIES, draft.scene.output.meters, "meter"),
+        (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
+        (FEED_QUANTITIES, _coming_in(draft), "stream"),
+    )
     for index, expectation in enumerate(draft.scene.expect):
-        quantity, dot, meter = expectation.quantity.partition(".")
-        if dot and quantity in METER_QUANTITIES and meter not in meters:
-            yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
+        quantity, dot, part = expectation.quantity.partition(".")
+        for quantities, names, kind in known if dot else ():
+            if quantity in quantities and part not in names:
+                yield _unknown(("expect", index, "quantity"), part, names, kind)
+
+
+def _coming_in(draft: Draft) -> list[str]:
+    return [name for name, group in draft.scene.particles.items() if isinstance(group.place, Rain | Inlet)]
 
 
 def _grids(draft: Draft) -> Iterator[Finding]:
@@ -355,7 +366,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("stages", "run"), _duration),
     (("gravity",), _gamma),
     (("domain",), _regions),
-    (("output", "expect"), _meters),
+    (("output", "expect"), _parts),
     (("output", "stages", "domain"), _grids),
     (("output", "expect"), _loads),
 )

@@ -51,6 +51,7 @@ from granflow.scene.matter import (
     Pair,
     RestitutionFit,
 )
+from granflow.scene.outlets import BeyondOutlet, BoxOutlet, Outlet
 from granflow.scene.places import (
     Box,
     BoxRegion,
@@ -81,7 +82,9 @@ from granflow.scene.writer import to_yaml
 
 __all__ = [
     "AnyWall",
+    "BeyondOutlet",
     "Box",
+    "BoxOutlet",
     "BoxRegion",
     "Checkpoints",
     "ClassSizes",
@@ -282,6 +285,7 @@ class Scene(Model):
     start_from: Text | None = Field(
         None, description="directory of an earlier run, whose last particles stand in for those of groups named alike"
     )
+    outlets: dict[Name, Outlet] = Field({}, description="where particles are deleted and counted, by name")
     domain: Domain = Field(description="the box that is simulated")
     stages: Annotated[tuple[Stage, ...], listing()] = Field((), description="parts of the run, in order")
     run: Run = Field(Run(), description="how long and how finely to compute")
