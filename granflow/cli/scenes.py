@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn([*simulation.scene.remarks, *simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
+        warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -59,7 +59,10 @@ def check(options: argparse.Namespace) -> int:
 
     plan = plan_for(scene)
     refuse_too_many(plan)
-    warn([*scene.remarks, *plan.step.warnings, *filter(None, [memory_warning(plan)])])
+    warn([*plan.warnings, *filter(None, [memory_warning(plan)])])
+    for note in plan.mesh_notes:
+        if not note.warning:
+            print(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
         print(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0

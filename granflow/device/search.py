@@ -12,6 +12,7 @@ from granflow.device.apart import build_apart
 from granflow.device.fixed import build_can_meet
 from granflow.device.grid import build_cell_number
 from granflow.device.leaving import build_stays
+from granflow.device.mesh import build_mesh_geometry
 from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 from granflow.plan.slots import BOUNDS
@@ -260,7 +261,8 @@ def build_rows(state: State) -> Callable[..., None]:
     wall_count, remembers, stride = len(plan.walls), bool(contacts.history), state.stride
     number, place, apart = build_cell_number(), build_place(state), build_apart(state)
     around, meant = build_around(state)
-    geometry = build_wall_geometry(state)
+    geometry, has_mesh = build_wall_geometry(state), plan.features.mesh_walls
+    mesh = build_mesh_geometry(state) if has_mesh else None
     recall = build_recall(state) if remembers else None
     can_meet = build_can_meet(state)
 
@@ -274,11 +276,24 @@ def build_rows(state: State) -> Callable[..., None]:
 
     @ti.func
     def near_walls(chunk, slot, i, skin, pose):
-        filled = slot
+        filled, reach = slot, particles.radius[i] + skin
         for w in range(wall_count):
             if state.walls.present[w] == 1 and can_meet(i, -1 - w):
-                if geometry.distance(w, pose, particles.position[i]) < particles.radius[i] + skin:
+                if ti.static(has_mesh):
+                    filled = near_triangles(chunk, filled, i, w, skin, pose)
+                if geometry.distance(w, pose, particles.position[i]) < reach:
                     filled = append(chunk, filled, i, -1 - w)
+        return filled
+
+    @ti.func
+    def near_triangles(chunk, slot, i, w, skin, pose):
+        filled, reach = slot, particles.radius[i] + skin
+        local = geometry.to_rest(w, pose, particles.position[i])
+        begin, end = mesh.cell(w, local)
+        for k in range(begin, end):
+            t = state.mesh.listed[k]
+            if mesh.may_answer(t, local, skin) == 1 and mesh.away(t, local).norm() < reach:
+                filled = append(chunk, filled, i, -1 - wall_count - t)
         return filled
 
     @ti.func

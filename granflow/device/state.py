@@ -9,11 +9,12 @@ import taichi as ti
 from granflow.device.backend import Backend
 from granflow.device.clock import Clock
 from granflow.device.guards import NO_PARTICLE
+from granflow.device.mesh_fields import MeshFields
 from granflow.plan import Plan
 from granflow.plan.slots import BOUNDS, kept_slots
-from granflow.walls.catalogue import kind_code
+from granflow.walls.catalogue import surface_code
 from granflow.walls.motion import Motion
-from granflow.walls.shape import PARAMETER_COUNT
+from granflow.walls.shape import PARAMETER_COUNT, Shape
 
 CPU_STRIDE = 512
 """Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
@@ -208,9 +209,10 @@ class Walls:
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
         for index, wall in enumerate(plan.walls):
-            self.kind[index] = kind_code(wall.shape.kind)
-            self.parameters[index] = wall.shape.parameters.tolist()
+            self.kind[index] = surface_code(wall.shape)
             self.material[index] = wall.material
+            if isinstance(wall.shape, Shape):
+                self.parameters[index] = wall.shape.parameters.tolist()
             if self.load_row is not None:
                 loaded = plan.scene.loaded_walls
                 self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
@@ -262,6 +264,8 @@ class State:
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self._allocate(plan.slots_per_chunk)
         self.walls.fill(plan)
+        if self.mesh is not None:
+            self.mesh.fill(plan)
         self.control.fill(plan)
 
     def _allocate(self, slots_per_chunk: int) -> None:
@@ -273,6 +277,7 @@ class State:
         self.batch: Any = Batch(block, plan, backend, slots_per_chunk) if batched else None
         self.sorting = Sorting(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
+        self.mesh: Any = MeshFields(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
 

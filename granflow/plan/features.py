@@ -17,6 +17,7 @@ class Features:
     adhesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
+    mesh_walls: bool
     one_material: bool
     ledger: bool
     loads: bool
@@ -50,6 +51,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         adhesion=adhesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
+        mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
         loads=bool(scene.loaded_walls),
@@ -75,6 +77,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "adhesion": _adhesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
+        "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "loads": _loads_reason(scene, features),
@@ -134,6 +137,13 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _mesh_reason(scene: Scene, features: Features) -> str:
+    if not features.mesh_walls:
+        return "no wall is a mesh"
+    name = next(name for name, wall in scene.walls.items() if wall.shape == "mesh")
+    return f"walls.{name} is one ({scene.where('walls', name, 'shape')})"
 
 
 def _loads_reason(scene: Scene, features: Features) -> str:

@@ -21,15 +21,18 @@ from granflow.laws.material import (
 from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
+from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range
-from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
+from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
 from granflow.scene.border import Border
 from granflow.scene.schema import Group, RestitutionFit
+from granflow.walls.mesh import Mesh
+from granflow.walls.mesh_grid import MeshGrid, grid_over
 
 FEW_PARTICLES = 64
 """Up to so many particles each is a chunk of its own: what that costs in time it saves in compiling, twice over."""
@@ -122,8 +125,10 @@ class Plan:
     def slots_per_chunk(self) -> int:
         """First guess of contact slots in one chunk."""
         share = slots_per_particle(self.particle_capacity, self.skin / self.radius_min)
+        at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
         if self.chunk_size == 1:
-            return int(2.0 * share) + SPARE_IN_A_ROW
+            return int(2.0 * share + at_meshes) + SPARE_IN_A_ROW
+        share += SHARE_AT_MESHES * at_meshes
         return int(share * min(self.chunk_size, self.particle_capacity)) + 16
 
     @property
@@ -140,6 +145,33 @@ class Plan:
     def overlap_limit(self) -> float:
         """Overlap over radius at which the guard stops the run."""
         return self.scene.numerics.overlap_limit
+
+    @cached_property
+    def meshes(self) -> dict[int, Mesh]:
+        """The mesh walls by their index among the walls."""
+        return {index: wall.shape for index, wall in enumerate(self.walls) if isinstance(wall.shape, Mesh)}
+
+    @cached_property
+    def mesh_grids(self) -> dict[int, MeshGrid]:
+        """The grid of every mesh wall by its index among the walls."""
+        reach = self.radius_max + self.skin
+        return {index: grid_over(mesh.links.vertex, reach) for index, mesh in self.meshes.items()}
+
+    def first_triangle(self, index: int) -> int:
+        """Number of the first triangle of a mesh wall, counted over all meshes."""
+        return sum(mesh.triangle_count for before, mesh in self.meshes.items() if before < index)
+
+    @cached_property
+    def mesh_notes(self) -> tuple[MeshNote, ...]:
+        """What a user should know of the mesh walls."""
+        named = {self.walls[index].name: mesh for index, mesh in self.meshes.items()}
+        return tuple(n for name, mesh in named.items() for n in notes_on(self.scene, name, mesh, 2.0 * self.radius_min))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences to show before a run."""
+        meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
+        return self.scene.remarks + self.step.warnings + meshes
 
     @cached_property
     def border(self) -> Border:

@@ -31,7 +31,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """
     scene = scene_in(_document(Path(path)), overrides)
     scene._path, scene._folder = Path(path), Path(path).parent
-    scene = settled(scene)
+    scene = settled(scene, read=True)
     if scene.start_from is not None:
         scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
     return scene

@@ -27,24 +27,36 @@ ALMOST = 1e-9
 """Share of a particle that is taken for rounding where a stream ends."""
 
 
-def settled(scene: Scene) -> Scene:
-    """The scene with every count, at size 1. Raises SceneError."""
+def settled(scene: Scene, read: bool = False) -> Scene:
+    """The scene with every count, at size 1. Raises SceneError.
+
+    `read`: have files of particles read again of which is said already what they hold, where they are there.
+    """
     scene, remarks = _at_size_1(scene)
     groups: dict[str, Group] = {}
     problems: list[str] = []
     for name in scene.particles:
-        settle = _with_rows if scene.particles[name].place.kind == "file" else _with_count
         try:
-            groups[name], said = settle(scene, name)
+            groups[name], said = _settled_group(scene, name, read)
             remarks += said
         except SceneError as error:
             problems += error.problems
-    problems += [] if problems else unclaimed(scene)
+    problems += [] if problems or not read else unclaimed(scene)
     if problems:
         raise SceneError(problems)
     found = scene.model_copy(update={"particles": groups})
     found._remarks = (*scene.remarks, *remarks)
     return found
+
+
+def _settled_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[str]]:
+    """One group with its count, and what is to be said of it."""
+    group, place = scene.particles[name], scene.particles[name].place
+    if not isinstance(place, FromFile):
+        return _with_count(scene, name), []
+    if place.found is not None and not (read and (scene.folder / place.file).exists()):
+        return group, []
+    return _with_rows(scene, name, place)
 
 
 def _at_size_1(scene: Scene) -> tuple[Scene, list[str]]:
@@ -104,7 +116,7 @@ def _power(field: FieldInfo) -> int:
     return max((*powers(field.annotation), *(each for meta in field.metadata for each in powers(meta))), default=0)
 
 
-def _with_count(scene: Scene, name: str) -> tuple[Group, list[str]]:
+def _with_count(scene: Scene, name: str) -> Group:
     """A group that states a count, a mass or an end, with the least of the counts that come of them."""
     group = scene.particles[name]
     counts = {key: count for key, count in _counts(scene, name)}
@@ -115,7 +127,7 @@ def _with_count(scene: Scene, name: str) -> tuple[Group, list[str]]:
             f"{scene.place(*path)}: {'.'.join(path)} makes {float(counts[key]):.3g} particles, but at most "
             f"{LARGEST_COUNT} can be numbered."
         )
-    return group.model_copy(update={"count_asked": counts[key], "mass": None}), []
+    return group.model_copy(update={"count_asked": counts[key], "mass": None})
 
 
 def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
@@ -139,13 +151,9 @@ def _count_of_mass(scene: Scene, name: str, mass: float) -> int:
     return count_for_volume(group.sizes, 6.0 / pi * mass / density, lambda: random_for(scene, name))
 
 
-def _with_rows(scene: Scene, name: str) -> tuple[Group, list[str]]:
-    """A group from a file, with what the file holds; as it was found before where the file is gone."""
+def _with_rows(scene: Scene, name: str, place: FromFile) -> tuple[Group, list[str]]:
+    """A group from a file, with what the file holds."""
     group = scene.particles[name]
-    place = group.place
-    assert isinstance(place, FromFile)
-    if place.found is not None and not (scene.folder / place.file).exists():
-        return group, []
     rows = rows_of(scene, name)
     problems = [*_misfits(scene, name, rows)]
     if problems:

@@ -89,7 +89,7 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
     log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
     for line in explain(plan).splitlines():
         log.info("%s", line)
-    for warning in (*plan.scene.remarks, *plan.step.warnings):
+    for warning in plan.warnings:
         log.warning("%s", warning)
     if resumed is not None:
         log.info("goes on from %s at %.6g s", resumed.path, engine.time)

@@ -24,6 +24,7 @@ from granflow.observe import (
     Result,
     TimeSeries,
     accepted_change,
+    copy_inputs,
     decided,
     earlier_grains,
     locked,
@@ -177,6 +178,7 @@ class Simulation:
         """Leave of an earlier run only what this one goes on from."""
         remove_parts(out)
         remove_after(out, self._resumed.path if self._resumed else None)
+        copy_inputs(out, self.scene)
         write_scene_as_run(out, self.scene)
         if self._resumed is not None:
             (out / "result.json").unlink(missing_ok=True)

@@ -47,7 +47,9 @@ RESULT = {
     "totals": {"particle_count": 2, "energy_error": 1e-4},
     "meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
     "expect": [{"sentence": "it is 1, as expected.", "met": True}, {"sentence": "it is <2>.", "met": False}],
+    "loads": {"lid": {"wall_force": 7.5}},
     "packing": {"solid_fraction": 0.62, "not_known": None},
+    "feeds": {"beads": {"came_count": 40321, "missing_count": 0}},
 }
 
 
@@ -77,7 +79,15 @@ def test_the_page_says_all_of_a_run_that_is_done(run):
     text = text_of(run)
     for words in (
         *("The run is done.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
-        *("Two <beads> (two.yaml)", "every pair has friction 0", "granflow 0.1.0, taichi 1.7.4", "solid fraction"),
+        *(
+            "Two <beads> (two.yaml)",
+            "every pair has friction 0",
+            "granflow 0.1.0, taichi 1.7.4",
+            "solid fraction",
+            "40 321",
+            "wall force (N)",
+            "7.5",
+        ),
         *("not a scene: at all", "This version cannot read it", "Zero throughout: idle", "it burst\nat the seams"),
     ):
         assert words in text, words

@@ -8,7 +8,7 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.observe.report import readable
 from granflow.plan import explain, plan_for
-from granflow.quantities import METER_QUANTITIES, TOTAL_QUANTITIES, unit_of
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES, unit_of
 from granflow.study.page import Code, Part, Section, Table
 from granflow.study.report.log import complaints, explanation
 from granflow.study.report.plots import plot_of
@@ -16,6 +16,14 @@ from granflow.study.report.record import Record
 from granflow.study.report.series import Column, groups_of
 
 NO_LIBRARY = "Plots need plotly, which is not installed: pip install granflow[plot], then granflow report again."
+TOPICS = {"Flow": METER_QUANTITIES, "Loads": LOAD_QUANTITIES}
+SECTIONS = {"Flow": "meters", "Loads": "loads"}
+"""Of result.json."""
+
+CAPTIONS = {
+    "Flow": "Flow meters at the end; the mass flow is that of the steady part.",
+    "Loads": "What the grains press the walls with: means over the run, and the largest of a row.",
+}
 PLAN = "What was computed, and why"
 BAR_STEPS = 30
 """Blocks of the bar that stands for the whole run."""
@@ -82,9 +90,8 @@ def is_idle(column: Column) -> bool:
 def topic_of(column: Column) -> str:
     """The section where a column is shown."""
     quantity, _, part = column.name.partition(".")
-    if part and quantity in METER_QUANTITIES:
-        return "Flow"
-    return "Energies" if column.unit == "J" or quantity.startswith("energy") else "Over time"
+    topics = (name for name, quantities in TOPICS.items() if part and quantity in quantities)
+    return next(topics, "Energies" if column.unit == "J" or quantity.startswith("energy") else "Over time")
 
 
 def course(record: Record, with_plots: bool) -> list[Section]:
@@ -92,11 +99,13 @@ def course(record: Record, with_plots: bool) -> list[Section]:
     series = record.series
     if series is None:
         return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
-    idle = [column for column in series.columns if is_idle(column)]
-    silent = [f"Zero throughout: {', '.join(column.words for column in idle)}."] if idle else []
+    idle = [column.words for column in series.columns if is_idle(column)]
+    parts_of: dict[str, list[Part]] = {topic: _readings(record, topic) for topic in TOPICS}
+    parts_of["Energies"] = _ledger(record)
+    parts_of["Over time"] = [f"Zero throughout: {', '.join(idle)}."] if idle else []
     found = []
-    for topic, parts in (("Flow", _meters(record)), ("Energies", _ledger(record)), ("Over time", silent)):
-        columns = [column for column in series.columns if topic_of(column) == topic and column not in idle]
+    for topic, parts in parts_of.items():
+        columns = [column for column in series.columns if topic_of(column) == topic and not is_idle(column)]
         if columns and not with_plots:
             parts = [*parts, NO_LIBRARY]
         plots = [plot_of(group, series) for group in groups_of(columns)] if with_plots else []
@@ -105,25 +114,27 @@ def course(record: Record, with_plots: bool) -> list[Section]:
     return found
 
 
-def _meters(record: Record) -> list[Part]:
-    """The readings of the flow meters at the end; from the last row where there is no result."""
-    readings: Mapping[str, Mapping[str, Any]] = record.result.get("meters", {})
+def _readings(record: Record, topic: str) -> list[Part]:
+    """The readings of meters or walls at the end; from the last row where there is no result."""
+    readings = record.result.get(SECTIONS[topic], {})
     if not readings and record.series is not None:
-        readings = _last_readings(record.series.columns)
-    if not readings:
-        return []
-    quantities = list(dict.fromkeys(name for numbers in readings.values() for name in numbers))
-    heads = ["meter", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in quantities)]
-    rows = [[meter, *(_shown(numbers.get(name)) for name in quantities)] for meter, numbers in readings.items()]
-    return [Table("Flow meters at the end; the mass flow is that of the steady part.", heads, rows)]
+        readings = _last_readings(record.series.columns, topic)
+    return [table_of(CAPTIONS[topic], readings)] if readings else []
 
 
-def _last_readings(columns: Sequence[Column]) -> dict[str, dict[str, float]]:
+def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+    """A row for each part, such as a meter or a wall, and a column for each of its numbers."""
+    names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
+    heads = ["", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in names)]
+    return Table(caption, heads, [[part, *(_shown(each.get(name)) for name in names)] for part, each in parts.items()])
+
+
+def _last_readings(columns: Sequence[Column], topic: str) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for column in columns:
-        quantity, _, meter = column.name.partition(".")
-        if meter and quantity in METER_QUANTITIES:
-            found.setdefault(meter, {})[quantity] = float(column.values[-1])
+        quantity, _, part = column.name.partition(".")
+        if topic_of(column) == topic:
+            found.setdefault(part, {})[quantity] = float(column.values[-1])
     return found
 
 
@@ -203,16 +214,17 @@ def machine(record: Record) -> Section | None:
 
 def others(record: Record) -> Section | None:
     """Numbers of the result that have no section of their own."""
-    shown = ("run", "seconds", "meters", "expect")
-    rows = [
-        (name.replace("_", " "), _shown(number), unit_of(name), section)
-        for section, numbers in record.result.items()
-        if section not in shown and isinstance(numbers, Mapping)
-        for name, number in numbers.items()
-    ]
-    return (
-        Section("All numbers at the end", [Table("From result.json.", ("", "", "", "section"), rows)]) if rows else None
-    )
+    elsewhere = ("run", "seconds", "expect", *SECTIONS.values())
+    parts: list[Part] = []
+    for name, numbers in record.result.items():
+        if name in elsewhere or not isinstance(numbers, Mapping) or not numbers:
+            continue
+        if all(isinstance(each, Mapping) for each in numbers.values()):
+            parts.append(table_of(f"{name} in result.json", numbers))
+        else:
+            rows = [(each.replace("_", " "), _shown(number), unit_of(each)) for each, number in numbers.items()]
+            parts.append(Table(f"{name} in result.json", ("", "", ""), rows))
+    return Section("All numbers at the end", parts) if parts else None
 
 
 def _shown(number: Any) -> str:

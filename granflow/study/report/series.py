@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ def groups_of(columns: Sequence[Column]) -> list[Group]:
     kinds: dict[tuple[str, str], list[Column]] = {}
     for column in columns:
         kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
-    return [Group(_title(kind, members), unit, tuple(members)) for (unit, kind), members in kinds.items()]
+    return [Group(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
 
 
 def _kind(column: Column, columns: Sequence[Column]) -> str:
@@ -102,8 +103,20 @@ def _kind(column: Column, columns: Sequence[Column]) -> str:
     return quantity
 
 
-def _title(kind: str, members: Sequence[Column]) -> str:
-    return members[0].words if len(members) == 1 else kind.replace("_", " ")
+def _title(members: Sequence[Column]) -> str:
+    """The words that the quantities begin with, or else end with."""
+    if len(members) == 1:
+        return members[0].words
+    words = [column.name.partition(".")[0].split("_") for column in members]
+    begin = _shared(words)
+    end = _shared([list(reversed(each)) for each in words])
+    return " ".join(begin or reversed(end))
+
+
+def _shared(words: Sequence[Sequence[str]]) -> list[str]:
+    """The words that all lists begin with."""
+    columns = takewhile(lambda each: len(set(each)) == 1, zip(*words, strict=False))
+    return [each[0] for each in columns]
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
