@@ -117,9 +117,10 @@ def course(record: Record, with_plots: bool) -> list[Section]:
 def _readings(record: Record, topic: str) -> list[Part]:
     """The readings of meters or walls at the end; from the last row where there is no result."""
     readings = record.result.get(SECTIONS[topic], {})
-    if not readings and record.series is not None:
-        readings = _last_readings(record.series.columns, topic)
-    return [table_of(CAPTIONS[topic], readings)] if readings else []
+    if readings:
+        return [table_of(CAPTIONS[topic], readings)]
+    readings = _last_readings(record.series.columns, topic) if record.series is not None else {}
+    return [table_of("The last row of timeseries.csv.", readings)] if readings else []
 
 
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
