@@ -172,7 +172,7 @@ class Group(Model):
     @classmethod
     def _count_rows(cls, given: Any) -> Any:
         """Fill in the count from a list of positions."""
-        if not isinstance(given, dict) or "count" in given:
+        if not isinstance(given, dict) or given.keys() & {"count", "count_asked"}:
             return given
         place = given.get("place")
         positions = place.get("positions") if isinstance(place, dict) else getattr(place, "positions", None)
