@@ -177,6 +177,29 @@ LOAD_QUANTITIES = _by_name(
     )
 )
 
+_READ_INDICES = (
+    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 mixed at random"),
+    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+    Quantity("angle_of_repose_error", "", "rad", "its standard error"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers and their contacts"),
+    Quantity("rattler_share", "", "1", "share of particles with no contact or one"),
+    Quantity("fabric_anisotropy", "a", "1", "size of the deviator of the fabric tensor, 0 to 1"),
+    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+    Quantity("fabric_yy", "Fyy", "1", "of their y component"),
+    Quantity("fabric_zz", "Fzz", "1", "of their z component"),
+)
+
+INDEX_QUANTITIES = _by_name(
+    (
+        *_READ_INDICES,
+        *(
+            replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean of the last stage's rows")
+            for each in _READ_INDICES
+        ),
+    )
+)
+
 RUN_QUANTITIES = _by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
@@ -194,6 +217,6 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **FEED_QUANTITIES, **OUTLET_QUANTITIES}
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **INDEX_QUANTITIES, **FEED_QUANTITIES, **OUTLET_QUANTITIES}
     known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

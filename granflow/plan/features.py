@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from granflow.plan.sizes import WIDE, diameter_range, size_classes
 from granflow.scene import Scene
 
 
@@ -26,6 +27,8 @@ class Features:
     """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
     outlets: bool
+    size_classes: str
+    """Number of classes of sizes that the search takes one by one, or "none"."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Reason:
 def features_of(scene: Scene, law_is_damped: bool) -> Features:
     """Decide every feature from the scene alone."""
     friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
-    rolling = scene.contact.rolling
+    rolling, classes = scene.contact.rolling, size_classes(scene)
     if not any(pair.rolling_friction for pair in scene.pairs.values()):
         rolling = "none"
     return Features(
@@ -59,6 +62,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
         outlets=bool(scene.outlets),
+        size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
 
@@ -87,6 +91,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
         "outlets": _outlets_reason(scene),
+        "size_classes": _sizes_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -166,6 +171,14 @@ def _fixed_reason(scene: Scene, features: Features) -> str:
 def _step_reason(scene: Scene) -> str:
     how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
     return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
+
+
+def _sizes_reason(scene: Scene) -> str:
+    spans = [diameter_range(group) for group in scene.particles.values()]
+    ratio = max(high for _, high in spans) / min(low for low, _ in spans)
+    if ratio < WIDE:
+        return f"the largest particles are less than {WIDE:g} times as wide as the smallest"
+    return f"the largest particles are {ratio:.3g} times as wide as the smallest ({scene.where('particles')})"
 
 
 def _material_reason(scene: Scene) -> str:

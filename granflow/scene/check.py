@@ -1,17 +1,18 @@
 """Checks between the parts of a scene: names that must exist, pairs that must be there, times, places."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
 from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
-from granflow.scene.analysis import MOST_CELLS
+from granflow.scene.check_analysis import expected_indices, field_grids, indices
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
+from granflow.scene.findings import Check, Finding, unknown
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.places import Box, BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
-from granflow.scene.schema import Domain, Plane, Scene, Stage, Wall
+from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
+from granflow.scene.schema import Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
@@ -19,8 +20,6 @@ from granflow.scene.words import problem_of
 SEVERAL = 2
 """Particles taken to be in a group whose count is not known yet: they can touch each other."""
 
-Finding = tuple[KeyPath, Fault]
-Check = Callable[[Draft], Iterator[Finding]]
 _AXES = "xyz"
 _MOST = {
     "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
@@ -48,21 +47,12 @@ def _crowds(draft: Draft) -> Iterator[Finding]:
             yield (section,), Fault((), f"has {found} entries, but a scene holds at most {most} of them", whole=True)
 
 
-def _unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Finding:
-    names = list(known)
-    near = nearest(name, names)
-    if near:
-        return path, Fault((), f"there is no such {kind}. Did you mean {near}?")
-    listed = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return path, Fault((), f"there is no such {kind}; {listed}")
-
-
 def _materials(draft: Draft) -> Iterator[Finding]:
     known = draft.names("materials")
     for section in ("walls", "particles"):
         for name, part in getattr(draft.scene, section).items():
             if part.material not in known:
-                yield _unknown((section, name, "material"), part.material, known, "material")
+                yield unknown((section, name, "material"), part.material, known, "material")
 
 
 def _some_particles(draft: Draft) -> Iterator[Finding]:
@@ -215,7 +205,7 @@ def _stage_names(draft: Draft) -> Iterator[Finding]:
                     continue
                 place = ("walls", wall_name, *path, "stages", index)
                 if draft.scene.stages:
-                    yield _unknown(place, name, names, "stage")
+                    yield unknown(place, name, names, "stage")
                 else:
                     yield place, Fault((), "the scene has no stages; give times instead of stages")
 
@@ -301,37 +291,11 @@ def _parts(draft: Draft) -> Iterator[Finding]:
         quantity, dot, part = expectation.quantity.partition(".")
         for quantities, names, kind in known if dot else ():
             if quantity in quantities and part not in names:
-                yield _unknown(("expect", index, "quantity"), part, names, kind)
+                yield unknown(("expect", index, "quantity"), part, names, kind)
 
 
 def _coming_in(draft: Draft) -> list[str]:
     return [name for name, group in draft.scene.particles.items() if isinstance(group.place, Rain | Inlet)]
-
-
-def _grids(draft: Draft) -> Iterator[Finding]:
-    """Fields with no more cells than memory holds, in stages that exist."""
-    stages = [stage.name for stage in draft.scene.stages]
-    for name, grid in draft.scene.output.fields.items():
-        if (grid.cell is None) != (grid.cells is None):
-            count = math.prod(grid.counts_in(draft.scene.domain))
-            if count > MOST_CELLS:
-                key = "cell" if grid.cells is None else "cells"
-                reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
-                yield ("output", "fields", name, key), Fault((), reason)
-        if grid.region is not None:
-            yield from _across(draft.scene.domain, ("output", "fields", name, "region"), grid.region)
-        for index, stage in enumerate(grid.stages or ()):
-            if stage not in stages:
-                yield _unknown(("output", "fields", name, "stages", index), stage, stages, "stage")
-
-
-def _across(domain: Domain, path: KeyPath, region: Box) -> Iterator[Finding]:
-    """A region of cells that reaches across the domain where that is periodic."""
-    for axis in domain.periodic:
-        k = _AXES.index(axis)
-        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
-            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
-            yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
 
 
 def _loads(draft: Draft) -> Iterator[Finding]:
@@ -340,14 +304,14 @@ def _loads(draft: Draft) -> Iterator[Finding]:
     measured = known if asked is True else asked or ()
     for index, name in enumerate(() if isinstance(asked, bool) else asked):
         if name not in known:
-            yield _unknown(("output", "loads", index), name, known, "wall")
+            yield unknown(("output", "loads", index), name, known, "wall")
     for index, expectation in enumerate(draft.scene.expect):
         quantity, dot, wall = expectation.quantity.partition(".")
         path: KeyPath = ("expect", index, "quantity")
         if not dot or quantity not in LOAD_QUANTITIES:
             continue
         if wall not in known:
-            yield _unknown(path, wall, known, "wall")
+            yield unknown(path, wall, known, "wall")
         elif wall not in measured:
             yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
         elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
@@ -367,6 +331,8 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("gravity",), _gamma),
     (("domain",), _regions),
     (("output", "expect"), _parts),
-    (("output", "stages", "domain"), _grids),
+    (("output", "stages", "domain"), field_grids),
+    (("output", "gravity", "domain"), indices),
+    (("output", "expect"), expected_indices),
     (("output", "expect"), _loads),
 )

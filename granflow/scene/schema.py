@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
-from granflow.scene.analysis import FieldGrid
+from granflow.scene.analysis import AnyIndex, FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -238,6 +238,7 @@ class Output(Model):
     )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
+    indices: dict[Name, AnyIndex] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 

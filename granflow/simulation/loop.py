@@ -2,7 +2,7 @@
 
 import logging
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from math import inf, isfinite
 from pathlib import Path
@@ -149,7 +149,8 @@ class Simulation:
                 self._run_stage(stage, end)
         self._save()
         last = self._show_to(self._observers, TOTALS)
-        result = outcome(self.engine, self._wall_clock, last.totals, *self._readings(), self._feeds.results())
+        readings = {**self._readings(), "feeds": self._feeds.results()}
+        result = outcome(self.engine, self._wall_clock, last.totals, readings)
         if self.time < end or until is None:
             result = result.held_to(self.scene.expect)
         self._log_end()
@@ -186,10 +187,10 @@ class Simulation:
                 if isinstance(observer, Keepable):
                     observer.cut_back()
 
-    def _readings(self) -> tuple[Readings, Readings]:
-        """What the flow meters counted, and the loads on the walls."""
+    def _readings(self) -> Mapping[str, Readings]:
+        """What the flow meters counted, the loads on the walls, and the indices."""
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
-        return (series[0].results(), series[0].load_results()) if series else ({}, {})
+        return series[0].all_results() if series else {}
 
     def _own_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
@@ -198,7 +199,7 @@ class Simulation:
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.meters or self.scene.loaded_walls:
+        elif self.scene.output.meters or self.scene.output.indices or self.scene.loaded_walls:
             found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))
