@@ -9,6 +9,7 @@ from typing import Any
 
 from granflow.cli.accuracy import add_accuracy
 from granflow.cli.arguments import add_scene_verb
+from granflow.cli.beverloo import add_beverloo
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import complain, exit_code_of, refuse
@@ -53,6 +54,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)
+    add_beverloo(verbs)
     add_paper(verbs)
     add_accuracy(verbs)
     add_compare(verbs)
