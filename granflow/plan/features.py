@@ -27,6 +27,7 @@ class Features:
     """Periodic axes, such as "x, y", or "none"."""
     shear: bool
     fixed_grains: bool
+    outlets: bool
     size_classes: str
     """Number of classes of sizes that the search takes one by one, or "none"."""
 
@@ -62,6 +63,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         periodic=", ".join(scene.domain.periodic) or "none",
         shear=scene.domain.shear is not None,
         fixed_grains=any(group.fixed for group in scene.particles.values()),
+        outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
@@ -91,6 +93,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         else "the domain has no periodic axes",
         "shear": _shear_reason(scene),
         "fixed_grains": _fixed_reason(scene, features),
+        "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
@@ -155,6 +158,10 @@ def _loads_reason(scene: Scene, features: Features) -> str:
     if not features.loads:
         return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
     return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
+
+
+def _outlets_reason(scene: Scene) -> str:
+    return f"{', '.join(scene.outlets)} ({scene.where('outlets')})" if scene.outlets else "the scene has no outlets"
 
 
 def _fixed_reason(scene: Scene, features: Features) -> str:

@@ -12,7 +12,7 @@ def shear(draft: Draft) -> Iterator[Finding]:
     scene = draft.scene
     if scene.domain.shear is None:
         return
-    there = ("list", "lattice", "pack")
+    there = ("list", "lattice", "pack", "file")
     others = {
         "walls": list(scene.walls),
         "particles that come later": [name for name, group in scene.particles.items() if group.place.kind not in there],

@@ -48,10 +48,7 @@ def test_a_collision_with_a_moving_image_is_one_without_a_border(taichi_f64):
 
 
 def test_nobody_can_tell_where_the_border_is(taichi_f64):
-    """The same gas a good third of the box higher up, in the frame that moves along with it there; v(y) stays linear.
-
-    Work of the border: what the ledger would miss by far without it.
-    """
+    """The same gas a good third of the box higher up, in the frame that moves along with it; v(y) stays linear."""
     height = 0.0137
     (low, simulation), (high, _) = finished(sheared_gas()), finished(sheared_gas(height))
     assert simulation.engine.timing.search_count > 20
@@ -65,18 +62,17 @@ def test_nobody_can_tell_where_the_border_is(taichi_f64):
     np.testing.assert_allclose(velocity, low.particles["velocity"], atol=1e-6)
     np.testing.assert_allclose(high.particles["spin"], low.particles["spin"], atol=1e-3)
     for totals in (low.totals, high.totals):
-        assert abs(totals["energy_error"]) < 2e-3
-        assert totals["border_work"] > 0.0
+        assert abs(totals["energy_error"]) < 1e-3
     slope = np.polyfit(low.particles["position"][:, 1], low.particles["velocity"][:, 0], 1)[0]
     assert slope == pytest.approx(RATE, rel=0.15)
 
 
-@pytest.mark.parametrize("largest", [0.0076, 0.0235])
-def test_rows_hold_the_near_pairs_of_moving_images(taichi_f64, largest):
+@pytest.mark.parametrize(("sizes", "classes"), [((0.0076, 0.0076), "none"), ((0.004, 0.016), "2")])
+def test_rows_hold_the_near_pairs_of_moving_images(taichi_f64, sizes, classes):
     """Against a search over all pairs, when images have moved; across the border the skin is double."""
     skin = 0.0005
-    simulation = begun(sheared_gas(sizes=(0.0076, largest)), step=2656)
-    assert simulation.plan.features.size_classes == ("none" if largest < 0.01 else "2")
+    simulation = begun(sheared_gas(sizes=sizes), step=2656)
+    assert simulation.plan.features.size_classes == classes
     there = simulation.engine.transfer.taken(("id", "position", "radius"))
     order = np.argsort(there["id"])
     position, radius = there["position"][order], there["radius"][order]
