@@ -116,8 +116,9 @@ TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
-        Quantity("deleted_count", "", "1", "particles that left the domain"),
-        Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain"),
+        Quantity("waiting_count", "", "1", "particles due that wait for room to come in; where some come in"),
+        Quantity("deleted_count", "", "1", "particles that left the domain, or that outlets took"),
+        Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain, or that outlets took"),
         Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
         Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centres"),
         Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
@@ -145,6 +146,21 @@ METER_QUANTITIES = _by_name(
     )
 )
 
+OUTLET_QUANTITIES = _by_name(
+    (
+        Quantity("outlet_count", "", "1", "particles that the outlet took since the start"),
+        Quantity("outlet_mass", "", "kg", "mass that the outlet took since the start"),
+    )
+)
+
+FEED_QUANTITIES = _by_name(
+    (
+        Quantity("came_count", "", "1", "particles of the group that came in"),
+        Quantity("came_mass", "", "kg", "mass of the particles of the group that came in"),
+        Quantity("missing_count", "", "1", "particles of the group that had not come at the end"),
+    )
+)
+
 LOAD_QUANTITIES = _by_name(
     (
         Quantity("wall_force_x", "Fx", "N", "x component of the force of the grains on a wall, a mean over time"),
@@ -158,6 +174,29 @@ LOAD_QUANTITIES = _by_name(
         Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
         Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
         Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+    )
+)
+
+_READ_INDICES = (
+    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 mixed at random"),
+    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+    Quantity("angle_of_repose_error", "", "rad", "its standard error"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers and their contacts"),
+    Quantity("rattler_share", "", "1", "share of particles with no contact or one"),
+    Quantity("fabric_anisotropy", "a", "1", "size of the deviator of the fabric tensor, 0 to 1"),
+    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+    Quantity("fabric_yy", "Fyy", "1", "of their y component"),
+    Quantity("fabric_zz", "Fzz", "1", "of their z component"),
+)
+
+INDEX_QUANTITIES = _by_name(
+    (
+        *_READ_INDICES,
+        *(
+            replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean of the last stage's rows")
+            for each in _READ_INDICES
+        ),
     )
 )
 
@@ -178,5 +217,6 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = {**METER_QUANTITIES, **LOAD_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **INDEX_QUANTITIES, **FEED_QUANTITIES, **OUTLET_QUANTITIES}
+    known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

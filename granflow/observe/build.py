@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from granflow.observe.coarse import FieldFrames, Grid, Kernel
+from granflow.observe.coarse import FieldFrames, Kernel, grid_in
+from granflow.observe.indices.build import index_meters
 from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
@@ -15,7 +16,7 @@ from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 from granflow.plan.sizes import diameter_range
 from granflow.plan.walls import loaded_areas
-from granflow.scene.border import AXES, Border
+from granflow.scene.border import Border
 
 
 def observers_for(
@@ -35,7 +36,7 @@ def observers_for(
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
         observers.append(WallFrames(out_dir, interval, wall_triangles))
-    observers += [_field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
+    observers += [field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
     return observers
 
 
@@ -48,13 +49,12 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     }
     loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
     interval = scene.output.timeseries_interval or scene.output.interval
-    return TimeSeries(out_dir, interval, meters, loads=loads)
+    return TimeSeries(out_dir, interval, meters, loads=loads, indices=index_meters(scene))
 
 
-def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
-    box = asked.region or scene.domain
-    periodic_x, periodic_y, periodic_z = (axis in scene.domain.periodic for axis in AXES)
-    grid = Grid(box.min, box.max, asked.counts_in(scene.domain), (periodic_x, periodic_y, periodic_z))
+def field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+    """Make the frames of the fields `name` that the scene asks for."""
+    grid = grid_in(scene.domain, asked)
     width = asked.width
     if width == "auto":
         width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())

@@ -1,28 +1,28 @@
-"""Schema of what is worked out from particles and contacts while a scene runs: fields on a grid."""
+"""Schema of what is worked out from particles and contacts while a scene runs: fields on a grid, indices."""
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, Tag
 
 from granflow.quantities import FIELD_QUANTITIES
 from granflow.scene.fields import (
     Auto,
+    Count,
     Counts,
     Fault,
     Model,
     Names,
     Number,
+    Point,
     PositiveLength,
     PositiveTime,
     Text,
+    choice,
     listing,
 )
-from granflow.scene.groups import Box
+from granflow.scene.places import Box
 from granflow.scene.suggest import known_or_meant
-
-MOST_CELLS = 2_000_000
-"""Of a grid: a frame of that many takes about a gigabyte of memory."""
 
 Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 CutOff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
@@ -69,3 +69,68 @@ class FieldGrid(CellGrid):
             if name not in FIELD_QUANTITIES:
                 remedy = known_or_meant(name, FIELD_QUANTITIES, "fields")
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
+
+
+class LaceyIndex(CellGrid):
+    """Lacey's mixing index of the grains of some groups, materials or sizes among all."""
+
+    kind: Literal["lacey"] = Field(description="kind of index")
+    groups: Names | None = Field(None, description="groups whose grains are the one kind")
+    materials: Names | None = Field(None, description="materials whose grains are the one kind")
+    smaller_than: PositiveLength | None = Field(None, description="diameter below which grains are the one kind [m]")
+    at_least: Count = Field(10, description="grains that a cell must hold to count")
+
+    def faults(self) -> Iterator[Fault]:
+        """One way of telling the two kinds apart."""
+        yield from super().faults()
+        given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "does not say which grains are the one kind"
+            yield Fault((), f"{found}; give exactly one of groups, materials and smaller_than", whole=True)
+
+
+class ReposeIndex(Model):
+    """Angle of repose of the heap of grains that have two contacts or more."""
+
+    kind: Literal["repose"] = Field(description="kind of index")
+    surface: Literal["cone", "plane"] = Field(
+        description="cone: a heap about an upright axis; plane: one side of a wedge, a bed in a drum"
+    )
+    region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
+    axis: Point | None = Field(None, description="with cone: a point on its axis [m]; left out: the mean of the grains")
+
+    def faults(self) -> Iterator[Fault]:
+        """An axis for a cone only."""
+        if self.surface == "plane" and self.axis is not None:
+            yield Fault(("axis",), "it goes only with surface: cone; leave it out")
+
+
+class FabricIndex(Model):
+    """Fabric tensor of the contacts between grains."""
+
+    kind: Literal["fabric"] = Field(description="kind of index")
+    region: Box | None = Field(None, description="the box whose contacts are looked at; left out: all")
+
+
+class CoordinationIndex(Model):
+    """Coordination number with and without rattlers."""
+
+    kind: Literal["coordination"] = Field(description="kind of index")
+    region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
+
+
+AnyIndex = Annotated[
+    Annotated[LaceyIndex, Tag("<lacey>")]
+    | Annotated[ReposeIndex, Tag("<repose>")]
+    | Annotated[FabricIndex, Tag("<fabric>")]
+    | Annotated[CoordinationIndex, Tag("<coordination>")],
+    choice("kind"),
+]
+
+QUANTITIES_OF = {
+    "lacey": ("lacey_index",),
+    "repose": ("angle_of_repose", "angle_of_repose_error"),
+    "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
+    "coordination": ("coordination_number", "mechanical_coordination_number", "rattler_share"),
+}
+"""Numbers that an index of each kind gives; for each there is also its mean, NAME_mean."""

@@ -1,25 +1,29 @@
 """Checks between the parts of a scene: names that must exist, pairs that must be there, times, places."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
-from granflow.scene.analysis import MOST_CELLS
+from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
+from granflow.scene.check_analysis import expected_indices, field_grids, indices
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
-from granflow.scene.groups import Box, BoxRegion, CylinderRegion, Listed
+from granflow.scene.findings import Check, Finding, unknown
 from granflow.scene.matter import RestitutionFit
-from granflow.scene.schema import Domain, Plane, Scene, Stage, Wall
+from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
+from granflow.scene.schema import Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
 
-Finding = tuple[KeyPath, Fault]
-Check = Callable[[Draft], Iterator[Finding]]
+SEVERAL = 2
+"""Particles taken to be in a group whose count is not known yet: they can touch each other."""
+
 _AXES = "xyz"
-_MOST = {"materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "stages": 1000, "expect": 1000}
+_MOST = {
+    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
+}  # fmt: skip
 """Entries of a section: what is worked out for every two of them must stay quick."""
 
 
@@ -43,21 +47,12 @@ def _crowds(draft: Draft) -> Iterator[Finding]:
             yield (section,), Fault((), f"has {found} entries, but a scene holds at most {most} of them", whole=True)
 
 
-def _unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Finding:
-    names = list(known)
-    near = nearest(name, names)
-    if near:
-        return path, Fault((), f"there is no such {kind}. Did you mean {near}?")
-    listed = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return path, Fault((), f"there is no such {kind}; {listed}")
-
-
 def _materials(draft: Draft) -> Iterator[Finding]:
     known = draft.names("materials")
     for section in ("walls", "particles"):
         for name, part in getattr(draft.scene, section).items():
             if part.material not in known:
-                yield _unknown((section, name, "material"), part.material, known, "material")
+                yield unknown((section, name, "material"), part.material, known, "material")
 
 
 def _some_particles(draft: Draft) -> Iterator[Finding]:
@@ -118,7 +113,7 @@ def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in names and group.fixed == fixed:
-            found[group.material] = found.get(group.material, 0) + group.count
+            found[group.material] = found.get(group.material, 0) + (group.count_asked or SEVERAL)
     return found
 
 
@@ -210,7 +205,7 @@ def _stage_names(draft: Draft) -> Iterator[Finding]:
                     continue
                 place = ("walls", wall_name, *path, "stages", index)
                 if draft.scene.stages:
-                    yield _unknown(place, name, names, "stage")
+                    yield unknown(place, name, names, "stage")
                 else:
                     yield place, Fault((), "the scene has no stages; give times instead of stages")
 
@@ -254,59 +249,53 @@ def _regions(draft: Draft) -> Iterator[Finding]:
             for index, point in enumerate(group.place.positions):
                 if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                     yield (*path, "positions", index), Fault((), "it lies outside the domain")
+        if isinstance(group.place, Listed | FromFile):
             continue
-        for axis, (a, b) in enumerate(zip(*_extent(group.place.region), strict=True)):
+        key = "face" if isinstance(group.place, Inlet) else "region"
+        for axis, (a, b) in enumerate(zip(*_extent(getattr(group.place, key)), strict=True)):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
                 reason = f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m"
-                yield (*path, "region"), Fault((), reason, whole=True)
+                yield (*path, key), Fault((), reason, whole=True)
 
 
-def _extent(region: BoxRegion | CylinderRegion) -> tuple[Vector3, Vector3]:
-    """Smallest and largest coordinates of a region [m]."""
+def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tuple[Vector3, Vector3]:
+    """Smallest and largest coordinates of a region or a face [m]."""
     if isinstance(region, BoxRegion):
         return region.box.min, region.box.max
-    a, b, radius = region.cylinder.from_, region.cylinder.to, region.cylinder.radius
-    length = math.dist(a, b) or 1.0
-    reach = [radius * math.sqrt(max(0.0, 1 - ((q - p) / length) ** 2)) for p, q in zip(a, b, strict=True)]
+    if isinstance(region, RectangleFace):
+        corner, (first, second) = region.rectangle.corner, region.rectangle.sides
+        sides = [(c, c + p, c + q, c + p + q) for c, p, q in zip(corner, first, second, strict=True)]
+        return tuple(map(min, sides)), tuple(map(max, sides))  # type: ignore[return-value]
+    if isinstance(region, DiscFace):
+        a, axis, radius = region.disc.center, region.disc.normal, region.disc.radius
+        b = a
+    else:
+        a, b, radius = region.cylinder.from_, region.cylinder.to, region.cylinder.radius
+        axis = tuple(q - p for p, q in zip(a, b, strict=True))  # type: ignore[assignment]
+    length = math.hypot(*axis) or 1.0
+    reach = [radius * math.sqrt(max(0.0, 1 - (along / length) ** 2)) for along in axis]
     low = tuple(min(p, q) - r for p, q, r in zip(a, b, reach, strict=True))
     high = tuple(max(p, q) + r for p, q, r in zip(a, b, reach, strict=True))
     return low, high  # type: ignore[return-value]
 
 
-def _meters(draft: Draft) -> Iterator[Finding]:
-    """Expectations of flow meters that exist."""
-    meters = draft.scene.output.meters
+def _parts(draft: Draft) -> Iterator[Finding]:
+    """Expectations of flow meters, outlets and groups that exist."""
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (METER_QUANTITIES, draft.scene.output.meters, "meter"),
+        (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
+        (FEED_QUANTITIES, _coming_in(draft), "stream"),
+    )
     for index, expectation in enumerate(draft.scene.expect):
-        quantity, dot, meter = expectation.quantity.partition(".")
-        if dot and quantity in METER_QUANTITIES and meter not in meters:
-            yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
+        quantity, dot, part = expectation.quantity.partition(".")
+        for quantities, names, kind in known if dot else ():
+            if quantity in quantities and part not in names:
+                yield unknown(("expect", index, "quantity"), part, names, kind)
 
 
-def _grids(draft: Draft) -> Iterator[Finding]:
-    """Fields with no more cells than memory holds, in stages that exist."""
-    stages = [stage.name for stage in draft.scene.stages]
-    for name, grid in draft.scene.output.fields.items():
-        if (grid.cell is None) != (grid.cells is None):
-            count = math.prod(grid.counts_in(draft.scene.domain))
-            if count > MOST_CELLS:
-                key = "cell" if grid.cells is None else "cells"
-                reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
-                yield ("output", "fields", name, key), Fault((), reason)
-        if grid.region is not None:
-            yield from _across(draft.scene.domain, ("output", "fields", name, "region"), grid.region)
-        for index, stage in enumerate(grid.stages or ()):
-            if stage not in stages:
-                yield _unknown(("output", "fields", name, "stages", index), stage, stages, "stage")
-
-
-def _across(domain: Domain, path: KeyPath, region: Box) -> Iterator[Finding]:
-    """A region of cells that reaches across the domain where that is periodic."""
-    for axis in domain.periodic:
-        k = _AXES.index(axis)
-        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
-            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
-            yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
+def _coming_in(draft: Draft) -> list[str]:
+    return [name for name, group in draft.scene.particles.items() if isinstance(group.place, Rain | Inlet)]
 
 
 def _loads(draft: Draft) -> Iterator[Finding]:
@@ -315,14 +304,14 @@ def _loads(draft: Draft) -> Iterator[Finding]:
     measured = known if asked is True else asked or ()
     for index, name in enumerate(() if isinstance(asked, bool) else asked):
         if name not in known:
-            yield _unknown(("output", "loads", index), name, known, "wall")
+            yield unknown(("output", "loads", index), name, known, "wall")
     for index, expectation in enumerate(draft.scene.expect):
         quantity, dot, wall = expectation.quantity.partition(".")
         path: KeyPath = ("expect", index, "quantity")
         if not dot or quantity not in LOAD_QUANTITIES:
             continue
         if wall not in known:
-            yield _unknown(path, wall, known, "wall")
+            yield unknown(path, wall, known, "wall")
         elif wall not in measured:
             yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
         elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
@@ -341,7 +330,9 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("stages", "run"), _duration),
     (("gravity",), _gamma),
     (("domain",), _regions),
-    (("output", "expect"), _meters),
-    (("output", "stages", "domain"), _grids),
+    (("output", "expect"), _parts),
+    (("output", "stages", "domain"), field_grids),
+    (("output", "gravity", "domain"), indices),
+    (("output", "expect"), expected_indices),
     (("output", "expect"), _loads),
 )

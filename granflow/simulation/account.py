@@ -48,13 +48,13 @@ class WallClock:
 
 
 Readings = Mapping[str, Mapping[str, float]]
-"""Numbers by quantity of every meter, or wall, by name."""
+"""Numbers by quantity of every meter, wall or index, by name."""
 
 
 def outcome(
-    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], meters: Readings, loads: Readings
+    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
 ) -> Result:
-    """The numbers of a run, not yet held to what was expected."""
+    """The numbers of a run, not yet held to what was expected; `readings` by kind, as `Result` names them."""
     timing = engine.timing
     computing = max(timing.search + timing.advance, 1e-9)
     run = {
@@ -73,7 +73,9 @@ def outcome(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads)
+    kinds = ("meters", "loads", "indices", "feeds")
+    meters, loads, indices, feeds = (readings.get(kind, {}) for kind in kinds)
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads, indices=indices, feeds=feeds)
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:

@@ -107,7 +107,8 @@ class Page:
 DRAW_PLOTS = """
 for (const plot of document.querySelectorAll("figure.plot")) {
   const {data, layout} = JSON.parse(plot.querySelector("script").textContent);
-  Plotly.newPlot(plot.querySelector("div"), data, layout, {responsive: true, displaylogo: false});
+  const look = {responsive: true, displaylogo: false, showSendToCloud: false};
+  Plotly.newPlot(plot.querySelector("div"), data, layout, look);
 }
 """
 

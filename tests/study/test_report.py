@@ -107,9 +107,11 @@ def test_an_interrupted_run_says_why_and_how_far(run):
     with (run / "timeseries.csv").open("a") as file:
         file.write("0.3,pour,2,1e-")
     text = text_of(run)
-    assert "The run did not come to its end (ended by RunError: it burst): granflow resume" in text
+    assert "The run did not come to its end (ended by RunError: see the warnings). granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
-    assert re.search(r"meter.*a\s*3\s*4", text, re.DOTALL), "the meter's last row stands in for the result"
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
+        "the last row stands in for the result"
+    )
 
 
 def test_a_resumed_run_lists_its_parts(run):
@@ -194,6 +196,9 @@ def test_a_plot_is_json_without_a_way_out_of_its_script():
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
     html = html_of(Page("t", "l", [Section("s", [plot])]))
     assert html.count("</script>") == 1
+    assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
+        "a click would send data away"
+    )
     lifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
     assert lifts[0] != lifts[1], "names of stages that begin soon after each other overlap"
 

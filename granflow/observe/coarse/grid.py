@@ -8,6 +8,9 @@ import numpy as np
 
 from granflow.observe.coarse.kernel import Kernel
 from granflow.observe.frames import mesh_of_cells
+from granflow.scene.analysis import CellGrid
+from granflow.scene.border import AXES
+from granflow.scene.schema import Domain
 
 PIECE = 2**17
 """Points that are spread at a time, which bounds the memory in work."""
@@ -72,6 +75,12 @@ class Grid:
             around.add(kernel, points[piece], values[piece], first[piece])
         return around.folded()
 
+    def cells_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the cell that each of the points (n, 3) [m] lies in, and whether it is one of the grid."""
+        index = np.floor((points - np.array(self.low)) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < self.counts)).all(axis=1)
+        return index @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
+
     def mesh(self, arrays: dict[str, np.ndarray]) -> meshio.Mesh:
         """Hexahedra with arrays (cells,) or (cells, k) on them."""
         nx, ny, nz = self.counts
@@ -81,6 +90,13 @@ class Grid:
         k, j, i = (part.ravel() for part in np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij"))
         corners = [(i + a) + (nx + 1) * ((j + b) + (ny + 1) * (k + c)) for a, b, c in CORNERS]
         return mesh_of_cells("hexahedron", points, np.stack(corners, axis=1), arrays)
+
+
+def grid_in(domain: Domain, asked: CellGrid) -> Grid:
+    """The grid that a scene asks for in its domain."""
+    box = asked.region or domain
+    x, y, z = (axis in domain.periodic for axis in AXES)
+    return Grid(box.min, box.max, asked.counts_in(domain), (x, y, z))
 
 
 class _Padded:

@@ -17,6 +17,7 @@ import numpy as np
 
 from granflow.observe.coarse.grid import Grid
 from granflow.observe.coarse.kernel import Kernel
+from granflow.observe.grains import free_grains
 
 PARTICLE_SUMS = {"mass": 1, "volume": 1, "number": 1, "touching": 1, "momentum": 3, "momentum_flux": 9}
 CONTACT_SUMS = {"contact_stress": 9, "contact_number": 1, "fabric": 9}
@@ -78,9 +79,7 @@ def fields_of(sums: Sums) -> dict[str, np.ndarray]:
 
 
 def _particle_sums(particles: Mapping[str, np.ndarray], grid: Grid, kernel: Kernel) -> dict[str, np.ndarray]:
-    """Fixed grains are walls: they have no part in it."""
-    if "fixed" in particles:
-        particles = {name: values[particles["fixed"] == 0] for name, values in particles.items()}
+    particles = free_grains(particles)
     mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
     momentum = mass[:, None] * velocity
     volume = 4.0 / 3.0 * np.pi * particles["radius"].astype(float) ** 3
