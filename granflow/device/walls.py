@@ -7,6 +7,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.apart import build_inside
+from granflow.device.drive import build_displacement, upload_running
 from granflow.device.state import WALL_BATCH, State
 from granflow.walls.catalogue import SHAPE_KINDS
 from granflow.walls.motion import pose
@@ -22,6 +23,8 @@ class WallGeometry:
     """(distance, normal) of the contact."""
     surface_velocity: Any
     """Velocity [m/s] of the wall's material at the point."""
+    given_velocity: Any
+    """That part of it that the scene gives, without what a driven wall does."""
 
 
 def build_wall_geometry(state: State) -> WallGeometry:
@@ -29,15 +32,23 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
     In a periodic box a point meets walls where its image in the box stands.
     """
-    walls, moving = state.walls, state.plan.features.moving_walls
+    walls, moving, driven = state.walls, state.plan.features.moving_walls, state.plan.features.driven_walls
+    displacement, driven_velocity = build_displacement(state) if driven else (None, None)
     inside = build_inside(state)
     used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls})
+
+    @ti.func
+    def center(w, pose):
+        stand = walls.center[pose, w]
+        if ti.static(driven):
+            stand += displacement(w)
+        return stand
 
     @ti.func
     def to_rest(w, pose, point):
         local = inside(point)
         if ti.static(moving):
-            local = walls.rotation[pose, w].transpose() @ (local - walls.center[pose, w]) + walls.pivot[w]
+            local = walls.rotation[pose, w].transpose() @ (local - center(w, pose)) + walls.pivot[w]
         return local
 
     @ti.func
@@ -64,13 +75,20 @@ def build_wall_geometry(state: State) -> WallGeometry:
         return gap, normal
 
     @ti.func
-    def surface_velocity(w, pose, point):
+    def given_velocity(w, pose, point):
         velocity = 0.0 * point
         if ti.static(moving):
-            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - walls.center[pose, w])
+            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - center(w, pose))
         return velocity
 
-    return WallGeometry(distance, closest, surface_velocity)
+    @ti.func
+    def surface_velocity(w, pose, point):
+        velocity = given_velocity(w, pose, point)
+        if ti.static(driven):
+            velocity += driven_velocity(w)
+        return velocity
+
+    return WallGeometry(distance, closest, surface_velocity, given_velocity)
 
 
 def upload_poses(state: State, step: int) -> None:
@@ -88,6 +106,7 @@ def upload_poses(state: State, step: int) -> None:
     def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
         field.from_numpy(np.ascontiguousarray(np.stack(arrays, axis=1), dtype=dtype))
 
+    upload_running(state, times - 0.5 * clock.time_step)
     upload(walls.center, [p.offset + p.pivot for p in now], position_real)
     upload(walls.rotation, [p.rotation for p in now], position_real)
     upload(walls.velocity, [p.velocity for p in middle], real)

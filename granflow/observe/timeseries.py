@@ -11,7 +11,7 @@ from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES, WALL_QUANTITIES
 from granflow.snapshot import Snapshot
 
 
@@ -144,4 +144,7 @@ def _size_of(path: Path) -> int:
 
 
 def _label(name: str) -> str:
+    base, _, part = name.partition(".")
+    if part and base in WALL_QUANTITIES:
+        return WALL_QUANTITIES[base].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from granflow.plan.walls import is_driven
 from granflow.scene import Scene
 
 
@@ -17,6 +18,7 @@ class Features:
     adhesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
+    driven_walls: bool
     one_material: bool
     ledger: bool
     loads: bool
@@ -49,6 +51,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         adhesion=adhesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
+        driven_walls=any(is_driven(wall) for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
         loads=bool(scene.loaded_walls),
@@ -73,6 +76,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "adhesion": _adhesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
+        "driven_walls": _driven_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "loads": _loads_reason(scene, features),
@@ -131,6 +135,14 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _driven_reason(scene: Scene, features: Features) -> str:
+    if not features.driven_walls:
+        return "no wall is moved by the grains' forces"
+    name = next(name for name, wall in scene.walls.items() if is_driven(wall))
+    kinds = " and ".join(dict.fromkeys(each.kind for each in scene.walls[name].motion))
+    return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
 
 
 def _loads_reason(scene: Scene, features: Features) -> str:

@@ -20,6 +20,7 @@ from granflow.laws.material import (
 )
 from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
+from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range
@@ -72,6 +73,8 @@ class Plan:
     velocity_max: float
     walls: tuple[PlannedWall, ...]
     wall_speed: float
+    drives: tuple[Drive, ...]
+    """Motions of walls that the grains' forces move."""
     pace: Pace | None
     """Time steps for every velocity, where the step follows the scene."""
 
@@ -129,6 +132,11 @@ class Plan:
     def cell_capacity(self) -> int:
         """Most cells of the search grid."""
         return max(CELLS_PER_PARTICLE * self.particle_capacity, LEAST_CELLS)
+
+    @property
+    def wall_way(self) -> float:
+        """Way [m] that a wall may go between two searches: half the skin, shared where both kinds of motion are."""
+        return (0.25 if self.drives and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
     def gravity(self) -> tuple[float, float, float]:
@@ -193,6 +201,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         velocity_max=velocity,
         walls=walls,
         wall_speed=speed,
+        drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
         pace=_pace(scene, law, velocity, speed) if features.adaptive_step else None,
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.scene import Scene
 from granflow.scene import schema as scene_schema
 from granflow.walls import motion, plane, revolved
-from granflow.walls.catalogue import reach_about
+from granflow.walls.catalogue import area_of, reach_about
 from granflow.walls.rims import join_rims
 from granflow.walls.shape import Shape, unit
 
@@ -31,7 +31,10 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     """Shapes of all walls, rims shared by walls that stay together joined."""
     walls = scene.walls
     shapes = [shape_of(wall) for wall in walls.values()]
-    groups = [(wall.motion, wall.stages, wall.appears_at, wall.vanishes_at) for wall in walls.values()]
+    groups = [
+        (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_driven(wall) else "")
+        for name, wall in walls.items()
+    ]
     joined = join_rims(shapes, groups) if shapes else []
     return tuple(
         PlannedWall(name, shape, material_numbers[wall.material])
@@ -57,8 +60,15 @@ def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Mo
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
+def is_driven(wall: scene_schema.AnyWall) -> bool:
+    """Whether the forces of the grains move this wall, by itself."""
+    return any(isinstance(each, scene_schema.Servo | scene_schema.Free) for each in wall.motion)
+
+
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
     start, end = _span(given, stage_times)
+    if isinstance(given, scene_schema.Servo | scene_schema.Free):
+        return motion.Driven(start, end)
     if isinstance(given, scene_schema.Translation):
         return motion.Translation(given.velocity, start, end)
     if isinstance(given, scene_schema.Rotation):
@@ -99,8 +109,7 @@ def wall_change_times(scene: Scene) -> tuple[float, ...]:
 
 def loaded_areas(scene: Scene) -> dict[str, float | None]:
     """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
-    shapes = {name: shape_of(scene.walls[name]) for name in scene.loaded_walls}
-    return {name: shape.kind.area(shape.parameters) for name, shape in shapes.items()}
+    return {name: area_of(shape_of(scene.walls[name])) for name in scene.loaded_walls}
 
 
 def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
@@ -122,4 +131,18 @@ def surface_speed(scene: Scene) -> float:
     """Largest speed [m/s] of any wall's material, spinning in place included."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
-    return max((motion.speed_bound(motions, extent / 2) for motions in wall_motions(scene, always)), default=0.0)
+    fastest = 0.0
+    for wall, motions in zip(scene.walls.values(), wall_motions(scene, always), strict=True):
+        driven = sum(_driven_speed(scene, each, extent) for each in wall.motion)
+        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + driven)
+    return fastest
+
+
+def _driven_speed(scene: Scene, given: Any, way: float) -> float:
+    """Largest speed [m/s] of a driven motion: that of a servo, or after a free wall's fall through the domain."""
+    if isinstance(given, scene_schema.Servo):
+        return given.velocity_max
+    if isinstance(given, scene_schema.Free):
+        along = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        return float(np.sqrt(2.0 * along * way))
+    return 0.0

@@ -14,6 +14,11 @@ def kind_code(kind: ShapeKind) -> int:
     return SHAPE_KINDS.index(kind)
 
 
+def area_of(shape: Shape) -> float | None:
+    """Area [m2] of a shape; None for one without end."""
+    return shape.kind.area(shape.parameters)
+
+
 def triangles(shape: Shape, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (m, 3) [m] and triangles (k, 3) of a shape at rest, for pictures.
 
