@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["scalar", "vector"]
+Kind = Literal["scalar", "vector", "tensor"]
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 
 
@@ -20,9 +20,9 @@ FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 class Quantity:
     """One word of the glossary.
 
-    `unit` is SI, "1" for a pure number. `kind` tells (n,) from (n, 3). `file_type` is the width written to
-    VTU files: float32 wherever its 7 digits are enough to look at and to post-process. `stored` is False for
-    what is worked out from other arrays when a file is written.
+    `unit` is SI, "1" for a pure number. `kind` tells (n,), (n, 3) and (n, 9) (xx, xy, xz, yx, ...) apart.
+    `file_type` is the width written to VTU files: float32 wherever its 7 digits are enough to look at and to
+    post-process. `stored` is False for what is worked out from other arrays when a file is written.
     """
 
     name: str
@@ -48,8 +48,8 @@ class Quantity:
         return replace(self, name=f"{self.name}.{part}").label
 
     def shape(self, count: int) -> tuple[int, ...]:
-        """Shape of the array that holds this quantity for `count` particles or contacts."""
-        return (count, 3) if self.kind == "vector" else (count,)
+        """Shape of the array that holds this quantity for `count` particles, contacts or cells."""
+        return {"scalar": (count,), "vector": (count, 3), "tensor": (count, 9)}[self.kind]
 
     def for_file(self, values: np.ndarray) -> np.ndarray:
         """Give the values the width in which they are written to VTU files."""
@@ -94,6 +94,21 @@ CONTACT_QUANTITIES = _by_name(
         Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
         Quantity("state", "", "1", "0 loading, 1 unloading", file_type="uint8"),
         Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
+    )
+)
+
+FIELD_QUANTITIES = _by_name(
+    (
+        Quantity("density", "rho", "kg/m3", "mass of the grains per volume of space"),
+        Quantity("solid_fraction", "phi", "1", "volume of the grains per volume of space"),
+        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
+        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
+        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
     )
 )
 
@@ -155,6 +170,29 @@ WALL_QUANTITIES = _by_name(
     )
 )
 
+_READ_INDICES = (
+    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 mixed at random"),
+    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+    Quantity("angle_of_repose_error", "", "rad", "its standard error"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers and their contacts"),
+    Quantity("rattler_share", "", "1", "share of particles with no contact or one"),
+    Quantity("fabric_anisotropy", "a", "1", "size of the deviator of the fabric tensor, 0 to 1"),
+    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+    Quantity("fabric_yy", "Fyy", "1", "of their y component"),
+    Quantity("fabric_zz", "Fzz", "1", "of their z component"),
+)
+
+INDEX_QUANTITIES = _by_name(
+    (
+        *_READ_INDICES,
+        *(
+            replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean of the last stage's rows")
+            for each in _READ_INDICES
+        ),
+    )
+)
+
 RUN_QUANTITIES = _by_name(
     (
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
@@ -172,7 +210,6 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    known = (
-        {**METER_QUANTITIES, **LOAD_QUANTITIES, **WALL_QUANTITIES} if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
-    )
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **WALL_QUANTITIES, **INDEX_QUANTITIES}
+    known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -13,6 +13,7 @@ from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import complain, exit_code_of, refuse
 from granflow.cli.render import add_render
+from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume
 from granflow.cli.scenes import add_cache, add_run, check, schema
 from granflow.cli.stability import add_stability
@@ -57,6 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare(verbs)
     add_stability(verbs)
     add_render(verbs)
+    add_report(verbs)
     add_cache(verbs)
     return parser
 

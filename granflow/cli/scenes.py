@@ -12,6 +12,7 @@ from granflow.errors import GranflowError
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
+    *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
 )
 """What a run writes into its directory, as patterns: tells an earlier run from other files."""
 
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
 
     with sigterm_as_exception():
         simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn([*simulation.plan.step.warnings, *restitution_warnings(simulation.plan)])
+        warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -58,7 +59,10 @@ def check(options: argparse.Namespace) -> int:
 
     plan = plan_for(scene)
     refuse_too_many(plan)
-    warn([*plan.step.warnings, *filter(None, [memory_warning(plan)])])
+    warn([*plan.warnings, *filter(None, [memory_warning(plan)])])
+    for note in plan.mesh_notes:
+        if not note.warning:
+            print(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
         print(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0

@@ -10,10 +10,13 @@ from granflow.device.guards import GUARD_LOST, GUARD_OVERLAP, GUARD_TRAVEL, GUAR
 from granflow.device.records import listed_pairs
 from granflow.device.state import State
 from granflow.device.transfer import Transfer
+from granflow.device.walls import walls_of
 from granflow.laws import theory
 from granflow.plan import Plan
 from granflow.plan.plan import pair_material, solid
 from granflow.plan.time_step import Meeting, stable_step
+from granflow.walls.mesh import Mesh
+from granflow.walls.mesh_contact import reference_contact
 from granflow.walls.motion import pose
 
 WANTED = ("id", "radius", "mass", "position", "position_at_search", "velocity", "force", "material", "fixed")
@@ -95,22 +98,31 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
     overlap = there["radius"][owner] + there["radius"][other] - distance
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]
     moving, smaller = velocity[other], np.minimum(there["radius"][owner], there["radius"][other])
+    face = -1 - partner
+    partner = np.where(partner < 0, -1 - walls_of(state, np.minimum(partner, -1)), partner)
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.border.wrapped(position[owner[of_wall]])
-        gap, normal[of_wall], moving[of_wall] = _at_wall(state, index, points, time)
+        gap, normal[of_wall], moving[of_wall] = _at_wall(state, index, face[of_wall], points, time)
         smaller[of_wall] = there["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
     approach = -np.sum((velocity[owner] - moving) * normal, axis=1)
     return Near(owner, partner, overlap / smaller, approach, moving)
 
 
-def _at_wall(state: State, index: int, points: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gap (n,), normal (n, 3) and surface velocity (n, 3) of a wall at points (n, 3), by the shape's numpy twin."""
+def _at_wall(
+    state: State, index: int, face: np.ndarray, points: np.ndarray, time: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gap (n,), normal (n, 3) and surface velocity (n, 3) of a wall, or of its faces (n,), at points (n, 3)."""
     shape, stand = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
     rotation, center = stand.rotation[0], stand.offset[0] + stand.pivot + driven_offsets(state)[index]
     velocity = stand.velocity[0] + driven_velocities(state)[index]
-    gap, normal = shape.kind.reference_closest((points - center) @ rotation + stand.pivot, shape.parameters)
+    local = (points - center) @ rotation + stand.pivot
+    if isinstance(shape, Mesh):
+        first = len(state.plan.walls) + state.plan.first_triangle(index)
+        gap, normal = reference_contact(shape.links, face - first, local)
+    else:
+        gap, normal = shape.kind.reference_closest(local, shape.parameters)
     return gap, normal @ rotation.T, velocity + np.cross(stand.angular_velocity[0], points - center)
 
 

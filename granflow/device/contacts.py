@@ -12,11 +12,12 @@ from granflow.device.batch import build_batched_forces
 from granflow.device.drive import build_enter_push
 from granflow.device.encounter import build_effective, build_encounter, build_pair_number, build_weight
 from granflow.device.guards import GUARD_OVERLAP
+from granflow.device.handover import TURNS, build_inherit, build_leave, hands_over
 from granflow.device.loads import build_enter_load
 from granflow.device.pair import build_respond
 from granflow.device.slots import build_forget, build_read, build_write
 from granflow.device.state import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK, State
-from granflow.device.walls import build_wall_geometry
+from granflow.device.walls import build_wall_geometry, build_wall_of
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
@@ -25,6 +26,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     features, real = plan.features, state.backend.real
     encounter, effective = build_encounter(state, with_wall), build_effective(state, with_wall)
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
+    wall_of, handing = build_wall_of(state), with_wall and hands_over(state)
+    leave, inherit = (build_leave(state), build_inherit(state)) if handing else (None, None)
     respond, read, write, forget = (
         build_respond(plan, False),
         build_read(state),
@@ -42,7 +45,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if ti.static(features.rotation and not with_wall):
             spin = particles.spin[j]
         elif ti.static(features.rotation and features.moving_walls):
-            spin = ti.cast(state.walls.spin[pose, -1 - j], real)
+            spin = ti.cast(state.walls.spin[pose, wall_of(j)], real)
         return spin
 
     @ti.func
@@ -66,7 +69,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         work = 0.0 * dt
         if ti.static(with_wall and features.moving_walls):
             velocity = geometry.given_velocity(-1 - j, pose, particles.position[i])
-            turning = state.walls.spin[pose, -1 - j]
+            turning = state.walls.spin[pose, wall_of(j)]
             work = dt * (force.dot(ti.cast(velocity, real)) + torque.dot(ti.cast(turning, real)))
         return work
 
@@ -85,9 +88,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
             work = wall_work(i, j, pose, force, torque, dt)
             enter_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
         if ti.static(driven):
-            enter_push(chunk, -1 - j, force)
+            enter_push(chunk, wall_of(j), force)
         if ti.static(measured):
-            enter_load(chunk, -1 - j, i, normal, force, torque, dt)
+            enter_load(chunk, wall_of(j), i, normal, force, torque, dt)
 
     @ti.func
     def contact(chunk, i, slot, j, pose, dt):
@@ -97,6 +100,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
         radius_eff, mass_eff, inertia_eff = effective(i, j)
         if overlap > 0.0:
             check_overlap(i, j, overlap)
+            if ti.static(handing):
+                inherit(i, slot, j, pose)
             memory, slide, angle = read(slot)
             force, torque, _reaction, memory, slide, angle, friction_loss, rolling_loss, damping_loss = respond(
                 constants, radius_eff, mass_eff, inertia_eff, overlap, normal, middle, across, late_rate, rate, arm,
@@ -105,7 +110,11 @@ def build_contact(state: State, with_wall: bool) -> Any:
             write(slot, memory, slide, angle)
             enter_books(chunk, i, j, pose, normal, force, torque, friction_loss, rolling_loss, damping_loss, dt)
         else:
-            lost = forget(slot, constants, radius_eff, mass_eff, dt)
+            lost, left = 0.0 * dt, 0
+            if ti.static(handing):
+                left = leave(i, slot, j, pose)
+            if left == 0:
+                lost = forget(slot, constants, radius_eff, mass_eff, dt)
             if ti.static(features.ledger):
                 control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * lost
         return force, torque
@@ -125,6 +134,14 @@ def build_forces(state: State) -> Any:
     batched_forces = build_batched_forces(state) if batched else None
     grain_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
+    turns = len(TURNS) if hands_over(state) else 1
+
+    @ti.func
+    def is_next(slot, turn):
+        chosen = 1
+        if ti.static(turns > 1):
+            chosen = ti.cast(contacts.touching[slot] == ti.Vector(TURNS)[turn], ti.i32)
+        return chosen
 
     driven = features.driven_walls
     forget_pushes, _enter = build_enter_push(state) if driven else (None, None)
@@ -135,9 +152,11 @@ def build_forces(state: State) -> Any:
         force = particles.mass[i] * ti.Vector(gravity, dt=real)
         torque = 0.0 * force
         if ti.static(plan.has_walls):
-            for slot in range(contacts.row_begin[i], contacts.row_middle[i]):
-                more, turning = wall_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
-                force, torque = force + more, torque + turning
+            for turn in range(turns):
+                for slot in range(contacts.row_begin[i], contacts.row_middle[i]):
+                    if is_next(slot, turn) == 1:
+                        more, turning = wall_contact(chunk, i, slot, contacts.partner[slot], pose, dt)
+                        force, torque = force + more, torque + turning
         if ti.static(not batched):
             for slot in range(contacts.row_middle[i], contacts.row_end[i]):
                 more, turning = grain_contact(chunk, i, slot, contacts.partner[slot], pose, dt)

@@ -8,7 +8,7 @@ from granflow.device.apart import build_apart
 from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
-from granflow.device.walls import build_wall_geometry
+from granflow.device.walls import build_wall_geometry, build_wall_of
 
 
 def build_encounter(state: State, with_wall: bool) -> Any:
@@ -135,7 +135,7 @@ def build_weight(state: State) -> Any:
 def build_pair_number(state: State) -> Any:
     """Device function: row of the pair constants for particle i and partner j."""
     plan, particles, walls = state.plan, state.particles, state.walls
-    features = plan.features
+    features, wall_of = plan.features, build_wall_of(state)
 
     @ti.func
     def pair_number(i, j):
@@ -146,7 +146,7 @@ def build_pair_number(state: State) -> Any:
                 number += particles.material[j]
         if ti.static(plan.has_walls):
             if j < 0:
-                number += walls.material[-1 - j]
+                number += walls.material[wall_of(j)]
         return number
 
     return pair_number

@@ -8,7 +8,7 @@ import taichi as ti
 from granflow.device.apart import build_inside
 from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
-from granflow.device.walls import build_wall_geometry
+from granflow.device.walls import build_wall_geometry, walls_of
 from granflow.laws.whole import whole_force
 
 AT_LIMIT = 1.0 - 1e-6
@@ -16,7 +16,7 @@ AT_LIMIT = 1.0 - 1e-6
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Owner, slot and partner (-1 - wall) of everything in the rows; pairs across two chunks stand there twice."""
+    """Owner, slot and partner (below 0: `walls_of`) of all in the rows; pairs across two chunks stand there twice."""
     contacts = state.contacts
     begin, end = (f.to_numpy()[: state.count] for f in (contacts.row_begin, contacts.row_end))
     owner = np.repeat(np.arange(state.count), end - begin)
@@ -46,13 +46,15 @@ class ContactRecords:
         loading = found["overlap"] >= memory["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
+        wall = np.full(len(partner), -1, np.int32)
+        wall[with_wall] = walls_of(self.state, partner[with_wall])
         foot, force = self.foot.to_numpy()[slot], self.force.to_numpy()[slot]
         cap, first = found.pop("friction_limit"), arrays["position"][owner]
         second = self.state.plan.border.beside(arrays["position"][other], first)
         return found | memory | {
             "first_id": arrays["id"][owner].astype(np.int64),
             "second_id": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),
-            "wall": np.where(with_wall, -1 - partner, -1).astype(np.int32),
+            "wall": wall,
             "first_position": first,
             "second_position": np.where(with_wall[:, None], foot, second),
             "force": force.astype(float),

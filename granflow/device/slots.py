@@ -6,6 +6,9 @@ import taichi as ti
 
 from granflow.device.state import State
 
+APART, TOUCHING, LEFT = range(3)
+"""A slot without contact, with one, and with the memory of one that another slot may take over in this step."""
+
 
 def build_read(state: State) -> Any:
     """Device function (slot) -> (normal memory, lateral displacement, rolling angle); zeros where nothing is kept."""
@@ -33,7 +36,7 @@ def build_write(state: State) -> Any:
     @ti.func
     def write(slot, memory, slide, angle):
         if ti.static(len(history) > 0):
-            contacts.touching[slot] = 1
+            contacts.touching[slot] = TOUCHING
         if ti.static("normal" in history):
             history["normal"][slot] = memory
         if ti.static("lateral" in history):
@@ -53,13 +56,13 @@ def build_forget(state: State) -> Any:
     def forget(slot, constants, radius_eff, mass_eff, dt):
         lost = 0.0 * dt
         if ti.static(len(names) > 0):
-            if contacts.touching[slot] == 1:
+            if contacts.touching[slot] != APART:
                 if ti.static(plan.features.ledger and "normal" in names):
                     memory = contacts.history["normal"][slot]
                     lost = law.lost_energy(constants, radius_eff, mass_eff, dt, 0.0 * radius_eff, memory)
                 for name in ti.static(names):
                     contacts.history[name][slot] = 0.0 * contacts.history[name][slot]
-                contacts.touching[slot] = 0
+                contacts.touching[slot] = APART
         return lost
 
     return forget

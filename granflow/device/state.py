@@ -9,11 +9,12 @@ import taichi as ti
 from granflow.device.backend import Backend
 from granflow.device.clock import Clock
 from granflow.device.guards import NO_PARTICLE
+from granflow.device.mesh_fields import MeshFields
 from granflow.plan import Plan
 from granflow.plan.slots import BOUNDS, kept_slots
-from granflow.walls.catalogue import kind_code
+from granflow.walls.catalogue import surface_code
 from granflow.walls.motion import Motion
-from granflow.walls.shape import PARAMETER_COUNT
+from granflow.walls.shape import PARAMETER_COUNT, Shape
 
 CPU_STRIDE = 512
 """Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
@@ -107,18 +108,26 @@ class Particles:
 
 
 class Sorting:
-    """Scratch for the neighbour search: cells and the new order."""
+    """Scratch for the neighbour search: cells and the new order; where sizes differ widely, a grid for each class.
+
+    `listed`: particles by class and cell, from listed_start of a cell on; cells of a class begin at its first_cell.
+    """
 
     def __init__(self, block: Block, plan: Plan, particles: Particles) -> None:
         count, cell_capacity = particles.capacity, plan.cell_capacity
+        classes, listed = len(plan.size_classes), plan.listed_cell_capacity
         self.cell_capacity = cell_capacity
         self.cell = block.scalar(ti.i32, count)
         self.order = block.scalar(ti.i32, count)
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
-        self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
-        self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
-        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
-        self.cells = block.vector(ti.i32, 1)
+        self.cell_fill = block.scalar(ti.i32, max(cell_capacity, listed) + 2)
+        self.block_sum = block.scalar(ti.i32, max(cell_capacity, listed) // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, classes) for _ in range(2))
+        self.cells = block.vector(ti.i32, classes)
+        self.listed: Any = block.scalar(ti.i32, count) if listed else None
+        self.listed_start: Any = block.scalar(ti.i32, listed + 2) if listed else None
+        self.first_cell: Any = block.scalar(ti.i32, classes) if listed else None
+        self.radius: Any = block.scalar(particles.position.dtype, classes) if listed else None
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -208,9 +217,10 @@ class Walls:
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
         for index, wall in enumerate(plan.walls):
-            self.kind[index] = kind_code(wall.shape.kind)
-            self.parameters[index] = wall.shape.parameters.tolist()
+            self.kind[index] = surface_code(wall.shape)
             self.material[index] = wall.material
+            if isinstance(wall.shape, Shape):
+                self.parameters[index] = wall.shape.parameters.tolist()
             if self.load_row is not None:
                 loaded = plan.scene.loaded_walls
                 self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
@@ -277,6 +287,8 @@ class State:
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self._allocate(plan.slots_per_chunk)
         self.walls.fill(plan)
+        if self.mesh is not None:
+            self.mesh.fill(plan)
         self.control.fill(plan)
 
     def _allocate(self, slots_per_chunk: int) -> None:
@@ -289,6 +301,7 @@ class State:
         self.sorting = Sorting(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
         self.drive: Any = DriveFields(block, plan) if plan.drives else None
+        self.mesh: Any = MeshFields(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
 

@@ -8,17 +8,21 @@ import taichi as ti
 
 from granflow.device.apart import build_inside
 from granflow.device.drive import build_displacement, upload_running
+from granflow.device.mesh import build_mesh_geometry
 from granflow.device.state import WALL_BATCH, State
 from granflow.walls.catalogue import SHAPE_KINDS
 from granflow.walls.motion import pose
+from granflow.walls.shape import FAR_AWAY, Shape
 
 
 @dataclass(frozen=True)
 class WallGeometry:
-    """Device functions of (wall, pose, point)."""
+    """Device functions of (face, pose, point); a face is a wall, or the number of walls and that of a triangle."""
 
+    to_rest: Any
+    """(wall, pose, point) -> the point as seen from the wall at rest."""
     distance: Any
-    """Distance [m] of the bare surface, for the list of near walls."""
+    """Distance [m] of the bare surface of a wall that is no mesh, for the list of near walls."""
     closest: Any
     """(distance, normal) of the contact."""
     surface_velocity: Any
@@ -35,7 +39,9 @@ def build_wall_geometry(state: State) -> WallGeometry:
     walls, moving, driven = state.walls, state.plan.features.moving_walls, state.plan.features.driven_walls
     displacement, driven_velocity = build_displacement(state) if driven else (None, None)
     inside = build_inside(state)
-    used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls})
+    used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls if isinstance(wall.shape, Shape)})
+    mesh = build_mesh_geometry(state) if state.plan.features.mesh_walls else None
+    wall_count, wall_of, has_mesh = len(state.plan.walls), build_wall_of(state), mesh is not None
 
     @ti.func
     def center(w, pose):
@@ -55,14 +61,15 @@ def build_wall_geometry(state: State) -> WallGeometry:
     def distance(w, pose, point):
         local = to_rest(w, pose, point)
         parameters = walls.parameters[w]
-        result = 0.0 * point[0]
+        result = 0.0 * point[0] + FAR_AWAY
         for code in ti.static(used):
             if walls.kind[w] == code:
                 result = SHAPE_KINDS[code].bare_distance(local, parameters)
         return result
 
     @ti.func
-    def closest(w, pose, point):
+    def closest(face, pose, point):
+        w = wall_of(-1 - face)
         local = to_rest(w, pose, point)
         parameters = walls.parameters[w]
         gap = 0.0 * point[0]
@@ -70,25 +77,66 @@ def build_wall_geometry(state: State) -> WallGeometry:
         for code in ti.static(used):
             if walls.kind[w] == code:
                 gap, normal = SHAPE_KINDS[code].closest(local, parameters)
+        if ti.static(has_mesh):
+            if face >= wall_count:
+                gap, normal = mesh.contact(face - wall_count, local)
         if ti.static(moving):
             normal = walls.rotation[pose, w] @ normal
         return gap, normal
 
     @ti.func
-    def given_velocity(w, pose, point):
+    def given_velocity(face, pose, point):
         velocity = 0.0 * point
         if ti.static(moving):
+            w = wall_of(-1 - face)
             velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - center(w, pose))
         return velocity
 
     @ti.func
-    def surface_velocity(w, pose, point):
-        velocity = given_velocity(w, pose, point)
+    def surface_velocity(face, pose, point):
+        velocity = given_velocity(face, pose, point)
         if ti.static(driven):
-            velocity += driven_velocity(w)
+            velocity += driven_velocity(wall_of(-1 - face))
         return velocity
 
-    return WallGeometry(distance, closest, surface_velocity, given_velocity)
+    return WallGeometry(to_rest, distance, closest, surface_velocity, given_velocity)
+
+
+def build_wall_of(state: State) -> Any:
+    """Device function: the wall that a partner j < 0 belongs to.
+
+    Partner -1 - p is the wall p, or triangle p - walls of all meshes together.
+    """
+    wall_count, mesh, has_mesh = len(state.plan.walls), state.mesh, state.mesh is not None
+
+    @ti.func
+    def wall_of(j):
+        w = -1 - j
+        if ti.static(has_mesh):
+            if w >= wall_count:
+                w = mesh.wall[w - wall_count]
+        return w
+
+    return wall_of
+
+
+def build_triangle_of(state: State) -> Any:
+    """Device function: the triangle that a partner j < 0 is, counted over all meshes; below 0 for none."""
+    wall_count = len(state.plan.walls)
+
+    @ti.func
+    def triangle_of(j):
+        return -1 - j - wall_count
+
+    return triangle_of
+
+
+def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Index (n,) of the wall that each partner (n,) below 0 belongs to; see `build_wall_of`."""
+    walls = np.arange(len(state.plan.walls))
+    if state.mesh is not None:
+        walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
+    return walls[-1 - partner].astype(np.int64)
 
 
 def upload_poses(state: State, step: int) -> None:

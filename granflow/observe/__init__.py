@@ -17,6 +17,7 @@ from granflow.observe.files import remove_parts, replacing, write_text
 from granflow.observe.loads import LoadMeter
 from granflow.observe.lock import locked
 from granflow.observe.log import run_log, versions, write_scene_as_run
+from granflow.observe.meshes import copy_meshes
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Keepable, Observer
 from granflow.observe.progress import ProgressDisplay
@@ -46,6 +47,7 @@ __all__ = [
     "WallFrames",
     "accepted_change",
     "closing_table",
+    "copy_meshes",
     "decided",
     "earlier_grains",
     "every",

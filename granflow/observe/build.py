@@ -6,12 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from granflow.observe.coarse import FieldFrames, Kernel, grid_in
+from granflow.observe.indices.build import index_meters
 from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.plan.sizes import diameter_range
 from granflow.plan.walls import loaded_areas
 from granflow.scene.border import Border
 
@@ -33,6 +36,7 @@ def observers_for(
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
         observers.append(WallFrames(out_dir, interval, wall_triangles))
+    observers += [_field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
     return observers
 
 
@@ -45,7 +49,18 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     }
     loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
     interval = scene.output.timeseries_interval or scene.output.interval
-    return TimeSeries(out_dir, interval, meters, loads=loads)
+    return TimeSeries(out_dir, interval, meters, loads=loads, indices=index_meters(scene))
+
+
+def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+    grid = grid_in(scene.domain, asked)
+    width = asked.width
+    if width == "auto":
+        width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
+    interval = asked.interval or scene.output.interval
+    return FieldFrames(
+        out_dir, name, interval, grid, Kernel(width, asked.cut_off), asked.quantities, asked.stages or ()
+    )
 
 
 def progress_for(scene: Any) -> ProgressDisplay:

@@ -26,7 +26,8 @@ class Result:
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
     `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
     `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter. `loads`: wall_force_x and so on by the name of the wall.
+    meter. `loads`: wall_force_x and so on by the name of the wall. `indices`: likewise by the name of
+    the index.
     """
 
     run: Mapping[str, float]
@@ -34,6 +35,7 @@ class Result:
     totals: Mapping[str, float]
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     loads: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    indices: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[Judgement, ...] = ()
 
     def held_to(self, expectations: Iterable[Expectation]) -> "Result":
@@ -49,7 +51,7 @@ class Result:
         """
         named = {**self.run, **self.totals}
         named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        for part, readings in (*self.meters.items(), *self.loads.items()):
+        for part, readings in (*self.meters.items(), *self.loads.items(), *self.indices.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
 
@@ -62,6 +64,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "totals": _finite(result.totals),
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
         "loads": {name: _finite(readings) for name, readings in result.loads.items()},
+        "indices": {name: _finite(readings) for name, readings in result.indices.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
@@ -76,7 +79,8 @@ def closing_table(result: Result, title: str = "Result") -> Table:
     table.add_column(justify="right")
     table.add_column(justify="left")
     for section in (
-        _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result)
+        _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result),
+        _part_rows(result.indices),
     ):  # fmt: skip
         for row in section:
             table.add_row(*row)

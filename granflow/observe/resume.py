@@ -1,5 +1,6 @@
 """Whether a run may go on from a checkpoint with the scene at hand, and when its own checkpoints are due."""
 
+import hashlib
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,8 +37,16 @@ LARGEST_JUMP = 1e-3
 
 def decided(plan: Plan) -> dict[str, Any]:
     """The numbers and features of a plan that go into checkpoints."""
-    numbers = {name: getattr(plan, name) for name in DECIDED}
+    numbers = {name: getattr(plan, name) for name in DECIDED} | {"mesh_print": mesh_print(plan)}
     return numbers | {name: getattr(plan.features, name) for name in SWITCHES}
+
+
+def mesh_print(plan: Plan) -> str:
+    """Digest of what numbers the triangles of mesh walls and says where they are; empty without any."""
+    digest = hashlib.sha256(str(len(plan.walls)).encode())
+    for index, mesh in plan.meshes.items():
+        digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
+    return digest.hexdigest() if plan.meshes else ""
 
 
 @dataclass(frozen=True)
@@ -77,6 +86,11 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, anyway: bool) -> Change:
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
     for name, before in checkpoint.kept["plan"].items():
         now = decided(plan)[name]
+        if now != before and name == "mesh_print":
+            raise GranflowError(
+                f"{checkpoint.path}: the triangles of the mesh walls are others than those of the run so far, but they "
+                "must stay the same while a run goes on; put the mesh files back as they were."
+            )
         if now != before:
             remedy = "; give it with --set" if name in ("time_step", "velocity_max", "skin", "chunk_size") else ""
             raise GranflowError(

@@ -7,11 +7,18 @@ from io import FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
+from granflow.observe.indices.meter import IndexMeter
 from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES, WALL_QUANTITIES
+from granflow.quantities import (
+    INDEX_QUANTITIES,
+    LOAD_QUANTITIES,
+    METER_QUANTITIES,
+    TOTAL_QUANTITIES,
+    WALL_QUANTITIES,
+)
 from granflow.snapshot import Snapshot
 
 
@@ -20,8 +27,8 @@ class TimeSeries:
 
     The columns are fixed by the first snapshot: time [s], stage, the totals it has in the order of the
     glossary, then per meter the mass and number passed and the mass flow since the row before, then per
-    measured wall the mean load since the row before. Units stand in the header. Without a directory nothing
-    is written, and meters and loads are read all the same.
+    measured wall the mean load since the row before, then the numbers of every index. Units stand in the
+    header. Without a directory nothing is written, and meters, loads and indices are read all the same.
     """
 
     def __init__(
@@ -31,9 +38,11 @@ class TimeSeries:
         meters: Mapping[str, FlowMeter] | None = None,
         start: float = 0.0,
         loads: Mapping[str, LoadMeter] | None = None,
+        indices: Mapping[str, IndexMeter] | None = None,
     ) -> None:
-        self.meters, self.loads = dict(meters or {}), dict(loads or {})
+        self.meters, self.loads, self.indices = dict(meters or {}), dict(loads or {}), dict(indices or {})
         self.wants = frozenset({TOTALS, PARTICLES} if self.meters else {TOTALS})
+        self.wants = self.wants.union(*(index.wants for index in self.indices.values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
         self._schedule = Schedule(interval, start)
         self._names: list[str] = []
@@ -53,6 +62,8 @@ class TimeSeries:
             meter.look(snapshot)
         for load in self.loads.values():
             load.look(snapshot)
+        for index in self.indices.values():
+            index.look(snapshot)
         if self.path is None:
             return
         if not self._size and not self._unwritten:
@@ -70,9 +81,11 @@ class TimeSeries:
         """Numbers of every meter at the end, by the meter's name."""
         return {name: meter.result() for name, meter in self.meters.items()}
 
-    def load_results(self) -> dict[str, dict[str, float]]:
-        """Numbers of every measured wall at the end, by the wall's name."""
-        return {name: load.result() for name, load in self.loads.items()}
+    def all_results(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Numbers at the end of every meter, measured wall and index, by its name."""
+        loads = {name: load.result() for name, load in self.loads.items()}
+        indices = {name: index.result() for name, index in self.indices.items()}
+        return {"meters": self.results(), "loads": loads, "indices": indices}
 
     def keep(self) -> dict[str, Any]:
         """The size of the file, all rows of which are brought to the disk first, and what the meters counted."""
@@ -85,6 +98,7 @@ class TimeSeries:
             "unwritten": self._unwritten.decode(),
             "meters": {name: meter.keep() for name, meter in self.meters.items()},
             "loads": {name: load.keep() for name, load in self.loads.items()},
+            "indices": {name: index.keep() for name, index in self.indices.items()},
         }
 
     def put_back(self, kept: dict[str, Any]) -> None:
@@ -95,6 +109,8 @@ class TimeSeries:
             meter.put_back(kept["meters"][name])
         for name, load in self.loads.items():
             load.put_back(kept["loads"][name])
+        for name, index in self.indices.items():
+            index.put_back(kept["indices"][name])
 
     @property
     def rows_are_there(self) -> bool:
@@ -130,13 +146,15 @@ class TimeSeries:
     def _readings(self) -> list[float]:
         meters = self.meters.values()
         flows = [number for meter in meters for number in (meter.mass, meter.count, meter.mass_flow())]
-        return flows + [number for load in self.loads.values() for number in load.readings().values()]
+        loads = [number for load in self.loads.values() for number in load.readings().values()]
+        return flows + loads + [number for index in self.indices.values() for number in index.readings().values()]
 
     def _meter_labels(self) -> list[str]:
         quantities = METER_QUANTITIES.values()
         flows = [quantity.label_of(name) for name in self.meters for quantity in quantities]
-        loads = self.loads.items()
-        return flows + [LOAD_QUANTITIES[each].label_of(name) for name, load in loads for each in load.readings()]
+        loads = [LOAD_QUANTITIES[each].label_of(name) for name, load in self.loads.items() for each in load.readings()]
+        known, indices = INDEX_QUANTITIES, self.indices.items()
+        return flows + loads + [known[each].label_of(name) for name, index in indices for each in index.readings()]
 
 
 def _size_of(path: Path) -> int:

@@ -32,8 +32,8 @@ _PARTICLE_ARRAYS = (
 _CONTACT_POINTS = ("first_position", "second_position")
 
 
-class _Frames:
-    """What the three kinds of frames share: a schedule, and a series of files."""
+class Frames:
+    """What all kinds of frames share: a schedule, and a series of files."""
 
     wants: frozenset[str] = frozenset()
     stem = ""
@@ -76,7 +76,7 @@ class _Frames:
         raise NotImplementedError
 
 
-class ParticleFrames(_Frames):
+class ParticleFrames(Frames):
     """`particles_NNNN.vtu`: a vertex per particle, with the arrays that the snapshot has.
 
     `reach` [m]: largest coordinate that occurs (from the domain); it decides whether float32 positions
@@ -108,7 +108,7 @@ class ParticleFrames(_Frames):
         return position.astype(np.float32 if resolved else np.float64)
 
 
-class ContactFrames(_Frames):
+class ContactFrames(Frames):
     """`contacts_NNNN.vtu`: a line per contact from centre to centre (or to the foot point on a wall)."""
 
     wants = frozenset({CONTACTS})
@@ -128,7 +128,7 @@ class ContactFrames(_Frames):
         return mesh_of_cells("line", points, lines, arrays)
 
 
-class WallFrames(_Frames):
+class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the walls that are present, moved to where they stand.
 
     `triangles`: name -> (rest points (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array

@@ -9,7 +9,7 @@ from granflow.errors import SceneError
 from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.scene import Scene
 from granflow.scene.border import AXES, Border
-from granflow.walls.catalogue import reach_about
+from granflow.walls.catalogue import distance_from, reach_about
 from granflow.walls.motion import single_rotation
 
 SAMPLES = 101
@@ -37,10 +37,8 @@ def refuse_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> No
     for axis in border.axes:
         face = _face(border, axis)
         for wall in walls:
-            here, there = (
-                wall.shape.kind.reference_closest(points, wall.shape.parameters)[0]
-                for points in (face, face + border.width[axis] * np.eye(3)[axis])
-            )
+            opposite = face + border.width[axis] * np.eye(3)[axis]
+            here, there = (distance_from(wall.shape, points, reach) for points in (face, opposite))
             near = np.minimum(np.abs(here), np.abs(there)) < reach
             if np.any(near & ~(np.abs(here - there) <= SAME * reach)):
                 raise SceneError(

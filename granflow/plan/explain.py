@@ -42,12 +42,14 @@ def explain(plan: Plan) -> str:
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
         **({"Driven walls": _drive_rows(plan)} if plan.drives else {}),
+        "Meshes": _mesh_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan, width),
         "Settings that a scene may leave out": [Row(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
     }
     title = f"{plan.scene.title} ({plan.scene.path})"
-    return "\n\n".join([title, *("\n".join([head, *_aligned(rows)]) for head, rows in sections.items())])
+    tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
+    return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
 
 
 def _feature_row(reason: Reason) -> Row:
@@ -96,6 +98,15 @@ def _materials(plan: Plan) -> str:
     return f"{listed}; not used: {', '.join(unused)}" if unused else listed
 
 
+def _mesh_rows(plan: Plan) -> Iterator[Row]:
+    last = ""
+    for note in plan.mesh_notes:
+        head, _, rest = note.sentence.partition(", ")
+        first = note.wall != last
+        yield Row(note.wall, head, rest) if first else Row("", "WARNING" if note.warning else "", note.sentence)
+        last = note.wall
+
+
 def _memory_rows(plan: Plan, memory: Memory) -> Iterator[Row]:
     slots, particles = plan.chunk_capacity * plan.slots_per_chunk, plan.particle_capacity
     each = f"{size(memory.per_particle)} for each: state, force and what sorting needs"
@@ -136,7 +147,7 @@ def _ends(fixed: float | None, at_most: float | None) -> str:
 def _aligned(rows: Iterable[Row]) -> Iterator[str]:
     """Lines of a table of three columns; the last one is wrapped."""
     found = list(rows)
-    names, values = (max(len(row[column]) for row in found) for column in (0, 1))
+    names, values = (max((len(row[column]) for row in found), default=0) for column in (0, 1))
     wrapper = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
     for row in found:
         lead = f"  {row.name:<{names}}  {row.value:<{values}}  "

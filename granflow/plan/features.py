@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from granflow.plan.sizes import WIDE, diameter_range, size_classes
 from granflow.plan.walls import is_driven
 from granflow.scene import Scene
 
@@ -19,6 +20,7 @@ class Features:
     walls: bool
     moving_walls: bool
     driven_walls: bool
+    mesh_walls: bool
     one_material: bool
     ledger: bool
     loads: bool
@@ -26,6 +28,8 @@ class Features:
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
+    size_classes: str
+    """Number of classes of sizes that the search takes one by one, or "none"."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class Reason:
 def features_of(scene: Scene, law_is_damped: bool) -> Features:
     """Decide every feature from the scene alone."""
     friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
-    rolling = scene.contact.rolling
+    rolling, classes = scene.contact.rolling, size_classes(scene)
     if not any(pair.rolling_friction for pair in scene.pairs.values()):
         rolling = "none"
     return Features(
@@ -52,12 +56,14 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         driven_walls=any(is_driven(wall) for wall in scene.walls.values()),
+        mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
         loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
+        size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
 
@@ -77,6 +83,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "driven_walls": _driven_reason(scene, features),
+        "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
         "loads": _loads_reason(scene, features),
@@ -85,6 +92,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         if scene.domain.periodic
         else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
+        "size_classes": _sizes_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -145,6 +153,13 @@ def _driven_reason(scene: Scene, features: Features) -> str:
     return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
 
 
+def _mesh_reason(scene: Scene, features: Features) -> str:
+    if not features.mesh_walls:
+        return "no wall is a mesh"
+    name = next(name for name, wall in scene.walls.items() if wall.shape == "mesh")
+    return f"walls.{name} is one ({scene.where('walls', name, 'shape')})"
+
+
 def _loads_reason(scene: Scene, features: Features) -> str:
     if not features.loads:
         return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
@@ -161,6 +176,14 @@ def _fixed_reason(scene: Scene, features: Features) -> str:
 def _step_reason(scene: Scene) -> str:
     how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
     return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
+
+
+def _sizes_reason(scene: Scene) -> str:
+    spans = [diameter_range(group) for group in scene.particles.values()]
+    ratio = max(high for _, high in spans) / min(low for low, _ in spans)
+    if ratio < WIDE:
+        return f"the largest particles are less than {WIDE:g} times as wide as the smallest"
+    return f"the largest particles are {ratio:.3g} times as wide as the smallest ({scene.where('particles')})"
 
 
 def _material_reason(scene: Scene) -> str:

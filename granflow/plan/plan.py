@@ -22,14 +22,17 @@ from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
+from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.pace import Pace, pace_of
-from granflow.plan.sizes import diameter_range
-from granflow.plan.slots import SPARE_IN_A_ROW, slots_per_particle
+from granflow.plan.sizes import diameter_range, size_classes
+from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
 from granflow.scene import Scene
 from granflow.scene.border import Border
 from granflow.scene.schema import Group, RestitutionFit
+from granflow.walls.mesh import Mesh
+from granflow.walls.mesh_grid import MeshGrid, grid_over
 
 FEW_PARTICLES = 64
 """Up to so many particles each is a chunk of its own: what that costs in time it saves in compiling, twice over."""
@@ -44,6 +47,9 @@ CELLS_PER_PARTICLE = 3
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
 LEAST_CELLS = 8192
+
+BLOCK_CELLS = 8**3
+"""Cells of the smallest grid: they come in blocks."""
 
 SKIN_STEPS = 60
 """A particle at the largest velocity should cross half the skin in no fewer steps than this."""
@@ -124,14 +130,27 @@ class Plan:
     def slots_per_chunk(self) -> int:
         """First guess of contact slots in one chunk."""
         share = slots_per_particle(self.particle_capacity, self.skin / self.radius_min)
+        at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
         if self.chunk_size == 1:
-            return int(2.0 * share) + SPARE_IN_A_ROW
+            return int(2.0 * share + at_meshes) + SPARE_IN_A_ROW
+        share += SHARE_AT_MESHES * at_meshes
         return int(share * min(self.chunk_size, self.particle_capacity)) + 16
 
     @property
     def cell_capacity(self) -> int:
         """Most cells of the search grid."""
         return max(CELLS_PER_PARTICLE * self.particle_capacity, LEAST_CELLS)
+
+    @cached_property
+    def size_classes(self) -> tuple[float, ...]:
+        """Largest radius [m] of each class of sizes that the search takes by itself, from small to large."""
+        return size_classes(self.scene)
+
+    @property
+    def listed_cell_capacity(self) -> int:
+        """Most cells of the grids of all classes of sizes; 0 where there is but one class."""
+        classes = len(self.size_classes)
+        return 2 * self.cell_capacity + classes * BLOCK_CELLS if classes > 1 else 0
 
     @property
     def wall_way(self) -> float:
@@ -147,6 +166,32 @@ class Plan:
     def overlap_limit(self) -> float:
         """Overlap over radius at which the guard stops the run."""
         return self.scene.numerics.overlap_limit
+
+    @cached_property
+    def meshes(self) -> dict[int, Mesh]:
+        """The mesh walls by their index among the walls."""
+        return {index: wall.shape for index, wall in enumerate(self.walls) if isinstance(wall.shape, Mesh)}
+
+    @cached_property
+    def mesh_grids(self) -> dict[int, MeshGrid]:
+        """The grid of every mesh wall by its index among the walls."""
+        reach = self.radius_max + self.skin
+        return {index: grid_over(mesh.links.vertex, reach) for index, mesh in self.meshes.items()}
+
+    def first_triangle(self, index: int) -> int:
+        """Number of the first triangle of a mesh wall, counted over all meshes."""
+        return sum(mesh.triangle_count for before, mesh in self.meshes.items() if before < index)
+
+    @cached_property
+    def mesh_notes(self) -> tuple[MeshNote, ...]:
+        """What a user should know of the mesh walls."""
+        named = {self.walls[index].name: mesh for index, mesh in self.meshes.items()}
+        return tuple(n for name, mesh in named.items() for n in notes_on(self.scene, name, mesh, 2.0 * self.radius_min))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences to show before a run."""
+        return self.step.warnings + tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
 
     @cached_property
     def border(self) -> Border:

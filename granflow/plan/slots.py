@@ -25,6 +25,15 @@ SPARE_IN_A_ROW = 6
 """Slots above twice the mean where every particle is a chunk of its own and lists all of its partners."""
 
 
+SHARE_AT_MESHES = 0.1
+"""Particles of a bed that lie at a mesh wall."""
+
+
+def near_triangles(edge: float, skin: float) -> float:
+    """Triangles of a mesh with such edges [m] that a sphere at it lists: those within the skin of its foot."""
+    return 2.0 * (1.0 + 2.0 * skin / edge) ** 2
+
+
 def slots_per_particle(particle_count: int, skin_over_radius: float) -> float:
     """Slots for each particle."""
     listed = BARE + PER_SKIN * skin_over_radius

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from granflow.plan.meshes import meshes_of
 from granflow.scene import Scene
 from granflow.scene import schema as scene_schema
 from granflow.walls import motion, plane, revolved
-from granflow.walls.catalogue import area_of, reach_about
+from granflow.walls.catalogue import Surface, area_of, reach_about
 from granflow.walls.rims import join_rims
 from granflow.walls.shape import Shape, unit
 
@@ -23,27 +24,28 @@ class PlannedWall:
     """One wall: its name in the scene, its shape at rest, its material's number in the plan."""
 
     name: str
-    shape: Shape
+    shape: Surface
     material: int
 
 
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
-    """Shapes of all walls, rims shared by walls that stay together joined."""
-    walls = scene.walls
-    shapes = [shape_of(wall) for wall in walls.values()]
+    """Shapes of all walls, rims shared by walls that stay together joined.
+
+    Raises SceneError where the file of a mesh cannot be used.
+    """
+    walls, surfaces = scene.walls, dict[str, Surface](meshes_of(scene))
+    primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
     groups = [
         (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_driven(wall) else "")
-        for name, wall in walls.items()
+        for name, wall in primitives.items()
     ]
-    joined = join_rims(shapes, groups) if shapes else []
-    return tuple(
-        PlannedWall(name, shape, material_numbers[wall.material])
-        for (name, wall), shape in zip(walls.items(), joined, strict=True)
-    )
+    joined = join_rims([shape_of(wall) for wall in primitives.values()], groups)
+    surfaces |= dict(zip(primitives, joined, strict=True))
+    return tuple(PlannedWall(name, surfaces[name], material_numbers[wall.material]) for name, wall in walls.items())
 
 
 def shape_of(wall: scene_schema.AnyWall) -> Shape:
-    """The shape of one wall of the scene at rest."""
+    """The shape of one wall of the scene at rest, unless it is a mesh."""
     if isinstance(wall, scene_schema.Plane):
         return plane.half_space(wall.point, wall.normal)
     if isinstance(wall, scene_schema.Rectangle):
@@ -52,6 +54,7 @@ def shape_of(wall: scene_schema.AnyWall) -> Shape:
         return revolved.cylinder(wall.from_, wall.to, wall.radius)
     if isinstance(wall, scene_schema.Cone):
         return revolved.cone(wall.from_, wall.to, wall.radius_from, wall.radius_to)
+    assert isinstance(wall, scene_schema.Disc)
     return revolved.disc(wall.center, wall.normal, wall.radius, wall.hole_radius)
 
 
@@ -109,7 +112,8 @@ def wall_change_times(scene: Scene) -> tuple[float, ...]:
 
 def loaded_areas(scene: Scene) -> dict[str, float | None]:
     """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
-    return {name: area_of(shape_of(scene.walls[name])) for name in scene.loaded_walls}
+    meshes = meshes_of(scene)
+    return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.loaded_walls}
 
 
 def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:

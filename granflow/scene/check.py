@@ -1,13 +1,15 @@
 """Checks between the parts of a scene: names that must exist, pairs that must be there, times, places."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
 from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
+from granflow.scene.check_analysis import expected_indices, field_grids, indices
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
+from granflow.scene.findings import Check, Finding, unknown
 from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
 from granflow.scene.matter import RestitutionFit
 from granflow.scene.schema import Plane, Scene, Stage, Wall
@@ -15,8 +17,6 @@ from granflow.scene.shapes import Free, Servo, Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
 
-Finding = tuple[KeyPath, Fault]
-Check = Callable[[Draft], Iterator[Finding]]
 _AXES = "xyz"
 _MOST = {"materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "stages": 1000, "expect": 1000}
 """Entries of a section: what is worked out for every two of them must stay quick."""
@@ -42,21 +42,12 @@ def _crowds(draft: Draft) -> Iterator[Finding]:
             yield (section,), Fault((), f"has {found} entries, but a scene holds at most {most} of them", whole=True)
 
 
-def _unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Finding:
-    names = list(known)
-    near = nearest(name, names)
-    if near:
-        return path, Fault((), f"there is no such {kind}. Did you mean {near}?")
-    listed = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
-    return path, Fault((), f"there is no such {kind}; {listed}")
-
-
 def _materials(draft: Draft) -> Iterator[Finding]:
     known = draft.names("materials")
     for section in ("walls", "particles"):
         for name, part in getattr(draft.scene, section).items():
             if part.material not in known:
-                yield _unknown((section, name, "material"), part.material, known, "material")
+                yield unknown((section, name, "material"), part.material, known, "material")
 
 
 def _some_particles(draft: Draft) -> Iterator[Finding]:
@@ -209,7 +200,7 @@ def _stage_names(draft: Draft) -> Iterator[Finding]:
                     continue
                 place = ("walls", wall_name, *path, "stages", index)
                 if draft.scene.stages:
-                    yield _unknown(place, name, names, "stage")
+                    yield unknown(place, name, names, "stage")
                 else:
                     yield place, Fault((), "the scene has no stages; give times instead of stages")
 
@@ -279,7 +270,7 @@ def _meters(draft: Draft) -> Iterator[Finding]:
     for index, expectation in enumerate(draft.scene.expect):
         quantity, dot, meter = expectation.quantity.partition(".")
         if dot and quantity in METER_QUANTITIES and meter not in meters:
-            yield _unknown(("expect", index, "quantity"), meter, meters, "meter")
+            yield unknown(("expect", index, "quantity"), meter, meters, "meter")
 
 
 def _loads(draft: Draft) -> Iterator[Finding]:
@@ -288,14 +279,14 @@ def _loads(draft: Draft) -> Iterator[Finding]:
     measured = known if asked is True else asked or ()
     for index, name in enumerate(() if isinstance(asked, bool) else asked):
         if name not in known:
-            yield _unknown(("output", "loads", index), name, known, "wall")
+            yield unknown(("output", "loads", index), name, known, "wall")
     for index, expectation in enumerate(draft.scene.expect):
         quantity, dot, wall = expectation.quantity.partition(".")
         path: KeyPath = ("expect", index, "quantity")
         if not dot or quantity not in LOAD_QUANTITIES:
             continue
         if wall not in known:
-            yield _unknown(path, wall, known, "wall")
+            yield unknown(path, wall, known, "wall")
         elif wall not in measured:
             yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
         elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
@@ -332,6 +323,9 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("gravity",), _gamma),
     (("domain",), _regions),
     (("output", "expect"), _meters),
+    (("output", "stages", "domain"), field_grids),
+    (("output", "gravity", "domain"), indices),
+    (("output", "expect"), expected_indices),
     (("output", "expect"), _loads),
     (("run",), _driven),
 )

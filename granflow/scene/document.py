@@ -36,7 +36,8 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        text = f"{self.place}: {self.sentence}"
+        words = self.sentence.lstrip(" ")  # a key may begin with spaces, which nobody would see
+        text = f"{self.place}: " + r"\x20" * (len(self.sentence) - len(words)) + words
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

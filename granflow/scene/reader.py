@@ -31,16 +31,21 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     scene = scene_in(_document(Path(path)), overrides)
     if scene.start_from is not None:
         scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
-    scene._path = Path(path)
+    scene._path, scene._folder = Path(path), Path(path).parent
     return scene
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene from text, such as that in a checkpoint. Raises as `load` does."""
+    """Read a scene from text, such as that in a checkpoint; paths count from the folder of `source`.
+
+    Raises as `load` does.
+    """
     try:
-        return scene_in(parse(text, source), overrides)
+        scene = scene_in(parse(text, source), overrides)
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
+    scene._folder = Path(source).parent
+    return scene
 
 
 def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:

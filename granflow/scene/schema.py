@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from granflow.scene.analysis import AnyIndex, FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -64,6 +65,7 @@ from granflow.scene.shapes import (
     Cylinder,
     Disc,
     Free,
+    MeshWall,
     Plane,
     Rectangle,
     Rotation,
@@ -87,12 +89,14 @@ __all__ = [
     "Disc",
     "Domain",
     "Expectation",
+    "FieldGrid",
     "Free",
     "Group",
     "Lattice",
     "Listed",
     "LogNormalSizes",
     "Material",
+    "MeshWall",
     "Meter",
     "NormalSizes",
     "Numerics",
@@ -224,6 +228,8 @@ class Output(Model):
         False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
     )
     meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
+    indices: dict[Name, AnyIndex] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
@@ -277,6 +283,7 @@ class Scene(Model):
     expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
 
     _path: Path = PrivateAttr(Path())
+    _folder: Path = PrivateAttr(Path())
     _document: Document | None = PrivateAttr(None)
 
     def __eq__(self, other: object) -> bool:
@@ -289,6 +296,11 @@ class Scene(Model):
     def path(self) -> Path:
         """The file this scene was read from; an empty path if there is none."""
         return self._path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
+        return self._folder
 
     @property
     def schedule(self) -> tuple[Stage, ...]:

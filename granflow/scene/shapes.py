@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import PurePath
 from typing import Annotated, Literal
 
 from pydantic import Field, Tag
@@ -143,11 +144,11 @@ class Free(Timed):
 
 
 Motion = Annotated[
-    Annotated[Servo, Tag("<servo>")]
-    | Annotated[Free, Tag("<free>")]
-    | Annotated[Vibration, Tag("<vibration>")]
+    Annotated[Vibration, Tag("<vibration>")]
     | Annotated[Translation, Tag("<translation>")]
-    | Annotated[Rotation, Tag("<rotation>")],
+    | Annotated[Rotation, Tag("<rotation>")]
+    | Annotated[Servo, Tag("<servo>")]
+    | Annotated[Free, Tag("<free>")],
     choice("kind"),
 ]
 
@@ -255,11 +256,38 @@ class Disc(Wall):
             yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
 
 
+class Turn(Model):
+    """A turn about an axis through the origin, right-handed."""
+
+    axis: Direction = Field(description="direction of the axis; its length does not matter")
+    angle: Angle = Field(description="angle [rad], such as 90 deg")
+
+
+class MeshWall(Wall):
+    """Triangles from a file, touched from both sides: scaled, then turned, then shifted."""
+
+    shape: Literal["mesh"] = Field(description="shape of the wall")
+    file: Text = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
+    scale: Positive = Field(1.0, description="factor from the file's units to metres: 0.001 for millimetres")
+    rotate: Annotated[tuple[Turn, ...], listing(one=True), AlsoWritten()] = Field(
+        (), description="how the mesh is turned about the origin: one turn or a list of them, one after the other"
+    )
+    translate: Point = Field((0.0, 0.0, 0.0), description="how far it is shifted [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """A file in the scene's folder, or below it."""
+        yield from super().faults()
+        path = PurePath(self.file)
+        if path.is_absolute() or ".." in path.parts or not path.parts:
+            yield Fault(("file",), "the file must lie in the scene's folder, or below it; give its path from there")
+
+
 AnyWall = Annotated[
     Annotated[Plane, Tag("<plane>")]
     | Annotated[Rectangle, Tag("<rectangle>")]
     | Annotated[Cylinder, Tag("<cylinder>")]
     | Annotated[Cone, Tag("<cone>")]
-    | Annotated[Disc, Tag("<disc>")],
+    | Annotated[Disc, Tag("<disc>")]
+    | Annotated[MeshWall, Tag("<mesh>")],
     choice("shape"),
 ]

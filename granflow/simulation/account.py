@@ -48,13 +48,13 @@ class WallClock:
 
 
 Readings = Mapping[str, Mapping[str, float]]
-"""Numbers by quantity of every meter, or wall, by name."""
+"""Numbers by quantity of every meter, wall or index, by name."""
 
 
 def outcome(
-    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], meters: Readings, loads: Readings
+    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
 ) -> Result:
-    """The numbers of a run, not yet held to what was expected."""
+    """The numbers of a run, not yet held to what was expected; `readings` by kind, as `Result` names them."""
     timing = engine.timing
     computing = max(timing.search + timing.advance, 1e-9)
     run = {
@@ -73,7 +73,8 @@ def outcome(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads)
+    meters, loads, indices = (readings.get(kind, {}) for kind in ("meters", "loads", "indices"))
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads, indices=indices)
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
@@ -84,7 +85,7 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
     log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
     for line in explain(plan).splitlines():
         log.info("%s", line)
-    for warning in plan.step.warnings:
+    for warning in plan.warnings:
         log.warning("%s", warning)
     if resumed is not None:
         log.info("goes on from %s at %.6g s", resumed.path, engine.time)

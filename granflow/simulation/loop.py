@@ -2,7 +2,7 @@
 
 import logging
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from math import inf, isfinite
 from pathlib import Path
@@ -24,6 +24,7 @@ from granflow.observe import (
     Result,
     TimeSeries,
     accepted_change,
+    copy_meshes,
     decided,
     earlier_grains,
     locked,
@@ -147,7 +148,7 @@ class Simulation:
                 self._run_stage(stage, end)
         self._save()
         last = self._show_to(self._observers, TOTALS)
-        result = outcome(self.engine, self._wall_clock, last.totals, *self._readings())
+        result = outcome(self.engine, self._wall_clock, last.totals, self._readings())
         if self.time < end or until is None:
             result = result.held_to(self.scene.expect)
         logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
@@ -168,6 +169,7 @@ class Simulation:
         """Leave of an earlier run only what this one goes on from."""
         remove_parts(out)
         remove_after(out, self._resumed.path if self._resumed else None)
+        copy_meshes(out, self.scene)
         write_scene_as_run(out, self.scene)
         if self._resumed is not None:
             (out / "result.json").unlink(missing_ok=True)
@@ -175,10 +177,10 @@ class Simulation:
                 if isinstance(observer, Keepable):
                     observer.cut_back()
 
-    def _readings(self) -> tuple[Readings, Readings]:
-        """What the flow meters counted, and the loads on the walls."""
+    def _readings(self) -> Mapping[str, Readings]:
+        """What the flow meters counted, the loads on the walls, and the indices."""
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
-        return (series[0].results(), series[0].load_results()) if series else ({}, {})
+        return series[0].all_results() if series else {}
 
     def _own_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
@@ -187,7 +189,7 @@ class Simulation:
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.meters or self.scene.loaded_walls:
+        elif self.scene.output.meters or self.scene.output.indices or self.scene.loaded_walls:
             found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))

@@ -1,12 +1,14 @@
-"""One HTML page from text, tables and figures: everything inside the file, nothing from the network."""
+"""One HTML page from text, tables, figures and plots: everything inside the file, nothing from the network."""
 
+import json
 from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
-MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 
 STYLE = """
 :root { color-scheme: light; }
@@ -25,9 +27,16 @@ caption { text-align: left; padding-bottom: .4rem; }
 table { border-collapse: collapse; font: .88rem/1.4 system-ui, sans-serif; font-variant-numeric: tabular-nums; }
 th, td { padding: .28rem .8rem .28rem 0; text-align: right; vertical-align: top; }
 th:first-child, td:first-child, td.words, th.words { text-align: left; }
+td:not(.words) { white-space: nowrap; }
 td.words { min-width: 9rem; }
 thead th { border-top: 1.5px solid #222; border-bottom: 1px solid #222; vertical-align: bottom; }
+caption + tbody tr:first-child td { border-top: 1.5px solid #222; }
 tbody tr:last-child td { border-bottom: 1.5px solid #222; }
+.gallery { display: flex; flex-wrap: wrap; gap: 1rem; } .gallery figure { margin: 0; width: calc(50% - .5rem); }
+.gallery video { width: 100%; height: auto; }
+pre { font: .8rem/1.45 ui-monospace, Menlo, Consolas, monospace; overflow-x: auto;
+  background: #f7f7f5; padding: .8rem 1rem; }
+pre i { color: #8a8a8a; font-style: normal; user-select: none; }
 @media print { nav { display: none; } figure, table { break-inside: avoid; } }
 """
 
@@ -51,11 +60,37 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Gallery:
+    """Pictures, and maybe films, side by side as far as they fit."""
+
+    pictures: Sequence[Picture]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A plot that can be hovered over: `figure` holds data and layout as plotly takes them."""
+
+    caption: str
+    figure: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text of a file as it stands, lines numbered or not."""
+
+    text: str
+    numbered: bool = True
+
+
+Part = str | Table | Picture | Gallery | Plot | Code
+
+
+@dataclass(frozen=True)
 class Section:
     """A title and what stands under it, in order; plain text becomes a paragraph."""
 
     title: str
-    parts: Sequence[str | Table | Picture]
+    parts: Sequence[Part]
 
 
 @dataclass(frozen=True)
@@ -65,6 +100,17 @@ class Page:
     title: str
     lead: str
     sections: Sequence[Section]
+    script: str = ""
+    """The JavaScript of plotly, for pages with plots."""
+
+
+DRAW_PLOTS = """
+for (const plot of document.querySelectorAll("figure.plot")) {
+  const {data, layout} = JSON.parse(plot.querySelector("script").textContent);
+  const look = {responsive: true, displaylogo: false, showSendToCloud: false};
+  Plotly.newPlot(plot.querySelector("div"), data, layout, look);
+}
+"""
 
 
 def write_page(page: Page, path: Path) -> None:
@@ -76,12 +122,13 @@ def html_of(page: Page) -> str:
     """The page as HTML, images embedded."""
     links = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
     sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections))
+    scripts = f"<script>{page.script}</script>\n<script>{DRAW_PLOTS}</script>\n" if page.script else ""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(page.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
         f'<h1>{escape(page.title)}</h1>\n<p class="lead">{escape(page.lead)}</p>\n<nav>{links}</nav>\n'
-        f"{sections}\n</body>\n</html>\n"
+        f"{sections}\n{scripts}</body>\n</html>\n"
     )
 
 
@@ -94,22 +141,46 @@ def _section(number: int, section: Section) -> str:
     return f'<section id="{_anchor(number)}">\n<h2>{escape(section.title)}</h2>\n{parts}\n</section>'
 
 
-def _part(part: str | Table | Picture) -> str:
-    if isinstance(part, Table):
-        return _table(part)
-    if isinstance(part, Picture):
-        return _picture(part)
+def _part(part: Part) -> str:
+    match part:
+        case Table():
+            return _table(part)
+        case Picture():
+            return _picture(part)
+        case Gallery():
+            return f'<div class="gallery">{"".join(map(_picture, part.pictures))}</div>'
+        case Plot():
+            return _plot(part)
+        case Code():
+            return _code(part)
     return f"<p>{escape(part)}</p>"
+
+
+def _plot(plot: Plot) -> str:
+    figure = json.dumps(plot.figure, separators=(",", ":")).replace("</", "<\\/")
+    return (
+        f'<figure class="plot"><div></div><script type="application/json">{figure}</script>'
+        f"<figcaption>{escape(plot.caption)}</figcaption></figure>"
+    )
+
+
+def _code(code: Code) -> str:
+    lines = code.text.rstrip("\n").split("\n")
+    if not code.numbered:
+        return f"<pre>{escape(code.text)}</pre>"
+    width = len(str(len(lines)))
+    return "<pre>" + "\n".join(f"<i>{n:>{width}}</i>  {escape(line)}" for n, line in enumerate(lines, 1)) + "</pre>"
 
 
 def _picture(picture: Picture) -> str:
     data = b64encode(picture.image.read_bytes()).decode("ascii")
     kind = MEDIA_TYPES[picture.image.suffix]
     links = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.beside)
-    return (
-        f'<figure><img alt="{escape(picture.caption)}" src="data:{kind};base64,{data}">'
-        f"<figcaption>{escape(picture.caption)}{links}</figcaption></figure>"
-    )
+    source = f'src="data:{kind};base64,{data}"'
+    shown = f"<video controls loop muted {source}></video>"
+    if not kind.startswith("video"):
+        shown = f'<img alt="{escape(picture.caption)}" {source}>'
+    return f"<figure>{shown}<figcaption>{escape(picture.caption)}{links}</figcaption></figure>"
 
 
 def _table(table: Table) -> str:
@@ -121,7 +192,7 @@ def _table(table: Table) -> str:
     )
     return (
         f'<div class="scroll"><table><caption>{escape(table.caption)}</caption>'
-        f"<thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>"
+        f"{f'<thead><tr>{heads}</tr></thead>' if any(table.heads) else ''}\n<tbody>\n{rows}\n</tbody></table></div>"
     )
 
 

@@ -14,10 +14,10 @@ def scene_of(**output):
     meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None)
     block = {
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
-        "energy": False, "meters": {"outlet": meter}, **output,
+        "energy": False, "meters": {"outlet": meter}, "fields": {}, "indices": {}, **output,
     }  # fmt: skip
     domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), leaving="error")
-    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain, loaded_walls=())
+    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=())
 
 
 def kinds(scene, triangles, path):

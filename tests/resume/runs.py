@@ -15,8 +15,8 @@ MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequ
 def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
     """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
 
-    Friction, rolling springs, the ledger and a flow meter are on; a row of fixed grains lies in the gate, which goes
-    with the first stage; the floor and one side go with the second. Small beads leave the domain before that side.
+    Friction, rolling springs, the ledger, a flow meter, fields and indices are on; a row of fixed grains lies in the
+    gate, which goes with the first stage; the floor and one side go with the second. Small beads leave before that.
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
@@ -47,6 +47,10 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
             "loads": True,
             "checkpoint": {"interval": duration / 11.0, "keep": 100},
             "meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
+            "indices": {
+                "mix": {"kind": "lacey", "cell": 0.02, "at_least": 4, "groups": ["rain"]}, "web": {"kind": "fabric"},
+            },
+            "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
         },
     }  # fmt: skip
     return trial({"lattice": lattice, "rain": rain, "row": row}, **(given | parts))

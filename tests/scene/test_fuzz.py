@@ -164,6 +164,7 @@ TRAPS = {
     "a long hexadecimal": "seed: 0x" + "f" * 1_000_000,
     "a long key": "k" * 1_000_000 + ": 1",
     "a long word": "title: " + "x" * 1_000_000,
+    "a key that begins with a space": '" title": x',
     "the same key": "title: x\n" * MANY,
     "many keys": "".join(f"k{n}: 1\n" for n in range(6000)),
     "many documents": "---\n" * MANY,

@@ -15,7 +15,8 @@ from granflow.study.render import chosen, frames_of
 from granflow.study.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
 from granflow.study.render.colors import prefixed, scale_for, values_of
 from granflow.study.render.frames import Grains, read_chains, read_grains, read_walls
-from granflow.study.render.render import corners_of, decimals_of, outermost
+from granflow.study.render.render import decimals_of
+from granflow.study.render.sight import corners_of, outermost
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30

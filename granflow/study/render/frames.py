@@ -166,11 +166,16 @@ def read_chains(frame: Frame) -> Chains | None:
     return Chains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
 
 
+def is_empty(path: Path) -> bool:
+    """Whether a VTU file holds nothing."""
+    with path.open("rb") as file:
+        return EMPTY in file.read(HEAD)
+
+
 def _read(path: Path) -> meshio.Mesh:
     try:
-        with path.open("rb") as file:
-            if EMPTY in file.read(HEAD):  # which meshio cannot read
-                return meshio.Mesh(np.zeros((0, 3)), [])
+        if is_empty(path):  # which meshio cannot read
+            return meshio.Mesh(np.zeros((0, 3)), [])
         return meshio.read(path)
     except (Exception, SystemExit) as error:  # a file that is cut short has many ways to fail, meshio's exit is one
         raise GranflowError(f"{path} cannot be read ({error}): take this frame away, or run again.") from None

@@ -12,7 +12,7 @@ DPI = 100
 WIDTH = 0.27
 """Of the strip, over the height of the picture; so are all lengths below."""
 
-LETTERS = 0.027
+LETTERS = 0.03
 TITLE_LETTERS = 13
 """Letters in a line of the title."""
 

@@ -11,9 +11,10 @@ from granflow.observe import replacing
 from granflow.scene import Scene, load
 from granflow.study.render.camera import Camera, View, aspect_of, camera_for, view_of
 from granflow.study.render.colors import Scale, scale_for, values_of
-from granflow.study.render.frames import Chains, Frame, Grains, Surface, frames_of, read_chains, read_grains, read_walls
+from granflow.study.render.frames import Chains, Frame, Grains, frames_of, read_chains, read_grains, read_walls
 from granflow.study.render.margin import WIDTH, colors_of, strip
 from granflow.study.render.painter import Painter, require_pyvista
+from granflow.study.render.sight import domain_of, points_in_sight, sampled
 
 HEIGHT = 1200
 ASPECTS = (0.5, 1.9)
@@ -21,12 +22,6 @@ ASPECTS = (0.5, 1.9)
 
 SAMPLED_FRAMES = 40
 """Most frames that are read for the range of colours."""
-
-SIGHTED_FRAMES = 12
-"""Frames of the whole run that are read for the camera: pictures of one run are then taken from one place."""
-
-ROOM = 0.5
-"""Of what is shown of a plane, beyond the grains and over the largest extent of theirs."""
 
 THICKEST, THINNEST = 0.5, 0.04
 """Radius of the tube of the largest force, over the mean radius of grains; those below the second are left out."""
@@ -118,14 +113,14 @@ def pictures(directory: Path, frames: Sequence[Frame], look: Look) -> Iterator[n
 def stage_for(directory: Path, frames: Sequence[Frame], look: Look) -> Stage:
     """Camera, colour scale and size for all frames."""
     scene = scene_as_run(directory)
-    domain = None if scene is None else np.array([scene.domain.min, scene.domain.max])
     view = view_of(look.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
-    points = _points_in_sight(look.fit, scene, frames if look.fit == "grains" else whole, domain)
+    domain = domain_of(scene)
+    points = points_in_sight(look.fit, scene, frames if look.fit == "grains" else whole, domain)
     size = look.size or _size(aspect_of(view, points))
     camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], look.zoom)
     cut = _cut(view, points) if look.cut else None
-    scale = _scale(look, scene, _sampled(frames, SAMPLED_FRAMES))
+    scale = _scale(look, scene, sampled(frames, SAMPLED_FRAMES))
     return Stage(look, scale, camera, size, domain, cut, decimals_of([frame.time for frame in whole]))
 
 
@@ -133,54 +128,6 @@ def decimals_of(times: Sequence[float]) -> int:
     """Digits behind the point that tell most of these times [s] apart."""
     apart = float(np.median(np.diff(times))) if len(times) > 1 else float(np.max(times))
     return max(0, -int(np.floor(np.log10(apart) + 1e-3))) if apart > 0.0 else 1
-
-
-def _sampled(frames: Sequence[Frame], count: int) -> list[Frame]:
-    """Evenly spread frames, the first and the last among them."""
-    return [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
-
-
-def _points_in_sight(fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None) -> np.ndarray:
-    """Points (n, 3) [m] that the camera has to see: the domain, or the outermost of grains and walls."""
-    everywhere = domain if domain is not None else np.array([[-0.5] * 3, [0.5] * 3])
-    if fit == "domain":
-        return corners_of(everywhere)
-    sampled = _sampled(frames, SIGHTED_FRAMES)
-    points = np.concatenate([outermost(read_grains(frame)) for frame in sampled])
-    if fit == "all":
-        walls = [each for each in map(read_walls, sampled) if each is not None]
-        points = np.concatenate([points, *(wall_points(each, scene, points, domain) for each in walls)])
-    return points if len(points) else corners_of(everywhere)
-
-
-def outermost(grains: Grains) -> np.ndarray:
-    """Points (n, 3) [m] on the surface of the bed: the farthest in each direction of a coarse star."""
-    if not len(grains.radius):
-        return np.zeros((0, 3))
-    star = np.array([ray for ray in np.ndindex(3, 3, 3) if ray != (1, 1, 1)]) - 1.0
-    star /= np.linalg.norm(star, axis=1, keepdims=True)
-    farthest = np.argmax(grains.position @ star.T + grains.radius[:, None], axis=0)
-    return grains.position[farthest] + grains.radius[farthest, None] * star
-
-
-def wall_points(walls: Surface, scene: Scene | None, grains: np.ndarray, domain: np.ndarray | None) -> np.ndarray:
-    """Corners (n, 3) [m] of the walls, brought into the domain; of planes, which have no end, those near the grains."""
-    kinds = [getattr(wall, "shape", "") for wall in scene.walls.values()] if scene is not None else []
-    numbers = {int(number) for each in walls.walls for number in np.unique(each)}
-    planes = {number for number in numbers if number < len(kinds) and kinds[number] == "plane"}
-    near, far = walls.points_of(sorted(planes)), walls.points_of(sorted(numbers - planes))
-    if domain is not None:
-        near, far = np.clip(near, *domain), np.clip(far, *domain)
-    if len(grains):
-        low, high = grains.min(axis=0), grains.max(axis=0)
-        room = ROOM * np.max(high - low)
-        near = np.clip(near, low - room, high + room)
-    return np.concatenate([near, far])
-
-
-def corners_of(box: np.ndarray) -> np.ndarray:
-    """The corners (8, 3) of a box (2, 3)."""
-    return np.array([[box[i][0], box[j][1], box[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 def _size(aspect: float) -> tuple[int, int]:

@@ -1,0 +1,125 @@
+"""Mesh walls of a scene: their files found and read, placed, and looked at for what is probably not meant."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.scene import Scene
+from granflow.scene.schema import MeshWall
+from granflow.walls.mesh import Mesh, mesh_of
+from granflow.walls.mesh_file import MeshFileError, read_triangles
+from granflow.walls.motion import rotation_matrices
+from granflow.walls.shape import unit
+
+FAR_TOO_LARGE, TOO_LARGE = 100.0, 5.0
+"""Size of a mesh over that of the domain from which on it is refused, or warned of: the wrong unit of length."""
+
+MILLIMETRES = 1000.0
+
+FILES_KEPT = 16
+"""Meshes that are kept once read: a plan is made several times for a run."""
+
+
+class MeshNote(NamedTuple):
+    """One sentence about a mesh wall; a `warning` is shown before a run, the others by check and explain."""
+
+    wall: str
+    sentence: str
+    warning: bool
+
+
+def meshes_of(scene: Scene) -> dict[str, Mesh]:
+    """The mesh walls by name, as they stand at rest. Raises SceneError with all that is wrong with any of them."""
+    found, problems = {}, []
+    for name, wall in scene.walls.items():
+        if isinstance(wall, MeshWall):
+            try:
+                mesh = _placed(wall, _read(scene, wall))
+                _refuse_size(scene, wall, mesh)
+                found[name] = mesh
+            except (MeshFileError, ValueError) as error:
+                place = scene.place("walls", name, "file")
+                problems.append(f"{place}: walls.{name}.file is {wall.file}, which {error}.")
+    if problems:
+        raise SceneError(problems)
+    return found
+
+
+def mesh_path(scene: Scene, wall: MeshWall) -> Path:
+    """The file of a mesh. Raises MeshFileError where it lies outside the scene's folder, be it by a symbolic link."""
+    folder = scene.folder.resolve()
+    path = (folder / wall.file).resolve()
+    if not path.is_relative_to(folder):
+        raise MeshFileError("leads out of the scene's folder by a symbolic link; put the file itself there")
+    return path
+
+
+def _read(scene: Scene, wall: MeshWall) -> Mesh:
+    path = mesh_path(scene, wall)
+    try:
+        stamp = path.stat()
+    except OSError:
+        return mesh_of(read_triangles(path))
+    return _read_once(path, stamp.st_mtime_ns, stamp.st_size)
+
+
+@lru_cache(FILES_KEPT)
+def _read_once(path: Path, changed: int, size: int) -> Mesh:
+    return mesh_of(read_triangles(path))
+
+
+def _placed(wall: MeshWall, mesh: Mesh) -> Mesh:
+    turned = np.eye(3)
+    for turn in wall.rotate:
+        turned = rotation_matrices(unit(turn.axis), np.array([turn.angle]))[0] @ turned
+    return mesh.placed(wall.scale, turned, np.array(wall.translate))
+
+
+def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
+    share = _size(mesh) / _domain_size(scene)
+    if share > FAR_TOO_LARGE:
+        remedy = f"in millimetres it needs scale: {wall.scale / MILLIMETRES:g}"
+        raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {remedy}")
+
+
+def _size(mesh: Mesh) -> float:
+    return float(np.linalg.norm(mesh.size))
+
+
+def _domain_size(scene: Scene) -> float:
+    return float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
+
+
+def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[MeshNote]:
+    """What a user should know of a mesh wall; `smallest`: diameter [m] of the smallest particle."""
+    x, y, z = mesh.size
+    yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
+    for count, what, warning in (
+        (mesh.quad_count, "four-sided faces cut in two", False),
+        (mesh.links.open_count, "open edges: not watertight, which a hopper or a plate need not be", False),
+        (mesh.links.fold_count, "edges of more than two triangles, as where a plate stands on another", False),
+        (mesh.degenerate_count, "triangles without area left out", True),
+        (mesh.duplicate_count, "triangles left out that are there twice", True),
+    ):
+        if count:
+            yield MeshNote(name, f"{count} {what}", warning)
+    doubt = _doubt(scene, mesh, smallest)
+    if doubt:
+        yield MeshNote(name, doubt, True)
+
+
+def _doubt(scene: Scene, mesh: Mesh, smallest: float) -> str | None:
+    """What is probably not meant."""
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    size, share = _size(mesh), _size(mesh) / _domain_size(scene)
+    if share > TOO_LARGE:
+        return f"{size:.3g} m large, {share:.3g} times the domain: if the file is in millimetres, set scale: 0.001"
+    if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):
+        return "wholly outside the domain; see scale and translate"
+    if size < smallest:
+        return f"{size:.3g} m large, less than the smallest particle; see scale"
+    return None

@@ -1,0 +1,6 @@
+"""`granflow report`: one page about one run."""
+
+from granflow.study.report.record import read_record
+from granflow.study.report.report import write_report
+
+__all__ = ["read_record", "write_report"]

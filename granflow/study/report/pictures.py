@@ -1,0 +1,108 @@
+"""Pictures for the page: those that were rendered since the run ended, or a few that are rendered now."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from granflow.study.page import Picture
+from granflow.study.render import Frame
+from granflow.study.render.camera import VIEWS
+from granflow.study.render.frames import is_empty
+
+MOST_PICTURES = 6
+SHOWN_FRAMES = 4
+"""Of a run without pictures: spread evenly, the last among them."""
+
+HEIGHT = 800
+"""Pixels of a picture in the page: sharp at twice the size it is shown in."""
+
+QUALITY = 85
+FILM_BYTES = 700_000
+"""A film above this stays beside the page, so that the page can be mailed."""
+
+PATIENCE = 600.0
+"""Seconds after which a picture that does not come is done without."""
+
+NAME = re.compile(rf"(?:picture|film)_(.+?)_({'|'.join(VIEWS)}|from_[-+.e\d_]+?)(_cut)?(?:_(\d+))?")
+"""Of a file that granflow render has named: colour, view, cut, number of the frame."""
+
+HOW = "They lie in pictures/; what else granflow render draws there stands here after the next granflow report."
+
+
+def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
+    """Pictures and films for the page, made small in `scratch`, and a sentence about them."""
+    if not frames:
+        return [], "The run has no frames to draw."
+    found = fresh(directory, frames)
+    problem = ""
+    if not found:
+        problem = render(directory, frames)
+        found = fresh(directory, frames)
+    images = [path for path in found if path.suffix == ".png"][-MOST_PICTURES:]
+    films = [path for path in found if path.suffix == ".mp4"]
+    small = [path for path in films if path.stat().st_size <= FILM_BYTES][-1:]
+    large = [path for path in films if path not in small]
+    shown = [Picture(smaller(path, scratch), _caption(path, frames)) for path in images]
+    shown += [Picture(path, _caption(path, frames)) for path in small]
+    beside = f" Films beside the page: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
+    return shown, (problem or HOW) + beside
+
+
+def fresh(directory: Path, frames: Sequence[Frame]) -> list[Path]:
+    """PNG and MP4 files in `pictures/` that are younger than the last frame, by name."""
+    last = frames[-1].particles.stat().st_mtime
+    found = [*(directory / "pictures").glob("*.png"), *(directory / "pictures").glob("*.mp4")]
+    return sorted(path for path in found if path.stat().st_mtime >= last)
+
+
+def render(directory: Path, frames: Sequence[Frame]) -> str:
+    """Draw a few frames in a process of its own, as VTK aborts where it finds no way to draw; says what went wrong."""
+    if find_spec("pyvista") is None:
+        return "There are no pictures, as pyvista is not installed: pip install granflow[plot]"
+    filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
+    places = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
+    chosen = [filled[place] for place in places]
+    numbers = ",".join(str(frame.number) for frame in chosen)
+    wanted = [["--frame", numbers]]
+    touching = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
+    if touching:
+        most = max(touching, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
+        wanted.append(["--frame", str(most.number), "--chains"])
+    for words in wanted:
+        command = [sys.executable, "-m", "granflow", "render", str(directory), *words]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            return f"There are no pictures: drawing took longer than {PATIENCE:.0f} s."
+        if done.returncode:
+            said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
+            return f"Pictures could not be drawn (granflow render ended with {done.returncode}): {said}"
+    return ""
+
+
+def smaller(path: Path, scratch: Path) -> Path:
+    """The picture as JPEG, HEIGHT pixels high; as it is where Pillow, which renders it, is not there any more."""
+    try:
+        from PIL import Image
+    except ImportError:
+        return path
+    with Image.open(path) as image:
+        size = (max(1, round(image.width * HEIGHT / image.height)), HEIGHT)
+        made = scratch / f"{path.stem}.jpg"
+        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(made, quality=QUALITY, optimize=True)
+    return made
+
+
+def _caption(path: Path, frames: Sequence[Frame]) -> str:
+    """What a file of `granflow render` shows, by its name."""
+    match = NAME.fullmatch(path.stem)
+    if match is None:
+        return path.stem.replace("_", " ")
+    color, view, cut, number = match.groups()
+    times = [f"{frame.time:.4g} s" for frame in frames if number and frame.number == int(number)]
+    return ", ".join([color.replace("_", " "), view.replace("_", " "), *(["cut"] if cut else []), *times]) + "."

@@ -1,0 +1,93 @@
+"""Plots that can be hovered over, zoomed and switched, drawn by plotly inside the page, without a network."""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.study.figures import COLORS
+from granflow.study.page import Plot
+from granflow.study.report.series import Column, Group, Series, thinned
+
+DASHES = ("solid", "dash", "dot", "dashdot")
+DIGITS = 6
+"""Of a number in the page."""
+
+AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
+HEIGHT = 340
+STAGE_ROW, NEAR = 14, 0.1
+"""Pixels by which the name of a stage is lifted that begins, over the whole time, so soon after another."""
+
+
+def library() -> str:
+    """The JavaScript of plotly, to stand in the page; empty where plotly is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        return ""
+    return get_plotlyjs()
+
+
+def plot_of(group: Group, series: Series) -> Plot:
+    """Curves of a group of columns over time, with the stages of the run."""
+    curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
+    unit = f" ({group.unit})" if group.unit else ""
+    layout = {
+        "height": HEIGHT,
+        "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
+        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "hovermode": "x unified",
+        "showlegend": len(curves) > 1,
+        "legend": {"orientation": "h", "y": -0.28, "x": 0},
+        "xaxis": {**AXIS, "title": {"text": "time (s)"}, "exponentformat": "none", "hoverformat": ".6~g"},
+        "yaxis": {**AXIS, "title": {"text": group.title + unit}},
+        **_stage_marks(series),
+    }
+    return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
+
+
+def _curve(number: int, column: Column, series: Series) -> dict[str, Any]:
+    time, values = thinned(series.time, column.values)
+    rounds = number // len(COLORS)
+    return {
+        "type": "scatter",
+        "mode": "lines" if len(time) > 1 else "markers",
+        "name": column.words,
+        "x": _plain(time),
+        "y": _plain(values),
+        "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
+        "hovertemplate": f"%{{y:.5~g}} {column.unit}",
+    }
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
+
+
+def _stage_marks(series: Series) -> dict[str, Any]:
+    """A line and a name where each stage begins, if there are several."""
+    stages = series.stages if len(series.stages) > 1 else ()
+    line = {"color": "#999", "width": 1, "dash": "dot"}
+    rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
+    return {
+        "shapes": [
+            {"type": "line", "x0": time, "x1": time, "y0": 0, "y1": 1, "yref": "paper", "line": line}
+            for time, _ in stages
+        ],
+        "annotations": [
+            {"x": time, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "left",
+             "yanchor": "bottom", "font": {"size": 11, "color": "#555"}, "yshift": STAGE_ROW * row}
+            for (time, name), row in zip(stages, rows, strict=True)
+        ],
+    }  # fmt: skip
+
+
+def _rows(times: Sequence[float], span: float) -> list[int]:
+    """0 or 1 for each name, so that names of stages that begin soon after each other do not overlap."""
+    rows: list[int] = []
+    for before, time in zip([-inf, *times], times, strict=False):
+        rows.append(1 - rows[-1] if rows and time - before < NEAR * span else 0)
+    return rows

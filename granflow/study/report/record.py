@@ -1,0 +1,100 @@
+"""What a run has left in its directory, whole or not: scene, log, time series, result."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from granflow.errors import GranflowError
+from granflow.observe import locked
+from granflow.scene import Scene, load
+from granflow.study.report.log import Entry, Session, read_log, sessions
+from granflow.study.report.series import Series, read_series
+
+SCENE = "scene_as_run.yaml"
+TRACES = (SCENE, "run.log", "timeseries.csv", "result.json")
+"""Files of which a run has at least one."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """All that a run has left.
+
+    `scene`: none where its file is gone or cannot be read, `scene_problem` says why. `result`: the sections of
+    `result.json`, empty for a run that did not come to its end. `at_work`: whether a run writes there now.
+    """
+
+    directory: Path
+    scene: Scene | None
+    scene_problem: str
+    text: str
+    entries: list[Entry]
+    series: Series | None
+    result: dict[str, Any]
+    at_work: bool
+
+    @property
+    def title(self) -> str:
+        """The scene's, or the name of the directory."""
+        return self.scene.title if self.scene is not None else self.directory.resolve().name
+
+    @property
+    def sessions(self) -> list[Session]:
+        """The stretches of the run: one, and one more for each time that it was gone on with."""
+        return sessions(self.entries)
+
+    @property
+    def time(self) -> float | None:
+        """Simulated time [s] that was reached, as far as the files say."""
+        if "simulated_time" in self.result.get("run", {}):
+            return self.result["run"]["simulated_time"]
+        return float(self.series.time[-1]) if self.series is not None else None
+
+
+def read_record(directory: Path) -> Record:
+    """Read what a run has left. Raises GranflowError for a directory that is not that of a run."""
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; name the directory of a run, such as out/hopper."
+        )
+    if not any((directory / name).exists() for name in TRACES):
+        raise GranflowError(f"{directory} is not the directory of a run: it holds none of {', '.join(TRACES)}.")
+    scene, problem = _scene(directory / SCENE)
+    path = directory / SCENE
+    return Record(
+        directory,
+        scene,
+        problem,
+        path.read_text(encoding="utf-8", errors="replace") if path.exists() else "",
+        read_log(directory / "run.log"),
+        read_series(directory / "timeseries.csv"),
+        _result(directory / "result.json"),
+        _is_at_work(directory),
+    )
+
+
+def _scene(path: Path) -> tuple[Scene | None, str]:
+    try:
+        return load(path), ""
+    except GranflowError as error:
+        return None, str(error)
+
+
+def _result(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}): take it away, or run again.") from None
+    return found if isinstance(found, dict) else {}
+
+
+def _is_at_work(directory: Path) -> bool:
+    if not (directory / ".lock").exists():
+        return False
+    try:
+        with locked(directory):
+            return False
+    except (GranflowError, OSError):
+        return True

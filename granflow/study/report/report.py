@@ -1,0 +1,69 @@
+"""The page about one run, from what its directory holds."""
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from granflow.errors import GranflowError
+from granflow.observe import replacing
+from granflow.study.page import Gallery, Page, Part, Section, write_page
+from granflow.study.render import Frame, frames_of
+from granflow.study.report import sections
+from granflow.study.report.pictures import pictures_for
+from granflow.study.report.plots import library
+from granflow.study.report.record import Record, read_record
+
+PAGE = "report.html"
+LEAD = "granflow simulated this."
+
+
+def write_report(
+    directory: Path, out: Path | None = None, pictures: bool = True, say: Callable[[str], None] = print
+) -> Path:
+    """Write the page about a run into its directory, or to `out`; return its path.
+
+    `pictures`: whether some are drawn where there are none. `say` gets what is missing for the page to be complete.
+    Raises GranflowError for a directory that is not that of a run, and for files that cannot be read.
+    """
+    record = read_record(directory)
+    script = library()
+    if not script:
+        say(sections.NO_LIBRARY)
+    path = out or directory / PAGE
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as scratch:
+        page = page_of(record, script, _pictures(record, Path(scratch)) if pictures else None)
+        with replacing(path) as temporary:
+            write_page(page, temporary)
+    return path
+
+
+def page_of(record: Record, script: str, pictures: Section | None) -> Page:
+    """The page: what came out first, then how it was computed. `script` is the library of plots, empty without."""
+    found = [
+        sections.summary(record),
+        sections.warnings(record),
+        pictures,
+        sections.expectations(record),
+        *sections.course(record, bool(script)),
+        sections.profile(record),
+        sections.others(record),
+        sections.plan(record),
+        sections.machine(record),
+        sections.scene(record),
+    ]
+    description = record.scene.description if record.scene is not None else None
+    return Page(record.title, description or LEAD, [section for section in found if section is not None], script)
+
+
+def _pictures(record: Record, scratch: Path) -> Section:
+    shown, said = pictures_for(record.directory, _frames(record.directory), scratch)
+    parts: list[Part] = [Gallery(shown)] if shown else []
+    return Section("Pictures", [*parts, said])
+
+
+def _frames(directory: Path) -> list[Frame]:
+    try:
+        return frames_of(directory)
+    except GranflowError:
+        return []

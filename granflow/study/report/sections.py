@@ -1,0 +1,238 @@
+"""The sections of the page, each from what the run has left; one that has nothing to say is left out."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.observe.report import readable
+from granflow.plan import explain, plan_for
+from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES, unit_of
+from granflow.study.page import Code, Part, Section, Table
+from granflow.study.report.log import complaints, explanation
+from granflow.study.report.plots import plot_of
+from granflow.study.report.record import Record
+from granflow.study.report.series import Column, groups_of
+
+NO_LIBRARY = "Plots need plotly, which is not installed: pip install granflow[plot], then granflow report again."
+TOPICS = {"Flow": METER_QUANTITIES, "Loads": LOAD_QUANTITIES}
+SECTIONS = {"Flow": "meters", "Loads": "loads"}
+"""Of result.json."""
+
+CAPTIONS = {
+    "Flow": "Flow meters at the end; the mass flow is that of the steady part.",
+    "Loads": "What the grains press the walls with: means over the run, and the largest of a row.",
+}
+ENDED = "ended by "
+"""How the log says that an exception ended a run."""
+
+PLAN = "What was computed, and why"
+BAR_STEPS = 30
+"""Blocks of the bar that stands for the whole run."""
+
+
+def summary(record: Record) -> Section:
+    """How the run ended, how far it came, and what it cost."""
+    numbers = record.result.get("run", {})
+    rows = []
+    if record.time is not None and "simulated_time" not in numbers:
+        rows.append(("simulated time", readable(record.time), "s"))
+    rows += [_row(name, number) for name, number in numbers.items()]
+    rows += [_row(name, record.result.get("totals", {}).get(name)) for name in ("particle_count", "inserted_count")]
+    rows = [row for row in rows if row[1]]
+    parts: list[Part] = [state_of(record)]
+    met = [entry.get("met") for entry in record.result.get("expect", ())]
+    if met:
+        parts.append(f"{sum(map(bool, met))} of {len(met)} expectations of the scene are met.")
+    return Section(
+        "In short", [*parts, *([Table("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
+    )
+
+
+def state_of(record: Record) -> str:
+    """One sentence on how the run ended."""
+    if record.at_work:
+        return "The run is still going on: this page shows it as far as it has come."
+    if record.result:
+        parts = len(record.sessions)
+        return f"The run is done, in {parts} parts: it was gone on with." if parts > 1 else "The run is done."
+    words = next((entry.words for entry in reversed(record.entries) if entry.words.startswith(ENDED)), "")
+    why = f" ({ENDED}{words.removeprefix(ENDED).partition(':')[0]}: see the warnings)" if words else ""
+    resume = f"granflow resume {record.directory} goes on from its last checkpoint, if it has one."
+    return f"The run did not come to its end{why}. {resume}"
+
+
+def _row(name: str, number: Any) -> tuple[str, str, str]:
+    return (name.replace("_", " "), "" if number is None else readable(number), unit_of(name))
+
+
+def expectations(record: Record) -> Section | None:
+    """What the scene promises, and whether it came true."""
+    found = record.result.get("expect", ())
+    rows = [("\N{CHECK MARK} met" if entry["met"] else "\N{BALLOT X} not met", entry["sentence"]) for entry in found]
+    if not rows:
+        return None
+    return Section("Expectations", [Table("What the scene expects of itself.", ("", "what came out"), rows)])
+
+
+def warnings(record: Record) -> Section | None:
+    """What the run warned of, and what ended it before its time."""
+    rows = list(complaints(record.entries))
+    if not rows:
+        return None
+    return Section("Warnings", [Table("From run.log.", ("time", "", "what it says"), rows)])
+
+
+def is_idle(column: Column) -> bool:
+    """Whether a column says nothing: zero, or no number, in every row."""
+    return not np.nan_to_num(column.values).any()
+
+
+def topic_of(column: Column) -> str:
+    """The section where a column is shown."""
+    quantity, _, part = column.name.partition(".")
+    topics = (name for name, quantities in TOPICS.items() if part and quantity in quantities)
+    return next(topics, "Energies" if column.unit == "J" or quantity.startswith("energy") else "Over time")
+
+
+def course(record: Record, with_plots: bool) -> list[Section]:
+    """Flow, energies, and all else over time."""
+    series = record.series
+    if series is None:
+        return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
+    idle = [column.words for column in series.columns if is_idle(column)]
+    parts_of: dict[str, list[Part]] = {topic: _readings(record, topic) for topic in TOPICS}
+    parts_of["Energies"] = _ledger(record)
+    parts_of["Over time"] = [f"Zero throughout: {', '.join(idle)}."] if idle else []
+    found = []
+    for topic, parts in parts_of.items():
+        columns = [column for column in series.columns if topic_of(column) == topic and not is_idle(column)]
+        if columns and not with_plots:
+            parts = [*parts, NO_LIBRARY]
+        plots = [plot_of(group, series) for group in groups_of(columns)] if with_plots else []
+        if parts or plots:
+            found.append(Section(topic, [*parts, *plots]))
+    return found
+
+
+def _readings(record: Record, topic: str) -> list[Part]:
+    """The readings of meters or walls at the end; from the last row where there is no result."""
+    readings = record.result.get(SECTIONS[topic], {})
+    if readings:
+        return [table_of(CAPTIONS[topic], readings)]
+    readings = _last_readings(record.series.columns, topic) if record.series is not None else {}
+    return [table_of("The last row of timeseries.csv.", readings)] if readings else []
+
+
+def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+    """A row for each part, such as a meter or a wall, and a column for each of its numbers."""
+    names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
+    heads = ["", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in names)]
+    return Table(caption, heads, [[part, *(_shown(each.get(name)) for name in names)] for part, each in parts.items()])
+
+
+def _last_readings(columns: Sequence[Column], topic: str) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {}
+    for column in columns:
+        quantity, _, part = column.name.partition(".")
+        if topic_of(column) == topic:
+            found.setdefault(part, {})[quantity] = float(column.values[-1])
+    return found
+
+
+def _ledger(record: Record) -> list[Part]:
+    """Every energy at the start and at the end, and its largest amount."""
+    assert record.series is not None
+    energies = [column for column in record.series.columns if column.unit == "J" and not is_idle(column)]
+    if not energies:
+        return []
+    rows = []
+    for column in energies:
+        known = TOTAL_QUANTITIES.get(column.name)
+        values = column.values[np.isfinite(column.values)]
+        numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
+        rows.append([column.words, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
+    error = record.result.get("totals", {}).get("energy_error")
+    said = [] if error is None else [f"The ledger fails to account for {error:.3g} of the energy put in."]
+    return [Table("Energies in J.", ("", "first", "last", "largest", "what it is"), rows), *said]
+
+
+def profile(record: Record) -> Section | None:
+    """Where the wall clock went."""
+    seconds = {name: number for name, number in record.result.get("seconds", {}).items() if number is not None}
+    whole = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
+    if not seconds or not whole > 0.0:
+        return None
+    seconds["other"] = whole - sum(seconds.values())
+    rows = [
+        (
+            name.replace("_", " "),
+            f"{number:.2f}",
+            f"{number / whole:.0%}",
+            "\N{FULL BLOCK}" * round(BAR_STEPS * number / whole),
+        )
+        for name, number in sorted(seconds.items(), key=lambda each: -each[1])
+    ]
+    return Section("Where the time went", [Table(f"{whole:.4g} s of wall clock.", ("", "s", "share", ""), rows)])
+
+
+def plan(record: Record) -> Section | None:
+    """Every decision with its reason, as the log has it; made again from the scene as run where it has none."""
+    text = explanation(record.entries)
+    if not text and record.scene is not None:
+        try:
+            text = explain(plan_for(record.scene))
+        except GranflowError as error:
+            return Section(PLAN, [f"The log does not say, and the plan cannot be made again: {error}"])
+    return Section(PLAN, [Code(text, numbered=False)]) if text else None
+
+
+def scene(record: Record) -> Section:
+    """The scene as run, with every default."""
+    if not record.text:
+        return Section("The scene as run", ["scene_as_run.yaml is not there."])
+    problem = [f"This version cannot read it: {record.scene_problem}"] if record.scene_problem else []
+    return Section("The scene as run", [*problem, Code(record.text)])
+
+
+def machine(record: Record) -> Section | None:
+    """With what and on what it ran."""
+    rows = [
+        (
+            each.began,
+            each.arch,
+            each.precision,
+            f"{each.compiled} s" if each.compiled else "",
+            each.versions,
+            each.goes_on,
+        )
+        for each in record.sessions
+    ]
+    if not rows:
+        return None
+    heads = ("began", "on", "precision", "compiled in", "versions and system", "")
+    return Section("Machine and versions", [Table("From run.log.", heads, rows)])
+
+
+def others(record: Record) -> Section | None:
+    """Numbers of the result that have no section of their own."""
+    elsewhere = ("run", "seconds", "expect", *SECTIONS.values())
+    parts: list[Part] = []
+    for name, numbers in record.result.items():
+        if name in elsewhere or not isinstance(numbers, Mapping) or not numbers:
+            continue
+        if all(isinstance(each, Mapping) for each in numbers.values()):
+            parts.append(table_of(f"{name} in result.json", numbers))
+        else:
+            rows = [(each.replace("_", " "), _shown(number), unit_of(each)) for each, number in numbers.items()]
+            parts.append(Table(f"{name} in result.json", ("", "", ""), rows))
+    return Section("All numbers at the end", parts) if parts else None
+
+
+def _shown(number: Any) -> str:
+    return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
+
+
+def _bracketed(unit: str) -> str:
+    return f"({unit})" if unit else ""

@@ -1,0 +1,129 @@
+"""`timeseries.csv` as columns with units, and which of them belong into one plot."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+
+TIME, STAGE = "time", "stage"
+MOST_POINTS = 800
+"""Of a curve in a plot: more cannot be told apart on a screen."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity over time: `name` in the file's words, a part of it behind a dot, unit ("" for a number), values."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def words(self) -> str:
+        """The name as people say it: "flow mass, outlet"."""
+        quantity, _, part = self.name.partition(".")
+        return quantity.replace("_", " ") + (f", {part}" if part else "")
+
+
+@dataclass(frozen=True)
+class Series:
+    """All columns over `time` (n,) [s], and where stages begin: time [s] and name."""
+
+    time: np.ndarray
+    columns: tuple[Column, ...]
+    stages: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one unit that are shown together."""
+
+    title: str
+    unit: str
+    columns: tuple[Column, ...]
+
+
+def read_series(path: Path) -> Series | None:
+    """The columns of a time series, but for a last line that a killed run left unfinished; none without rows."""
+    if not path.exists():
+        return None
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        heads, *rows = list(csv.reader(file)) or [[]]
+    rows = [row for row in rows if len(row) == len(heads)]
+    labels = [_split(head) for head in heads]
+    names = [name for name, _ in labels]
+    if not rows or TIME not in names:
+        return None
+    numbers = {name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names) if name != STAGE}
+    time = numbers.pop(TIME)
+    units = dict(labels)
+    columns = tuple(Column(name, units[name], values) for name, values in numbers.items())
+    stage = [row[names.index(STAGE)] for row in rows] if STAGE in names else [""] * len(rows)
+    begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
+    return Series(time, columns, tuple(begins))
+
+
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of "kinetic_energy [J]"."""
+    name, _, unit = head.partition(" [")
+    return name, unit.removesuffix("]")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def groups_of(columns: Sequence[Column]) -> list[Group]:
+    """Columns that belong together: of one unit, and of one quantity, or with the same last or first word.
+
+    `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
+    `overlap_mean` and `overlap_largest` the first. Nothing but the names is asked.
+    """
+    kinds: dict[tuple[str, str], list[Column]] = {}
+    for column in columns:
+        kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
+    return [Group(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
+
+
+def _kind(column: Column, columns: Sequence[Column]) -> str:
+    """What a column shares with others of its unit: a quantity, a last or a first word; else its own name."""
+    quantity = column.name.partition(".")[0]
+    others = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    words = quantity.split("_")
+    if any(other.split("_")[-1] == words[-1] for other in others):
+        return words[-1]
+    if any(other.split("_")[0] == words[0] for other in others):
+        return words[0]
+    return quantity
+
+
+def _title(members: Sequence[Column]) -> str:
+    """The words that the quantities begin with, or else end with."""
+    if len(members) == 1:
+        return members[0].words
+    words = [column.name.partition(".")[0].split("_") for column in members]
+    begin = _shared(words)
+    end = _shared([list(reversed(each)) for each in words])
+    return " ".join(begin or reversed(end))
+
+
+def _shared(words: Sequence[Sequence[str]]) -> list[str]:
+    """The words that all lists begin with."""
+    columns = takewhile(lambda each: len(set(each)) == 1, zip(*words, strict=False))
+    return [each[0] for each in columns]
+
+
+def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """At most MOST_POINTS points of a curve that keep every peak: the least and the largest of each stretch."""
+    there = np.flatnonzero(np.isfinite(values))
+    if len(there) > MOST_POINTS:
+        parts = np.array_split(there[1:-1], MOST_POINTS // 2 - 1)
+        ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
+        there = np.unique([there[0], *ends, there[-1]])
+    return time[there], values[there]

@@ -1,0 +1,131 @@
+"""A wall of triangles at rest: welded points, sound triangles, and what was left out of them. numpy only."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from granflow.walls.mesh_file import Soup
+from granflow.walls.mesh_links import Links, link
+from granflow.walls.shape import distance_from_axis
+
+WELD = 1e-6
+"""Points nearer than this share of the mesh's size are one: ten times what files in single precision round off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles of one wall: points (n, 3) [m], corners (t, 3) as indices of points, and what was left out."""
+
+    points: np.ndarray
+    corners: np.ndarray
+    degenerate_count: int = 0
+    duplicate_count: int = 0
+    quad_count: int = 0
+
+    @cached_property
+    def links(self) -> Links:
+        """What decides which triangle answers for a contact."""
+        return link(self.points, self.corners)
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles that are there."""
+        return len(self.corners)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Extent (3,) along the axes [m]."""
+        return np.ptp(self.points, axis=0)
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Area (t,) of every triangle [m2]."""
+        sides = self.points[self.corners[:, 1:]] - self.points[self.corners[:, :1]]
+        return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+
+    @property
+    def area(self) -> float:
+        """Area of one side [m2]."""
+        return float(self.areas.sum())
+
+    @property
+    def typical_edge(self) -> float:
+        """Shorter sides [m] of a triangle with a right angle and the median area."""
+        return float(np.sqrt(2.0 * np.median(self.areas)))
+
+    def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
+        """Largest distance [m] of any point from an axis."""
+        return float(distance_from_axis(self.points, point, axis).max())
+
+    def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
+        """The same mesh scaled, then turned by a matrix (3, 3), then shifted [m]."""
+        points = self.points * scale
+        if not np.array_equal(rotation, np.eye(3)):
+            points = points @ rotation.T
+        return Mesh(points + offset, self.corners, self.degenerate_count, self.duplicate_count, self.quad_count)
+
+
+def mesh_of(soup: Soup) -> Mesh:
+    """Weld the points, drop triangles without area and those that are there twice.
+
+    Raises ValueError if none is left.
+    """
+    used, corners = np.unique(soup.corners, return_inverse=True)
+    points = soup.points[used]
+    tolerance = WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    label = welded(points, tolerance)
+    corners = label[corners.reshape(-1, 3)]
+    sound = heights(points[corners]) > tolerance
+    corners, degenerate = corners[sound], int((~sound).sum())
+    first = first_of_each(np.sort(corners, axis=1))
+    duplicate = len(corners) - len(first)
+    corners = corners[first]
+    if not len(corners):
+        raise ValueError("has no triangle with an area")
+    kept, corners = np.unique(corners, return_inverse=True)
+    return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, soup.quad_count)
+
+
+def first_of_each(rows: np.ndarray) -> np.ndarray:
+    """Indices, in order, of the rows (n, 3) that are not the same as one before."""
+    order = np.lexsort(rows.T[::-1])
+    new = np.ones(len(rows), bool)
+    new[1:] = np.any(rows[order][1:] != rows[order][:-1], axis=1)
+    return np.sort(order[new])
+
+
+def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
+    """For every point (n, 3) the index of the point that stands for it and for all within `tolerance` [m].
+
+    Points that near share a cell of one of eight grids, twice as wide and shifted by half a cell along each axis.
+    """
+    label = np.arange(len(points))
+    if tolerance == 0.0:
+        return np.zeros_like(label)
+    cells = [cell_labels(points, 2.0 * tolerance, tolerance * np.array(shift)) for shift in product((0, 1), repeat=3)]
+    while True:
+        before = label.copy()
+        for cell in cells:
+            lowest = np.full(int(cell.max()) + 1, len(points))
+            np.minimum.at(lowest, cell, label)
+            label = lowest[cell]
+        if np.array_equal(label, before):
+            return label
+
+
+def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
+    """Number (n,) of the cubic cell that each point lies in; points of one cell have one number."""
+    cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
+    spans = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
+    return np.unique(keys, return_inverse=True)[1].reshape(-1)
+
+
+def heights(triangles: np.ndarray) -> np.ndarray:
+    """Smallest height (t,) [m] of triangles (t, 3, 3); 0 for those without area."""
+    sides = np.roll(triangles, -1, axis=1) - triangles
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    return double_area / np.where(longest > 0.0, longest, 1.0)

@@ -1,0 +1,131 @@
+"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK and VTU, by meshio but for binary STL."""
+
+import io
+import warnings
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+LARGEST_FILE = 256 * 2**20
+"""Bytes of a mesh file; reading that takes seconds."""
+
+MOST_TRIANGLES = 1_000_000
+
+FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
+
+STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+PASSED_OVER = ("vertex", "line")
+"""Cells without a surface, which files may hold besides their triangles."""
+
+
+class MeshFileError(Exception):
+    """A file that holds no triangles that could be a wall; the message goes after "FILE "."""
+
+
+@dataclass(frozen=True)
+class Soup:
+    """Triangles as a file has them: points (n, 3), corners (t, 3), and how many four-sided cells were cut in two."""
+
+    points: np.ndarray
+    corners: np.ndarray
+    quad_count: int = 0
+
+
+def read_triangles(path: Path) -> Soup:
+    """The triangles in a file, in its own units. Raises MeshFileError with what keeps them from being a wall."""
+    raw = _bytes(path)
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in FORMATS:
+        raise MeshFileError(f"is no kind of file that is read here; the kinds are {', '.join(FORMATS)}")
+    soup = _binary_stl(raw) if kind == "stl" and not _is_text_stl(raw) else _by_meshio(path, kind)
+    return _sound(soup)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if not path.exists():
+            raise MeshFileError("does not exist")
+        if not path.is_file():
+            raise MeshFileError("is not a regular file")
+        with path.open("rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise MeshFileError(f"cannot be read: {error.strerror or error}") from None
+    if len(raw) > LARGEST_FILE:
+        raise MeshFileError(f"is larger than {LARGEST_FILE // 2**20} MiB, too large for a mesh")
+    if not raw:
+        raise MeshFileError("is empty")
+    return raw
+
+
+def _is_text_stl(raw: bytes) -> bool:
+    """Whether an STL file is text: many binary ones begin with the word "solid", too, but have the length they say."""
+    if not raw.lstrip()[:5].lower() == b"solid" or b"\0" in raw[:STL_HEADER]:
+        return False
+    return len(raw) != STL_HEADER + STL_RECORD.itemsize * _stl_count(raw)
+
+
+def _stl_count(raw: bytes) -> int:
+    return int(np.frombuffer(raw, "<u4", 1, STL_HEADER - 4)[0]) if len(raw) >= STL_HEADER else -1
+
+
+def _binary_stl(raw: bytes) -> Soup:
+    count, room = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
+    if count < 0:
+        raise MeshFileError(f"is cut short: it has {len(raw)} bytes, fewer than the head of an STL file")
+    if count > room:
+        raise MeshFileError(f"says it holds {count} triangles, but has room for {room}: it is cut short or damaged")
+    records = np.frombuffer(raw, STL_RECORD, min(count, MOST_TRIANGLES + 1), STL_HEADER)
+    points = records["corners"].reshape(-1, 3).astype(np.float64)
+    return Soup(points, np.arange(len(points)).reshape(-1, 3))
+
+
+def _by_meshio(path: Path, kind: str) -> Soup:
+    """Whatever is wrong with a file, meshio says it in some exception of its own or of Python's."""
+    read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            mesh = read(path)
+    except (Exception, SystemExit) as error:
+        why = " ".join(str(error).split())[:120]
+        raise MeshFileError(f"cannot be read as {kind.upper()}: {why or type(error).__name__}") from None
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.ndim == 2 and points.shape[1] == 2:
+        points = np.pad(points, ((0, 0), (0, 1)))
+    triangles, quads = _cells(mesh, "triangle", 3), _cells(mesh, "quad", 4)
+    others = {block.type: len(block.data) for block in mesh.cells}
+    for known in ("triangle", "quad", *PASSED_OVER):
+        others.pop(known, None)
+    if any(others.values()):
+        named = ", ".join(f"{count} cells of the kind {name}" for name, count in others.items())
+        raise MeshFileError(f"holds {named}, but a wall is made of triangles; write out its surface alone")
+    halves = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Soup(points, np.concatenate([triangles, halves]), len(quads))
+
+
+def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
+    blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == kind]
+    return np.concatenate([np.empty((0, corner_count), dtype=np.int64), *blocks])
+
+
+def _sound(soup: Soup) -> Soup:
+    """The same triangles, if there are some, not too many, with finite corners that exist."""
+    count = len(soup.corners)
+    if not count:
+        raise MeshFileError("holds no triangles")
+    if count > MOST_TRIANGLES:
+        raise MeshFileError(f"holds more than {MOST_TRIANGLES} triangles, the most a mesh may have")
+    if soup.points.ndim != 2 or soup.points.shape[1] != 3 or soup.corners.max() >= len(soup.points):
+        raise MeshFileError("names corners that it does not hold: it is damaged")
+    if soup.corners.min() < 0:
+        raise MeshFileError("names corners that it does not hold: it is damaged")
+    wrong = ~np.isfinite(soup.points[soup.corners]).all(axis=(1, 2))
+    if wrong.any():
+        raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are no numbers")
+    return soup

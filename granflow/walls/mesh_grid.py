@@ -1,0 +1,102 @@
+"""The grid of one mesh at rest: for every cell the triangles that a sphere centred there could touch. numpy only.
+
+A triangle is listed in all cells that it comes within reach of, so that a sphere looks into one cell only and finds
+each triangle once. What a sphere costs is then what there is near it, however many triangles there are elsewhere.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.walls.mesh_contact import bare_distance, rows
+from granflow.walls.shape import FAR_AWAY
+
+CELLS_PER_TRIANGLE, LEAST_CELLS = 8.0, 4096
+"""Most cells of a grid."""
+
+LISTED_PER_TRIANGLE, LEAST_LISTED = 64.0, 65536
+"""Most triangles looked at for all cells: a large one lies in many."""
+
+BOUND_SHARE = 1.0 + 1e-5
+"""Room for the rounding of positions on the device, single precision included, over the reach."""
+
+PART = 200_000
+"""Pairs of cell and triangle whose distance is found at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshGrid:
+    """Cells of side `side` [m] from `low` (3,), `shape` (3,) of them, x fastest; the list of cell c from start[c]."""
+
+    low: np.ndarray
+    side: float
+    shape: np.ndarray
+    start: np.ndarray
+    triangle: np.ndarray
+
+
+def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
+    """The grid of triangles (t, 3, 3) for centres within `reach` [m] of them."""
+    reach = reach * BOUND_SHARE
+    low, high = vertex.min(axis=(0, 1)) - reach, vertex.max(axis=(0, 1)) + reach
+    side = side_of(vertex, reach, low, high)
+    shape = np.maximum(np.ceil((high - low) / side), 1).astype(np.int64)
+    cell, triangle = overlaps(vertex, reach, low, side, shape)
+    cell, triangle = closer_ones(vertex, reach, low, side, shape, cell, triangle)
+    order = np.lexsort((triangle, cell))
+    start = np.searchsorted(cell[order], np.arange(int(np.prod(shape)) + 1))
+    return MeshGrid(low, side, shape, start, triangle[order])
+
+
+def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance (n,) [m] of points (n, 3) from the triangles (t, 3, 3) of the grid; FAR_AWAY beyond its reach."""
+    place = np.floor((points - grid.low) / grid.side).astype(np.int64)
+    inside = np.flatnonzero(np.all((place >= 0) & (place < grid.shape), axis=1))
+    x, y, z = place[inside].T
+    asked, listed = rows(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
+    found = np.full(len(points), FAR_AWAY)
+    np.minimum.at(found, inside[asked], bare_distance(vertex[grid.triangle[listed]], points[inside[asked]]))
+    return found
+
+
+def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray) -> float:
+    """Smallest side [m], of those from `reach` on, with few enough cells and not too many triangles in them."""
+    size = np.ptp(vertex, axis=1) + 2.0 * reach
+    count, side = len(vertex), reach
+    while True:
+        cells = np.prod(np.ceil((high - low) / side))
+        listed = np.prod(size / side + 1.0, axis=1).sum()
+        few = cells <= CELLS_PER_TRIANGLE * count + LEAST_CELLS
+        if few and listed <= LISTED_PER_TRIANGLE * count + LEAST_LISTED:
+            return side
+        side *= 1.25
+
+
+def overlaps(
+    vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cells (p,) and triangles (p,): those within `reach` of the box around a triangle."""
+    first = np.clip(np.floor((vertex.min(axis=1) - reach - low) / side).astype(np.int64), 0, shape - 1)
+    last = np.clip(np.floor((vertex.max(axis=1) + reach - low) / side).astype(np.int64), 0, shape - 1)
+    spans = last - first + 1
+    count = np.prod(spans, axis=1)
+    triangle = np.repeat(np.arange(len(vertex)), count)
+    within = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    wide, deep = spans[triangle, 0], spans[triangle, 1]
+    x, y, z = within % wide, within // wide % deep, within // (wide * deep)
+    x, y, z = x + first[triangle, 0], y + first[triangle, 1], z + first[triangle, 2]
+    return (z * shape[1] + y) * shape[0] + x, triangle
+
+
+def closer_ones(
+    vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray, cell: np.ndarray,
+    triangle: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Those pairs whose cell, seen as the ball around it, comes within `reach` of the triangle."""
+    kept = np.ones(len(cell), bool)
+    for begin in range(0, len(cell), PART):
+        part = slice(begin, begin + PART)
+        x, y, z = cell[part] % shape[0], cell[part] // shape[0] % shape[1], cell[part] // (shape[0] * shape[1])
+        center = low + side * (np.stack([x, y, z], axis=1) + 0.5)
+        kept[part] = bare_distance(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
+    return cell[kept], triangle[kept]

@@ -1,0 +1,229 @@
+"""The page about one run: what it says of whole, broken and resumed runs, and which columns share a plot."""
+
+import json
+import re
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from study.test_page import Balance
+
+from granflow.cli import main
+from granflow.study.page import Page, Plot, Section, html_of
+from granflow.study.report.log import complaints, explanation, read_log, sessions
+from granflow.study.report.pictures import _caption
+from granflow.study.report.plots import plot_of
+from granflow.study.report.record import read_record
+from granflow.study.report.report import page_of
+from granflow.study.report.series import MOST_POINTS, Column, Series, groups_of, read_series, thinned
+
+HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
+HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
+ROWS = [
+    "0.0,fill,1,2e-6,0,0,0,0,0,0,1,2,300\n",
+    "0.1,fill,2,,1e-6,0.1,0.2,0,0,0,1,3,301\n",
+    "0.2,pour,2,1e-6,0,0,0.5,0,3,4,1,2,302\n",
+]
+LOG = """\
+2026-01-02 03:04:05,678 INFO granflow: granflow 0.1.0, taichi 1.7.4, Python 3.11
+2026-01-02 03:04:05,678 INFO granflow: cpu with f64, compiled in 1.5 s
+2026-01-02 03:04:05,678 INFO granflow: Two <beads> (two.yaml)
+2026-01-02 03:04:05,678 INFO granflow:   friction  off  every pair has friction 0
+2026-01-02 03:04:06,000 WARNING granflow: too fast
+2026-01-02 03:04:06,000 INFO granflow: stage fill begins at 0 s
+2026-01-02 03:04:07,000 WARNING granflow: too fast
+2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst
+at the seams
+"""
+AGAIN = """\
+2026-01-02 04:00:00,000 INFO granflow: granflow 0.2.0, taichi 1.7.4, Python 3.11
+2026-01-02 04:00:00,000 INFO granflow: cuda with f32, compiled in 2.5 s
+2026-01-02 04:00:00,000 INFO granflow: goes on from checkpoint_1.npz at 0.1 s
+"""
+RESULT = {
+    "run": {"simulated_time": 0.2, "step_count": 12345, "wall_clock": 10.0},
+    "seconds": {"forces": 6.0, "compile": 3.0},
+    "totals": {"particle_count": 2, "energy_error": 1e-4},
+    "meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
+    "expect": [{"sentence": "it is 1, as expected.", "met": True}, {"sentence": "it is <2>.", "met": False}],
+    "loads": {"lid": {"wall_force": 7.5}},
+    "packing": {"solid_fraction": 0.62, "not_known": None},
+    "feeds": {"beads": {"came_count": 40321, "missing_count": 0}},
+}
+
+
+@pytest.fixture
+def run(tmp_path):
+    (tmp_path / "timeseries.csv").write_text(HEAD + "".join(ROWS))
+    (tmp_path / "run.log").write_text(LOG)
+    (tmp_path / "result.json").write_text(json.dumps(RESULT))
+    (tmp_path / "scene_as_run.yaml").write_text("title: A & B\nnot a scene: at all\n")
+    return tmp_path
+
+
+def text_of(directory, script="/* plotly */"):
+    """The words of the page, which must be balanced HTML."""
+    html = html_of(page_of(read_record(directory), script, None))
+    parser = Balance()
+    parser.feed(re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL))
+    assert not parser.open
+    return "".join(parser.text)
+
+
+def columns(*names):
+    return [Column(name, unit, np.ones(1)) for name, _, unit in (each.partition(" ") for each in names)]
+
+
+def test_the_page_says_all_of_a_run_that_is_done(run):
+    text = text_of(run)
+    for words in (
+        *("The run is done.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
+        *(
+            "Two <beads> (two.yaml)",
+            "every pair has friction 0",
+            "granflow 0.1.0, taichi 1.7.4",
+            "solid fraction",
+            "40 321",
+            "wall force (N)",
+            "7.5",
+        ),
+        *("not a scene: at all", "This version cannot read it", "Zero throughout: idle", "it burst\nat the seams"),
+    ):
+        assert words in text, words
+
+
+def test_the_profile_adds_up_to_the_wall_clock(run):
+    section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Where the time went")
+    assert [row[:3] for row in section.parts[0].rows] == [
+        ("forces", "6.00", "60%"),
+        ("compile", "3.00", "30%"),
+        ("other", "1.00", "10%"),
+    ]
+
+
+def test_an_interrupted_run_says_why_and_how_far(run):
+    (run / "result.json").unlink()
+    with (run / "timeseries.csv").open("a") as file:
+        file.write("0.3,pour,2,1e-")
+    text = text_of(run)
+    assert "The run did not come to its end (ended by RunError: see the warnings). granflow resume" in text
+    assert re.search(r"simulated time\s*0.2\s*s", text)
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
+        "the last row stands in for the result"
+    )
+
+
+def test_a_resumed_run_lists_its_parts(run):
+    (run / "run.log").write_text(LOG + AGAIN)
+    text = text_of(run)
+    assert "in 2 parts" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
+
+
+@pytest.mark.parametrize("left", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
+def test_any_one_file_is_enough_for_a_page(run, left):
+    for path in list(run.iterdir()):
+        if path.name != left:
+            path.unlink()
+    assert "In short" in text_of(run)
+
+
+@pytest.mark.parametrize("text", ["", "time [s],stage,a\n", "a,b\n1,2\n", "time [s],stage,a\n0.0,fi"])
+def test_a_time_series_without_rows_is_none(tmp_path, text):
+    (tmp_path / "timeseries.csv").write_text(text)
+    assert read_series(tmp_path / "timeseries.csv") is None
+
+
+def test_what_is_no_run_is_refused_with_a_sentence(tmp_path, capsys):
+    assert main(["report", str(tmp_path)]) == 2
+    assert "is not the directory of a run" in capsys.readouterr().err
+    assert main(["report", str(tmp_path / "none")]) == 2
+    assert "there is no such directory" in capsys.readouterr().err
+    (tmp_path / "result.json").write_text("{")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "result.json cannot be read" in capsys.readouterr().err
+
+
+def test_without_plotly_the_page_is_written_and_says_what_is_missing(run, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    assert main(["report", str(run)]) == 0
+    assert "pip install granflow[plot]" in capsys.readouterr().out
+    html = (run / "report.html").read_text(encoding="utf-8")
+    assert "Plots need plotly" in html and "run has no frames" in html
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "something comes from outside of the page"
+
+
+def test_columns_read_back_with_units_and_stages(run):
+    series = read_series(run / "timeseries.csv")
+    energy = series.columns[1]
+    assert (energy.name, energy.unit, series.stages) == ("kinetic_energy", "J", ((0.0, "fill"), (0.2, "pour")))
+    np.testing.assert_array_equal(energy.values, [2e-6, np.nan, 1e-6])
+
+
+def test_columns_of_one_quantity_and_unit_share_a_plot():
+    """Names that nobody has told the report of, too."""
+    found = groups_of(
+        columns(
+            *("kinetic_energy J", "elastic_energy J", "wall_work J", "overlap_mean", "overlap_largest", "count"),
+            *("force_z.floor N", "force_z.lid N", "force_x.lid N", "pressure.lid Pa", "mean_count", "temperature K"),
+        )
+    )
+    assert [(group.title, group.unit, [column.name for column in group.columns]) for group in found] == [
+        ("energy", "J", ["kinetic_energy", "elastic_energy"]),
+        ("wall work", "J", ["wall_work"]),
+        ("overlap", "", ["overlap_mean", "overlap_largest"]),
+        ("count", "", ["count", "mean_count"]),
+        ("force", "N", ["force_z.floor", "force_z.lid", "force_x.lid"]),
+        ("pressure, lid", "Pa", ["pressure.lid"]),
+        ("temperature", "K", ["temperature"]),
+    ]
+
+
+def test_a_thinned_curve_keeps_its_peaks_and_ends():
+    time, values = np.arange(1e5), np.zeros(100_000)
+    values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
+    values[50_000] = np.nan
+    x, y = thinned(time, values)
+    assert len(x) <= MOST_POINTS and np.all(np.diff(x) > 0)
+    assert {(0, 1.0), (777, 9.0), (5_001, -4.0), (99_999, 2.0)} <= set(zip(x, y, strict=True))
+    np.testing.assert_array_equal(thinned(time[:9], values[:9])[1], values[:9])
+
+
+def test_a_plot_is_json_without_a_way_out_of_its_script():
+    group = groups_of([Column("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
+    plot = plot_of(group, Series(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
+    assert isinstance(plot, Plot) and plot.figure["data"][0]["x"] == [0.0, 2.0]
+    assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
+    html = html_of(Page("t", "l", [Section("s", [plot])]))
+    assert html.count("</script>") == 1
+    assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
+        "a click would send data away"
+    )
+    lifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
+    assert lifts[0] != lifts[1], "names of stages that begin soon after each other overlap"
+
+
+def test_the_log_tells_sessions_warnings_and_reasons(run):
+    (run / "run.log").write_text("a line of nobody's\n" + LOG + AGAIN)
+    entries = read_log(run / "run.log")
+    first, second = sessions(entries)
+    assert (first.began, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
+    assert (second.arch, second.goes_on) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
+    assert [(time[-2:], level) for time, level, _ in complaints(entries)] == [("06", "warning"), ("08", "error")]
+    assert explanation(entries) == "", "the second part says nothing"
+    assert explanation(read_log(run / "run.log")[: len(entries) - 3]).splitlines()[1].startswith("  friction")
+
+
+def test_captions_are_read_from_names(tmp_path):
+    assert _caption(tmp_path / "picture_normal_force_iso_cut_0023.png", []) == "normal force, iso, cut."
+    assert _caption(tmp_path / "film_velocity_z_from_1_-2_0.8.mp4", []) == "velocity z, from 1 -2 0.8."
+    assert _caption(tmp_path / "mine.png", []) == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("plotly") is None, reason="needs the plot extra")
+def test_the_whole_page_stays_small_enough_to_mail(run):
+    assert main(["report", str(run)]) == 0
+    page = run / "report.html"
+    assert 1e6 < page.stat().st_size < 6e6
+    assert "Plotly.newPlot" in page.read_text(encoding="utf-8")
