@@ -16,6 +16,7 @@ from granflow.quantities import (
     INDEX_QUANTITIES,
     LOAD_QUANTITIES,
     METER_QUANTITIES,
+    OUTLET_QUANTITIES,
     TOTAL_QUANTITIES,
     WALL_QUANTITIES,
 )
@@ -162,7 +163,8 @@ def _size_of(path: Path) -> int:
 
 
 def _label(name: str) -> str:
-    base, _, part = name.partition(".")
-    if part and base in WALL_QUANTITIES:
-        return WALL_QUANTITIES[base].label_of(part)
+    quantity, _, part = name.partition(".")
+    of_parts = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
+    if quantity in of_parts:
+        return of_parts[quantity].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name

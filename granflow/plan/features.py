@@ -28,6 +28,7 @@ class Features:
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
+    outlets: bool
     size_classes: str
     """Number of classes of sizes that the search takes one by one, or "none"."""
 
@@ -63,6 +64,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
+        outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
@@ -92,6 +94,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         if scene.domain.periodic
         else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
+        "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
@@ -164,6 +167,10 @@ def _loads_reason(scene: Scene, features: Features) -> str:
     if not features.loads:
         return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
     return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
+
+
+def _outlets_reason(scene: Scene) -> str:
+    return f"{', '.join(scene.outlets)} ({scene.where('outlets')})" if scene.outlets else "the scene has no outlets"
 
 
 def _fixed_reason(scene: Scene, features: Features) -> str:

@@ -23,6 +23,7 @@ from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_wal
 from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
+from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range, size_classes
 from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
@@ -191,12 +192,18 @@ class Plan:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences to show before a run."""
-        return self.step.warnings + tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
+        meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
+        return self.scene.remarks + self.step.warnings + meshes
 
     @cached_property
     def border(self) -> Border:
         """Periodic faces of the domain."""
         return Border.of(self.scene.domain)
+
+    @cached_property
+    def drains(self) -> tuple[Drain, ...]:
+        """The outlets in plain numbers."""
+        return drains_of(self.scene)
 
     @cached_property
     def domain_low(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Which sizes there can be, before any is drawn, and the classes of sizes that the search takes one by one."""
 
 from granflow.scene import Scene
-from granflow.scene.schema import ClassSizes, Group
+from granflow.scene.schema import ClassSizes, FromFile, Group
 
 WIDE = 3.0
 """Largest over smallest radius from which on the search takes sizes class by class."""
@@ -38,7 +38,9 @@ def size_classes(scene: Scene) -> tuple[float, ...]:
 
 def _diameters(group: Group) -> list[Span]:
     """Ranges of diameters [m] that a group can have, from small to large."""
-    sizes = group.diameter
+    if isinstance(group.place, FromFile) and group.place.found is not None:
+        return [(group.place.found.diameter_min, group.place.found.diameter_max)]
+    sizes = group.sizes
     if isinstance(sizes, float):
         return [(sizes, sizes)]
     if isinstance(sizes, tuple):
