@@ -45,6 +45,8 @@ def summary(record: Record) -> Section:
     met = [entry.get("met") for entry in record.result.get("expect", ())]
     if met:
         parts.append(f"{sum(map(bool, met))} of {len(met)} expectations of the scene are met.")
+    elif record.result and record.scene is not None and record.scene.expect:
+        parts.append("It was ended early, with --until: the expectations of the scene are not judged.")
     return Section(
         "In short", [*parts, *([Table("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
     )
