@@ -20,6 +20,7 @@ from granflow.laws.material import (
 )
 from granflow.plan.approach import fastest_approach, image_speed
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
+from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.outlets import Drain, drains_of
@@ -79,6 +80,8 @@ class Plan:
     velocity_max: float
     walls: tuple[PlannedWall, ...]
     wall_speed: float
+    drives: tuple[Drive, ...]
+    """Motions of walls that the grains' forces move."""
     pace: Pace | None
     """Time steps for every velocity, where the step follows the scene."""
 
@@ -159,6 +162,11 @@ class Plan:
     def border_speed(self) -> float:
         """Speed of the images across a sheared border [m/s]."""
         return 0.0 if self.border.shear is None else abs(self.border.shear.speed)
+
+    @property
+    def wall_way(self) -> float:
+        """Way [m] that a wall may go between two searches: half the skin, shared where both kinds of motion are."""
+        return (0.25 if self.drives and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
     def gravity(self) -> tuple[float, float, float]:
@@ -255,6 +263,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         velocity_max=velocity,
         walls=walls,
         wall_speed=speed,
+        drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
         pace=_pace(scene, law, velocity, max(speed, image_speed(scene))) if features.adaptive_step else None,
     )
 
