@@ -6,6 +6,7 @@ from math import ceil
 from typing import Literal, NamedTuple
 
 from granflow.plan.approach import fastest_approach
+from granflow.plan.drive import described
 from granflow.plan.features import Reason
 from granflow.plan.memory import Memory, memory_of
 from granflow.plan.plan import Plan, meetings_of
@@ -40,6 +41,7 @@ def explain(plan: Plan) -> str:
         "Features: what is computed, and why": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
+        **({"Driven walls": _drive_rows(plan)} if plan.drives else {}),
         "Meshes": _mesh_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan, width),
@@ -80,6 +82,14 @@ def _particle_rows(plan: Plan) -> Iterator[Row]:
     auto = plan.scene.numerics.skin == "auto"
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
     yield Row("skin", f"{plan.skin:.4g} m", share + ("" if auto else f" ({plan.scene.where('numerics', 'skin')})"))
+
+
+def _drive_rows(plan: Plan) -> Iterator[Row]:
+    for drive in plan.drives:
+        where = plan.scene.where("walls", drive.name, "motion", drive.motion)
+        yield Row(
+            drive.name, drive.kind, f"{', '.join(f'{name} {value}' for name, value in described(drive))} ({where})"
+        )
 
 
 def _materials(plan: Plan) -> str:
