@@ -117,6 +117,8 @@ def _memory_rows(plan: Plan, memory: Memory) -> Iterator[Row]:
     yield Row("contacts", size(memory.slots), f"{room}, more when they are found")
     yield Row("one contact", size(memory.per_slot), f"remembers {_remembered(plan)}")
     yield Row("search cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
+    if memory.meshes:
+        yield Row("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield Row("total", size(memory.total), "")
 
 
