@@ -99,7 +99,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]
     moving, smaller = velocity[other], np.minimum(there["radius"][owner], there["radius"][other])
     face = -1 - partner
-    partner = np.where(partner < 0, -1 - walls_of(state, np.minimum(partner, -1)), partner)
+    partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.border.wrapped(position[owner[of_wall]])

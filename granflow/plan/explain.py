@@ -47,6 +47,8 @@ def explain(plan: Plan) -> str:
         "Run": _run_rows(plan, width),
         "Settings that a scene may leave out": [Row(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
     }
+    if plan.scene.remarks:
+        sections["As made from what is written"] = [Row("", "", sentence) for sentence in plan.scene.remarks]
     title = f"{plan.scene.title} ({plan.scene.path})"
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
@@ -115,6 +117,8 @@ def _memory_rows(plan: Plan, memory: Memory) -> Iterator[Row]:
     yield Row("contacts", size(memory.slots), f"{room}, more when they are found")
     yield Row("one contact", size(memory.per_slot), f"remembers {_remembered(plan)}")
     yield Row("search cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
+    if memory.meshes:
+        yield Row("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield Row("total", size(memory.total), "")
 
 
