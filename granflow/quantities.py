@@ -116,8 +116,9 @@ TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
-        Quantity("deleted_count", "", "1", "particles that left the domain"),
-        Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain"),
+        Quantity("waiting_count", "", "1", "particles due that wait for room to come in; where some come in"),
+        Quantity("deleted_count", "", "1", "particles that left the domain, or that outlets took"),
+        Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain, or that outlets took"),
         Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
         Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centres"),
         Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
@@ -142,6 +143,21 @@ METER_QUANTITIES = _by_name(
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
         Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the table, steady mean in the result"),
+    )
+)
+
+OUTLET_QUANTITIES = _by_name(
+    (
+        Quantity("outlet_count", "", "1", "particles that the outlet took since the start"),
+        Quantity("outlet_mass", "", "kg", "mass that the outlet took since the start"),
+    )
+)
+
+FEED_QUANTITIES = _by_name(
+    (
+        Quantity("came_count", "", "1", "particles of the group that came in"),
+        Quantity("came_mass", "", "kg", "mass of the particles of the group that came in"),
+        Quantity("missing_count", "", "1", "particles of the group that had not come at the end"),
     )
 )
 
@@ -201,6 +217,6 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **INDEX_QUANTITIES}
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **INDEX_QUANTITIES, **FEED_QUANTITIES, **OUTLET_QUANTITIES}
     known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -9,8 +9,10 @@ from typing import Any
 
 from granflow.cli.accuracy import add_accuracy
 from granflow.cli.arguments import add_scene_verb
+from granflow.cli.beverloo import add_beverloo
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
+from granflow.cli.measure import add_measure
 from granflow.cli.messages import complain, exit_code_of, refuse
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
@@ -53,6 +55,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)
+    add_measure(verbs)
+    add_beverloo(verbs)
     add_paper(verbs)
     add_accuracy(verbs)
     add_compare(verbs)

@@ -91,6 +91,9 @@ def show_result(title: str, result: "Result", out: Path) -> None:
     Console().print(closing_table(result, title))
     for sentence, met in result.expectations:
         print(sentence if met else f"NOT AS EXPECTED: {sentence}")
+    for group, numbers in result.feeds.items():
+        if numbers["missing_count"]:
+            print(f"{numbers['missing_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         print(f"For ParaView: {', '.join(series)}")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.messages import complain
+from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
     from granflow.study.render import Frame, Look
@@ -22,7 +23,10 @@ def render(options: argparse.Namespace) -> int:
     )
     if options.film:
         return film(options, frames, look)
-    for path in write_pictures(options.directory, chosen(frames, options.frame), look, options.out):
+    wanted = chosen(frames, options.frame)
+    if options.out is not None and len(wanted) > 1:
+        raise GranflowError(f"--out names one file, but --frame {options.frame} asks for {len(wanted)} pictures.")
+    for path in write_pictures(options.directory, wanted, look, options.out):
         print(path)
     return 0
 

@@ -55,7 +55,7 @@ def check(options: argparse.Namespace) -> int:
     from granflow.observe import earlier_grains
     from granflow.plan import plan_for
     from granflow.plan.room import fits, memory_warning, refuse_too_many
-    from granflow.scene.generate import initial_grains, rains
+    from granflow.scene.generate import initial_grains, streams
 
     plan = plan_for(scene)
     refuse_too_many(plan)
@@ -67,7 +67,7 @@ def check(options: argparse.Namespace) -> int:
         print(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
     initial_grains(scene, earlier_grains(scene))
-    rains(scene)
+    streams(scene)
     print(f"{options.scene}: no problems found.")
     return 0
 

@@ -21,6 +21,10 @@ class Books:
     brought_energy: float = 0.0
     removed_energy: float = 0.0
     removed_kinetic_energy: float = 0.0
+    outlets: dict[str, list[float]] = field(default_factory=dict)
+    """Count and mass [kg] of what every outlet took."""
+    waiting_count: int | None = None
+    """Particles that wait for room to come in; None where none come in."""
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
 

@@ -19,6 +19,7 @@ from granflow.device.survey import Survey
 from granflow.device.transfer import Transfer
 from granflow.device.watch import Watch, largest_speed
 from granflow.plan import Plan
+from granflow.plan.outlets import taken_by
 from granflow.plan.pace import STEPS_BETWEEN_LOOKS
 from granflow.scene.generate import Grains
 from granflow.snapshot import Snapshot, WallPose
@@ -36,7 +37,7 @@ class Engine:
         self.state = State(plan, backend)
         self.stepper = Stepper(self.state, self._on_gone)
         self._build_looks()
-        self.books = Books()
+        self.books = Books(outlets={drain.name: [0.0, 0.0] for drain in plan.drains})
         self.watch = Watch(plan)
         self.steps_since_look = 0
         self._gravity = np.array(plan.gravity)
@@ -263,16 +264,32 @@ class Engine:
         return self.plan.materials.index(material) if material in self.plan.materials else 0
 
     def _on_gone(self, first: int, last: int) -> None:
-        """Enter particles that left the domain into the books."""
+        """Enter particles that left the domain, or were taken by an outlet, into the books."""
         arrays = self.transfer.taken(("id", "mass", "radius", "position", "velocity", "spin", "fixed"), first, last)
-        if self.plan.scene.domain.leaving == "error":
+        left = self._taken_by_outlets(arrays) < 0
+        if self.plan.scene.domain.leaving == "error" and left.any():
             self.state.control.guard[0] = GUARD_LEFT
-            self.state.control.guard_particle[0] = int(arrays["id"].min())
+            self.state.control.guard_particle[0] = int(arrays["id"][left].min())
         kinetic, rotational, potential = mechanical_energy(arrays, self._gravity)
         self.books.deleted_count += last - first
         self.books.deleted_mass += float(arrays["mass"].sum(dtype=float))
         self.books.removed_energy += kinetic + rotational + potential
         self.books.removed_kinetic_energy += kinetic + rotational
+
+    def _taken_by_outlets(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
+        """Which outlet took each deleted particle (n,), -1 for none; their counts and masses go into the books."""
+        position, drains = arrays["position"], self.plan.drains
+        if not drains:
+            return np.full(len(position), -1)
+        kept = [axis for axis in range(3) if self.plan.scene.domain.leaving != "grow"]
+        low, high = self.plan.domain_low[kept], self.plan.domain_high[kept]
+        in_domain = np.all((position[:, kept] >= low) & (position[:, kept] <= high), axis=1)
+        taken = taken_by(drains, position.astype(float), in_domain)
+        for index, drain in enumerate(drains):
+            mine = taken == index
+            self.books.outlets[drain.name][0] += float(mine.sum())
+            self.books.outlets[drain.name][1] += float(arrays["mass"][mine].sum(dtype=float))
+        return taken
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host, velocities and spins brought forward to the time of the positions."""
@@ -318,6 +335,10 @@ class Engine:
             "overlap_largest": measured["overlap_largest"],
             "coordination_number": float(free @ arrays["coordination"]) / max(free.sum(), 1.0),
         }
+        if books.waiting_count is not None:
+            totals["waiting_count"] = float(books.waiting_count)
+        for name, (outlet_count, outlet_mass) in books.outlets.items():
+            totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)
         self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))

@@ -12,10 +12,10 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.state import State
+from granflow.plan.plan import BLOCK_CELLS
 from granflow.plan.slots import BOUNDS
 
 BLOCK_SIDE = 8
-BLOCK_CELLS = BLOCK_SIDE**3
 
 STRAGGLERS = 1 / 16
 """Share of the parts of the particles whose farthest may stand off the grid at each end, where it has to."""
@@ -61,39 +61,51 @@ class Grid:
             side *= 1.25
 
 
-def lay_grid(state: State) -> Grid:
-    """Write the grid for a search: over the particles there are, over the whole domain along periodic axes.
+def lay_grids(state: State) -> list[Grid]:
+    """Write the grid to sort by, or where sizes differ widely one for each class, of which the first is to sort by.
 
     Reads:   low, high (see `build_bounds`)
-    Writes:  grid_low, cell_side, cells
-
-    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
-    count as in the cell at its edge that is nearest to where they are.
+    Writes:  grid_low, cell_side, cells, first_cell, radius
     """
     plan, sorting = state.plan, state.sorting
-    side = (2.0 * plan.radius_max + plan.skin) * (1.0 + 1e-6)
     lows, highs = (
         np.sort(field.to_numpy()[: min(state.count, BOUNDS)].astype(float), axis=0)
         for field in (sorting.low, sorting.high)
     )
-    grid = _grid_over(state, lows[0], highs[-1], side)
-    if np.any(np.delete(grid.side, plan.border.axes) > side):
+    grids: list[Grid] = []
+    for number, radius in enumerate(plan.size_classes):
+        side, limit = (2.0 * radius + plan.skin) * (1.0 + 1e-6), sorting.cell_capacity >> number
+        grid = _grid_among(state, lows, highs, side, limit)
+        if sorting.listed is not None:
+            sorting.radius[number], sorting.first_cell[number] = radius, sum(each.cell_count for each in grids)
+        sorting.grid_low[number], sorting.cell_side[number] = list(grid.low), list(grid.side)
+        sorting.cells[number] = list(grid.cells)
+        grids.append(grid)
+    return grids
+
+
+def _grid_among(state: State, lows: np.ndarray, highs: np.ndarray, side: float, limit: int) -> Grid:
+    """A grid over the particles there are, whose parts reach from `lows` to `highs` (parts, 3) [m], both sorted.
+
+    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
+    count as in the cell at its edge that is nearest to where they are.
+    """
+    grid = _grid_over(state, lows[0], highs[-1], side, limit)
+    if np.any(np.delete(grid.side, state.plan.border.axes) > side):
         left_out = int(STRAGGLERS * len(lows))
-        finer = _grid_over(state, lows[left_out], highs[-1 - left_out], side)
+        finer = _grid_over(state, lows[left_out], highs[-1 - left_out], side, limit)
         grid = finer if np.prod(finer.side) < FINER * np.prod(grid.side) else grid
-    for field, values in ((sorting.grid_low, grid.low), (sorting.cell_side, grid.side), (sorting.cells, grid.cells)):
-        field[0] = list(values)
     return grid
 
 
-def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float) -> Grid:
-    """The grid over a box and in the domain, if that does not grow."""
+def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, limit: int) -> Grid:
+    """The grid over a box and in the domain, if that does not grow; over all of the domain along periodic axes."""
     plan, across = state.plan, list(state.plan.border.axes)
     if plan.scene.domain.leaving != "grow":
         low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
     low, high = low.copy(), np.maximum(high, low)
     low[across], high[across] = plan.domain_low[across], plan.domain_high[across]
-    return Grid.over(low, high, side, state.sorting.cell_capacity, across)
+    return Grid.over(low, high, side, limit, across)
 
 
 def build_cell_number() -> Any:

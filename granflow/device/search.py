@@ -17,6 +17,9 @@ from granflow.device.state import SCAN_BLOCK, State
 from granflow.device.walls import build_wall_geometry
 from granflow.plan.slots import BOUNDS
 
+ROUNDING = 1e-5
+"""Share by which the search reaches further than it has to: cells are found by numbers that are rounded."""
+
 
 def build_bounds(state: State) -> Callable[[int], None]:
     """Box around every BOUNDS-th part of the particles, into sorting.low and sorting.high."""
@@ -36,12 +39,12 @@ def build_bounds(state: State) -> Callable[[int], None]:
 
 
 def build_place(state: State) -> Any:
-    """Device function (point): coordinates of the cell it stands in, or of the one at the edge that is nearest."""
+    """Device function (point, number of the grid): cell it stands in, or the one at the edge that is nearest."""
     sorting, real = state.sorting, state.backend.position_real
 
     @ti.func
-    def place(point):
-        p, cells = (point - sorting.grid_low[0]) / sorting.cell_side[0], sorting.cells[0]
+    def place(point, grid=0):
+        p, cells = (point - sorting.grid_low[grid]) / sorting.cell_side[grid], sorting.cells[grid]
         last = ti.cast(cells, real) - 1.0
         x = ti.cast(ti.max(ti.min(p[0], last[0]), 0.0), ti.i32)
         y = ti.cast(ti.max(ti.min(p[1], last[1]), 0.0), ti.i32)
@@ -79,33 +82,114 @@ def build_around(state: State) -> tuple[Any, Any]:
     return around, meant
 
 
+def build_within(state: State) -> Any:
+    """Device function (point, reach, number of the grid): first cell along each axis that a sphere meets, and the end.
+
+    Along a periodic axis they may lie off the grid, but none stands for another.
+    """
+    sorting, real, periodic = state.sorting, state.backend.position_real, state.plan.border.axes
+    slack = 1.0 + ROUNDING
+
+    @ti.func
+    def within(point, reach, grid):
+        middle = (point - sorting.grid_low[grid]) / sorting.cell_side[grid]
+        far, cells = slack * reach / sorting.cell_side[grid], sorting.cells[grid]
+        lowest, highest = ti.floor(middle - far), ti.floor(middle + far)
+        for axis in ti.static(range(3)):
+            if ti.static(axis in periodic):
+                if highest[axis] - lowest[axis] >= cells[axis] - 1:
+                    lowest[axis], highest[axis] = 0.0, ti.cast(cells[axis], real) - 1.0
+            else:
+                last = ti.cast(cells[axis], real) - 1.0
+                lowest[axis] = ti.max(ti.min(lowest[axis], last), 0.0)
+                highest[axis] = ti.max(ti.min(highest[axis], last), 0.0)
+        return ti.cast(lowest, ti.i32), ti.cast(highest, ti.i32) + 1
+
+    return within
+
+
 def build_sort(state: State) -> Callable[..., None]:
-    """Counting sort by cell, by id within a cell; particles that leave come last.
+    """Kernel (count, cells): order of the particles by cell, by id within a cell; those that leave come last.
 
     Reads:   position, id
-    Writes:  cell, cell_start, order
+    Writes:  cell_start, order
     """
     particles, sorting = state.particles, state.sorting
     number, stays, place = build_cell_number(), build_stays(state), build_place(state)
+
+    @ti.func
+    def cell_of(i, cells):
+        cell = cells - 1
+        if stays(i):
+            x, y, z = place(particles.position[i])
+            cell = number(x, y, z, sorting.cells[0])
+        return cell
+
+    @ti.func
+    def key(i):
+        return particles.id[i]
+
+    return _build_counting_sort(state, cell_of, key, sorting.cell_start, sorting.order)
+
+
+def build_class_lists(state: State) -> Callable[..., None]:
+    """Kernel (count, cells): the sorted particles once more, by class of size and cell of its grid.
+
+    Reads:   position, radius
+    Writes:  listed_start, listed
+    """
+    particles, sorting = state.particles, state.sorting
+    number, place, class_of = build_cell_number(), build_place(state), build_class_of(state)
+
+    @ti.func
+    def cell_of(i, cells):
+        group = class_of(particles.radius[i])
+        x, y, z = place(particles.position[i], group)
+        return sorting.first_cell[group] + number(x, y, z, sorting.cells[group])
+
+    @ti.func
+    def key(i):
+        return i
+
+    return _build_counting_sort(state, cell_of, key, sorting.listed_start, sorting.listed)
+
+
+def build_class_of(state: State) -> Any:
+    """Device function (radius): number of the class of sizes."""
+    real, uppers = state.backend.real, state.plan.size_classes[:-1]
+
+    @ti.func
+    def class_of(radius):
+        found = 0
+        for upper in ti.static(uppers):
+            found += ti.cast(radius > real(upper), ti.i32)
+        return found
+
+    return class_of
+
+
+def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order: Any) -> Callable[..., None]:
+    """Kernel (count, cells): `order` of particles by `cell_of(i, cells + 1)`, by `key(i)` within a cell.
+
+    Those of a cell stand from its `start` to the next one's; there is a cell behind the last for who has none.
+    """
+    sorting = state.sorting
 
     @ti.kernel
     def sort(count: ti.i32, cell_count: ti.i32):
         cells = cell_count + 1
         blocks = (cells + 1 + SCAN_BLOCK - 1) // SCAN_BLOCK
         for c in range(cells + 1):
-            sorting.cell_start[c] = 0
+            start[c] = 0
             sorting.cell_fill[c] = 0
         for i in range(count):
-            cell = cells - 1
-            if stays(i):
-                x, y, z = place(particles.position[i])
-                cell = number(x, y, z, sorting.cells[0])
+            cell = cell_of(i, cells)
             sorting.cell[i] = cell
-            ti.atomic_add(sorting.cell_start[cell], 1)
+            ti.atomic_add(start[cell], 1)
         for b in range(blocks):
             total = 0
             for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
-                total += sorting.cell_start[c]
+                total += start[c]
             sorting.block_sum[b] = total
         for _ in range(1):
             total = 0
@@ -116,25 +200,25 @@ def build_sort(state: State) -> Callable[..., None]:
         for b in range(blocks):
             total = sorting.block_sum[b]
             for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
-                here = sorting.cell_start[c]
-                sorting.cell_start[c] = total
+                here = start[c]
+                start[c] = total
                 total += here
         for i in range(count):
             cell = sorting.cell[i]
             slot = ti.atomic_add(sorting.cell_fill[cell], 1)
-            sorting.order[sorting.cell_start[cell] + slot] = i
+            order[start[cell] + slot] = i
         for c in range(cells):
-            order_by_id(sorting.cell_start[c], sorting.cell_start[c + 1])
+            order_by_key(start[c], start[c + 1])
 
     @ti.func
-    def order_by_id(begin, end):
+    def order_by_key(begin, end):
         for k in range(begin + 1, end):
-            moving = sorting.order[k]
+            moving = order[k]
             slot = k
-            while slot > begin and particles.id[sorting.order[ti.max(slot - 1, 0)]] > particles.id[moving]:
-                sorting.order[slot] = sorting.order[slot - 1]
+            while slot > begin and key(order[ti.max(slot - 1, 0)]) > key(moving):
+                order[slot] = order[slot - 1]
                 slot -= 1
-            sorting.order[slot] = moving
+            order[slot] = moving
 
     return sort
 
@@ -261,6 +345,7 @@ def build_rows(state: State) -> Callable[..., None]:
     wall_count, remembers, stride = len(plan.walls), bool(contacts.history), state.stride
     number, place, apart = build_cell_number(), build_place(state), build_apart(state)
     around, meant = build_around(state)
+    classes, within = len(plan.size_classes), build_within(state)
     geometry, has_mesh = build_wall_geometry(state), plan.features.mesh_walls
     mesh = build_mesh_geometry(state) if has_mesh else None
     recall = build_recall(state) if remembers else None
@@ -297,24 +382,20 @@ def build_rows(state: State) -> Callable[..., None]:
         return filled
 
     @ti.func
-    def near_in_cell(chunk, slot, i, cell, skin):
+    def append_if_near(chunk, slot, i, j, skin):
         filled = slot
         first, last = chunk * chunk_size, (chunk + 1) * chunk_size
-        for j in range(sorting.cell_start[cell], sorting.cell_start[cell + 1]):
-            if j > i or (j < first) or (j >= last):
-                between = apart(particles.position[i], particles.position[j])
-                reach = particles.radius[i] + particles.radius[j] + skin
-                if between.dot(between) < reach * reach and can_meet(i, j):
-                    filled = append(chunk, filled, i, j)
+        if j > i or (j < first) or (j >= last):
+            between = apart(particles.position[i], particles.position[j])
+            reach = particles.radius[i] + particles.radius[j] + skin
+            if between.dot(between) < reach * reach and can_meet(i, j):
+                filled = append(chunk, filled, i, j)
         return filled
 
     @ti.func
-    def fill_row(chunk, slot, i, skin, pose):
-        filled = slot
-        if ti.static(wall_count > 0):
-            filled = near_walls(chunk, filled, i, skin, pose)
-        contacts.row_middle[i] = filled
-        cells = sorting.cells[0]
+    def near_grains(chunk, slot, i, skin):
+        """All in the cells around."""
+        filled, cells = slot, sorting.cells[0]
         x, y, z = place(particles.position[i])
         first_x, end_x = around(x, cells, 0)
         first_y, end_y = around(y, cells, 1)
@@ -323,7 +404,36 @@ def build_rows(state: State) -> Callable[..., None]:
             for next_y in range(first_y, end_y):
                 for next_x in range(first_x, end_x):
                     cell = number(meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells)
-                    filled = near_in_cell(chunk, filled, i, cell, skin)
+                    for j in range(sorting.cell_start[cell], sorting.cell_start[cell + 1]):
+                        filled = append_if_near(chunk, filled, i, j, skin)
+        return filled
+
+    @ti.func
+    def near_grains_by_class(chunk, slot, i, skin):
+        """Class by class, those in the cells that one of the class can reach from."""
+        filled = slot
+        for group in range(classes):
+            cells = sorting.cells[group]
+            first, end = within(particles.position[i], particles.radius[i] + sorting.radius[group] + skin, group)
+            for next_z in range(first[2], end[2]):
+                for next_y in range(first[1], end[1]):
+                    for next_x in range(first[0], end[0]):
+                        cell = number(meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells)
+                        cell += sorting.first_cell[group]
+                        for k in range(sorting.listed_start[cell], sorting.listed_start[cell + 1]):
+                            filled = append_if_near(chunk, filled, i, sorting.listed[k], skin)
+        return filled
+
+    @ti.func
+    def fill_row(chunk, slot, i, skin, pose):
+        filled = slot
+        if ti.static(wall_count > 0):
+            filled = near_walls(chunk, filled, i, skin, pose)
+        contacts.row_middle[i] = filled
+        if ti.static(classes > 1):
+            filled = near_grains_by_class(chunk, filled, i, skin)
+        else:
+            filled = near_grains(chunk, filled, i, skin)
         return filled
 
     @ti.kernel

@@ -108,18 +108,26 @@ class Particles:
 
 
 class Sorting:
-    """Scratch for the neighbour search: cells and the new order."""
+    """Scratch for the neighbour search: cells and the new order; where sizes differ widely, a grid for each class.
+
+    `listed`: particles by class and cell, from listed_start of a cell on; cells of a class begin at its first_cell.
+    """
 
     def __init__(self, block: Block, plan: Plan, particles: Particles) -> None:
         count, cell_capacity = particles.capacity, plan.cell_capacity
+        classes, listed = len(plan.size_classes), plan.listed_cell_capacity
         self.cell_capacity = cell_capacity
         self.cell = block.scalar(ti.i32, count)
         self.order = block.scalar(ti.i32, count)
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
-        self.cell_fill = block.scalar(ti.i32, cell_capacity + 2)
-        self.block_sum = block.scalar(ti.i32, cell_capacity // SCAN_BLOCK + 2)
-        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, 1) for _ in range(2))
-        self.cells = block.vector(ti.i32, 1)
+        self.cell_fill = block.scalar(ti.i32, max(cell_capacity, listed) + 2)
+        self.block_sum = block.scalar(ti.i32, max(cell_capacity, listed) // SCAN_BLOCK + 2)
+        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, classes) for _ in range(2))
+        self.cells = block.vector(ti.i32, classes)
+        self.listed: Any = block.scalar(ti.i32, count) if listed else None
+        self.listed_start: Any = block.scalar(ti.i32, listed + 2) if listed else None
+        self.first_cell: Any = block.scalar(ti.i32, classes) if listed else None
+        self.radius: Any = block.scalar(particles.position.dtype, classes) if listed else None
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 

@@ -14,10 +14,11 @@ import taichi as ti
 from granflow.device.apart import build_wrap
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
-from granflow.device.grid import lay_grid
+from granflow.device.grid import lay_grids
 from granflow.device.motion import build_move
 from granflow.device.search import (
     build_bounds,
+    build_class_lists,
     build_gather,
     build_rows,
     build_set_aside,
@@ -88,12 +89,14 @@ class Stepper:
         periodic = state.plan.features.periodic != "none"
         self._wrap = build_wrap(state) if periodic else lambda count: None
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
+        self._list_classes = build_class_lists(state) if state.sorting.listed is not None else lambda count, cells: None
         self._set_aside = build_set_aside(state) if state.contacts.history else lambda count: None
         self._rows = build_rows(state)
         build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
         self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
         self._sort(0, 0)
+        self._list_classes(0, 0)
         self._gather(0)
         self._rows(0, 0.0, 0)
         self._set_aside(0)
@@ -119,11 +122,13 @@ class Stepper:
         state = self.state
         self._wrap(state.count)
         self._bounds(state.count)
-        grid = lay_grid(state)
-        self._sort(state.count, grid.cell_count)
+        grids = lay_grids(state)
+        self._sort(state.count, grids[0].cell_count)
         self._set_history_aside()
         self._gather(state.count)
-        return state.count - int(state.sorting.cell_start[grid.cell_count])
+        there = int(state.sorting.cell_start[grids[0].cell_count])
+        self._list_classes(there, sum(grid.cell_count for grid in grids))
+        return state.count - there
 
     def _set_history_aside(self) -> None:
         state = self.state

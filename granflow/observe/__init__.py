@@ -14,10 +14,10 @@ from granflow.observe.earlier import earlier_grains
 from granflow.observe.every import Every, every
 from granflow.observe.expect import Judgement, judge
 from granflow.observe.files import remove_parts, replacing, write_text
+from granflow.observe.inputs import copy_inputs
 from granflow.observe.loads import LoadMeter
 from granflow.observe.lock import locked
 from granflow.observe.log import run_log, versions, write_scene_as_run
-from granflow.observe.meshes import copy_meshes
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Keepable, Observer
 from granflow.observe.progress import ProgressDisplay
@@ -47,7 +47,7 @@ __all__ = [
     "WallFrames",
     "accepted_change",
     "closing_table",
-    "copy_meshes",
+    "copy_inputs",
     "decided",
     "earlier_grains",
     "every",

@@ -36,7 +36,7 @@ def observers_for(
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
         observers.append(WallFrames(out_dir, interval, wall_triangles))
-    observers += [_field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
+    observers += [field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
     return observers
 
 
@@ -52,7 +52,8 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     return TimeSeries(out_dir, interval, meters, loads=loads, indices=index_meters(scene))
 
 
-def _field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+def field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+    """Make the frames of the fields `name` that the scene asks for."""
     grid = grid_in(scene.domain, asked)
     width = asked.width
     if width == "auto":

@@ -13,7 +13,7 @@ from granflow.observe.expect import Expectation, Judgement, judge
 from granflow.observe.files import write_text
 from granflow.quantities import unit_of
 
-_COUNTS = ("particle_count", "inserted_count", "deleted_count", "contact_count")
+_COUNTS = ("particle_count", "inserted_count", "waiting_count", "deleted_count", "contact_count")
 _WHOLE = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
 _LOADS = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
@@ -26,8 +26,8 @@ class Result:
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
     `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
     `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter. `loads`: wall_force_x and so on by the name of the wall. `indices`: likewise by the name of
-    the index.
+    meter. `loads`: wall_force_x and so on by the name of the wall. `indices`: likewise by the name of the index.
+    `feeds`: came_count, came_mass and missing_count by the name of a group that comes in.
     """
 
     run: Mapping[str, float]
@@ -36,6 +36,7 @@ class Result:
     meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     loads: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     indices: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    feeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[Judgement, ...] = ()
 
     def held_to(self, expectations: Iterable[Expectation]) -> "Result":
@@ -46,12 +47,13 @@ class Result:
     def numbers(self) -> dict[str, float]:
         """All numbers by the names that a scene's `expect:` block uses.
 
-        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`, meters and
-        walls as `mass_flow.outlet`, `wall_force.floor`.
+        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`; of meters, walls and
+        groups that come in as `mass_flow.outlet`, `wall_force.floor`, `came_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        for part, readings in (*self.meters.items(), *self.loads.items(), *self.indices.items()):
+        parts = (self.meters, self.loads, self.indices, self.feeds)
+        for part, readings in (reading for each in parts for reading in each.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
 
@@ -65,6 +67,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "meters": {name: _finite(readings) for name, readings in result.meters.items()},
         "loads": {name: _finite(readings) for name, readings in result.loads.items()},
         "indices": {name: _finite(readings) for name, readings in result.indices.items()},
+        "feeds": {name: _finite(readings) for name, readings in result.feeds.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
@@ -73,14 +76,14 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def closing_table(result: Result, title: str = "Result") -> Table:
-    """Make the table that closes a run: where the time went, counts, energy, mass flow per meter, load per wall."""
+    """Make the table that closes a run: where the time went, counts, energy, meters, loads of walls, feeds."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
     table.add_column(justify="left")
     for section in (
         _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result),
-        _part_rows(result.indices),
+        _part_rows(result.indices), _part_rows(result.feeds),
     ):  # fmt: skip
         for row in section:
             table.add_row(*row)
@@ -115,7 +118,8 @@ def _time_rows(result: Result) -> list[tuple[str, str, str]]:
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
-    return [(_words(name), readable(result.totals[name]), unit_of(name)) for name in names]
+    names += [name for name in result.totals if "." in name]
+    return [(_words(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:

@@ -12,7 +12,13 @@ from granflow.observe.loads import LoadMeter
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
-from granflow.quantities import INDEX_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES
+from granflow.quantities import (
+    INDEX_QUANTITIES,
+    LOAD_QUANTITIES,
+    METER_QUANTITIES,
+    OUTLET_QUANTITIES,
+    TOTAL_QUANTITIES,
+)
 from granflow.snapshot import Snapshot
 
 
@@ -156,4 +162,7 @@ def _size_of(path: Path) -> int:
 
 
 def _label(name: str) -> str:
+    quantity, _, part = name.partition(".")
+    if quantity in OUTLET_QUANTITIES:
+        return OUTLET_QUANTITIES[quantity].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name

@@ -6,6 +6,7 @@ import numpy as np
 
 from granflow.plan.walls import surface_speed
 from granflow.scene import Scene
+from granflow.scene.schema import FromFile
 
 WITHOUT_MOTION = 1.0
 """Fastest approach [m/s] where nothing moves or falls: contacts still need a time step."""
@@ -44,5 +45,7 @@ def free_fall(scene: Scene) -> float:
 
 def initial_speed(scene: Scene) -> float:
     """Largest speed [m/s] at which any particle starts."""
-    velocities = [np.atleast_2d(np.array(group.velocity)) for group in scene.particles.values()]
-    return max(float(np.linalg.norm(each, axis=1).max()) for each in velocities)
+    groups = scene.particles.values()
+    velocities = [np.atleast_2d(np.array(group.velocity)) for group in groups]
+    read = [group.place.found.speed_max for group in groups if isinstance(group.place, FromFile) and group.place.found]
+    return max(*read, *(float(np.linalg.norm(each, axis=1).max()) for each in velocities), 0.0)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from granflow.plan.sizes import WIDE, diameter_range, size_classes
 from granflow.scene import Scene
 
 
@@ -25,6 +26,9 @@ class Features:
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
     fixed_grains: bool
+    outlets: bool
+    size_classes: str
+    """Number of classes of sizes that the search takes one by one, or "none"."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Reason:
 def features_of(scene: Scene, law_is_damped: bool) -> Features:
     """Decide every feature from the scene alone."""
     friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
-    rolling = scene.contact.rolling
+    rolling, classes = scene.contact.rolling, size_classes(scene)
     if not any(pair.rolling_friction for pair in scene.pairs.values()):
         rolling = "none"
     return Features(
@@ -57,6 +61,8 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
         fixed_grains=any(group.fixed for group in scene.particles.values()),
+        outlets=bool(scene.outlets),
+        size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
 
@@ -84,6 +90,8 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         if scene.domain.periodic
         else "the domain has no periodic axes",
         "fixed_grains": _fixed_reason(scene, features),
+        "outlets": _outlets_reason(scene),
+        "size_classes": _sizes_reason(scene),
     }
     return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
 
@@ -149,6 +157,10 @@ def _loads_reason(scene: Scene, features: Features) -> str:
     return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
 
 
+def _outlets_reason(scene: Scene) -> str:
+    return f"{', '.join(scene.outlets)} ({scene.where('outlets')})" if scene.outlets else "the scene has no outlets"
+
+
 def _fixed_reason(scene: Scene, features: Features) -> str:
     if not features.fixed_grains:
         return "every group of particles can move"
@@ -159,6 +171,14 @@ def _fixed_reason(scene: Scene, features: Features) -> str:
 def _step_reason(scene: Scene) -> str:
     how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
     return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
+
+
+def _sizes_reason(scene: Scene) -> str:
+    spans = [diameter_range(group) for group in scene.particles.values()]
+    ratio = max(high for _, high in spans) / min(low for low, _ in spans)
+    if ratio < WIDE:
+        return f"the largest particles are less than {WIDE:g} times as wide as the smallest"
+    return f"the largest particles are {ratio:.3g} times as wide as the smallest ({scene.where('particles')})"
 
 
 def _material_reason(scene: Scene) -> str:

@@ -42,13 +42,15 @@ def memory_of(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Memory:
     kept = plan.chunk_capacity * kept_slots(plan.slots_per_chunk) * (INTEGER + remembered) if remembered else 0
     slots = plan.chunk_capacity * plan.slots_per_chunk
     slot_bytes = slots * (INTEGER + (INTEGER + remembered if remembered else 0)) + kept
-    per_particle = _fields(plan, real, position) + INTEGER * (SORTED + ROW + ROW_BEFORE * bool(remembered))
+    listed = plan.listed_cell_capacity
+    rows = SORTED + ROW + ROW_BEFORE * bool(remembered) + bool(listed)
+    per_particle = _fields(plan, real, position) + INTEGER * rows
     return Memory(
         per_particle=per_particle,
         per_slot=slot_bytes // slots,
         particles=per_particle * plan.particle_capacity,
         slots=slot_bytes,
-        cells=2 * INTEGER * plan.cell_capacity + 2 * VECTOR * position * BOUNDS,
+        cells=2 * INTEGER * (plan.cell_capacity + listed) + 2 * VECTOR * position * BOUNDS,
     )
 
 

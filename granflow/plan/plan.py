@@ -22,8 +22,9 @@ from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
+from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
-from granflow.plan.sizes import diameter_range
+from granflow.plan.sizes import diameter_range, size_classes
 from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
@@ -46,6 +47,9 @@ CELLS_PER_PARTICLE = 3
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
 LEAST_CELLS = 8192
+
+BLOCK_CELLS = 8**3
+"""Cells of the smallest grid: they come in blocks."""
 
 SKIN_STEPS = 60
 """A particle at the largest velocity should cross half the skin in no fewer steps than this."""
@@ -135,6 +139,17 @@ class Plan:
         """Most cells of the search grid."""
         return max(CELLS_PER_PARTICLE * self.particle_capacity, LEAST_CELLS)
 
+    @cached_property
+    def size_classes(self) -> tuple[float, ...]:
+        """Largest radius [m] of each class of sizes that the search takes by itself, from small to large."""
+        return size_classes(self.scene)
+
+    @property
+    def listed_cell_capacity(self) -> int:
+        """Most cells of the grids of all classes of sizes; 0 where there is but one class."""
+        classes = len(self.size_classes)
+        return 2 * self.cell_capacity + classes * BLOCK_CELLS if classes > 1 else 0
+
     @property
     def gravity(self) -> tuple[float, float, float]:
         """Gravity [m/s2]."""
@@ -169,12 +184,18 @@ class Plan:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences to show before a run."""
-        return self.step.warnings + tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
+        meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
+        return self.scene.remarks + self.step.warnings + meshes
 
     @cached_property
     def border(self) -> Border:
         """Periodic faces of the domain."""
         return Border.of(self.scene.domain)
+
+    @cached_property
+    def drains(self) -> tuple[Drain, ...]:
+        """The outlets in plain numbers."""
+        return drains_of(self.scene)
 
     @cached_property
     def domain_low(self) -> np.ndarray:

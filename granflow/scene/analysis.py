@@ -21,7 +21,7 @@ from granflow.scene.fields import (
     choice,
     listing,
 )
-from granflow.scene.groups import Box
+from granflow.scene.places import Box
 from granflow.scene.suggest import known_or_meant
 
 Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]

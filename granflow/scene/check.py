@@ -4,21 +4,26 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES
+from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
 from granflow.scene.check_analysis import expected_indices, field_grids, indices
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
 from granflow.scene.findings import Check, Finding, unknown
-from granflow.scene.groups import BoxRegion, CylinderRegion, Listed
 from granflow.scene.matter import RestitutionFit
+from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
 from granflow.scene.schema import Plane, Scene, Stage, Wall
 from granflow.scene.shapes import Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
 
+SEVERAL = 2
+"""Particles taken to be in a group whose count is not known yet: they can touch each other."""
+
 _AXES = "xyz"
-_MOST = {"materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "stages": 1000, "expect": 1000}
+_MOST = {
+    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
+}  # fmt: skip
 """Entries of a section: what is worked out for every two of them must stay quick."""
 
 
@@ -108,7 +113,7 @@ def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in names and group.fixed == fixed:
-            found[group.material] = found.get(group.material, 0) + group.count
+            found[group.material] = found.get(group.material, 0) + (group.count_asked or SEVERAL)
     return found
 
 
@@ -244,33 +249,53 @@ def _regions(draft: Draft) -> Iterator[Finding]:
             for index, point in enumerate(group.place.positions):
                 if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                     yield (*path, "positions", index), Fault((), "it lies outside the domain")
+        if isinstance(group.place, Listed | FromFile):
             continue
-        for axis, (a, b) in enumerate(zip(*_extent(group.place.region), strict=True)):
+        key = "face" if isinstance(group.place, Inlet) else "region"
+        for axis, (a, b) in enumerate(zip(*_extent(getattr(group.place, key)), strict=True)):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
                 reason = f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m"
-                yield (*path, "region"), Fault((), reason, whole=True)
+                yield (*path, key), Fault((), reason, whole=True)
 
 
-def _extent(region: BoxRegion | CylinderRegion) -> tuple[Vector3, Vector3]:
-    """Smallest and largest coordinates of a region [m]."""
+def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tuple[Vector3, Vector3]:
+    """Smallest and largest coordinates of a region or a face [m]."""
     if isinstance(region, BoxRegion):
         return region.box.min, region.box.max
-    a, b, radius = region.cylinder.from_, region.cylinder.to, region.cylinder.radius
-    length = math.dist(a, b) or 1.0
-    reach = [radius * math.sqrt(max(0.0, 1 - ((q - p) / length) ** 2)) for p, q in zip(a, b, strict=True)]
+    if isinstance(region, RectangleFace):
+        corner, (first, second) = region.rectangle.corner, region.rectangle.sides
+        sides = [(c, c + p, c + q, c + p + q) for c, p, q in zip(corner, first, second, strict=True)]
+        return tuple(map(min, sides)), tuple(map(max, sides))  # type: ignore[return-value]
+    if isinstance(region, DiscFace):
+        a, axis, radius = region.disc.center, region.disc.normal, region.disc.radius
+        b = a
+    else:
+        a, b, radius = region.cylinder.from_, region.cylinder.to, region.cylinder.radius
+        axis = tuple(q - p for p, q in zip(a, b, strict=True))  # type: ignore[assignment]
+    length = math.hypot(*axis) or 1.0
+    reach = [radius * math.sqrt(max(0.0, 1 - (along / length) ** 2)) for along in axis]
     low = tuple(min(p, q) - r for p, q, r in zip(a, b, reach, strict=True))
     high = tuple(max(p, q) + r for p, q, r in zip(a, b, reach, strict=True))
     return low, high  # type: ignore[return-value]
 
 
-def _meters(draft: Draft) -> Iterator[Finding]:
-    """Expectations of flow meters that exist."""
-    meters = draft.scene.output.meters
+def _parts(draft: Draft) -> Iterator[Finding]:
+    """Expectations of flow meters, outlets and groups that exist."""
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (METER_QUANTITIES, draft.scene.output.meters, "meter"),
+        (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
+        (FEED_QUANTITIES, _coming_in(draft), "stream"),
+    )
     for index, expectation in enumerate(draft.scene.expect):
-        quantity, dot, meter = expectation.quantity.partition(".")
-        if dot and quantity in METER_QUANTITIES and meter not in meters:
-            yield unknown(("expect", index, "quantity"), meter, meters, "meter")
+        quantity, dot, part = expectation.quantity.partition(".")
+        for quantities, names, kind in known if dot else ():
+            if quantity in quantities and part not in names:
+                yield unknown(("expect", index, "quantity"), part, names, kind)
+
+
+def _coming_in(draft: Draft) -> list[str]:
+    return [name for name, group in draft.scene.particles.items() if isinstance(group.place, Rain | Inlet)]
 
 
 def _loads(draft: Draft) -> Iterator[Finding]:
@@ -305,7 +330,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("stages", "run"), _duration),
     (("gravity",), _gamma),
     (("domain",), _regions),
-    (("output", "expect"), _meters),
+    (("output", "expect"), _parts),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), indices),
     (("output", "expect"), expected_indices),

@@ -9,7 +9,7 @@ from granflow.scene.document import KeyPath
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault
 from granflow.scene.findings import Finding, unknown
-from granflow.scene.groups import Box
+from granflow.scene.places import Box
 from granflow.scene.schema import Domain
 
 MOST_CELLS = 2_000_000

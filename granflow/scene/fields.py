@@ -114,11 +114,11 @@ def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
 Tagger = Callable[[Any], str | None]
 
 
-def choice(key: str, *, number: str = "", listed: str = "") -> Discriminator:
+def choice(key: str, *, number: str = "", listed: str = "", none: str = "") -> Discriminator:
     """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
 
-    What is no mapping goes to the tag `number`, or `listed` if it is a list. The angle brackets keep tags apart
-    from keys in the places of errors.
+    What is no mapping goes to the tag `number`, or `listed` if it is a list, or `none` if it is nothing. The angle
+    brackets keep tags apart from keys in the places of errors.
     """
 
     def tag(value: Any) -> str | None:
@@ -126,7 +126,7 @@ def choice(key: str, *, number: str = "", listed: str = "") -> Discriminator:
             return f"<{value[key]}>" if key in value else None
         if isinstance(value, BaseModel):
             return f"<{getattr(value, key)}>"
-        kind = listed if isinstance(value, list | tuple) and listed else number
+        kind = none if value is None and none else listed if isinstance(value, list | tuple) and listed else number
         return f"<{kind}>" if kind else None
 
     return _discriminator(tag, key=key)
@@ -193,19 +193,23 @@ PairName = Annotated[
     str, AfterValidator(_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
 ]
 
+# Lengths go with the `size` of a scene, and amounts of grains with its cube; those of one grain or contact do not.
 Plain = Annotated[float, Number()]
 NotNegative = Annotated[float, Number(at_least=0)]
 Positive = Annotated[float, Number(above=0)]
 Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
 Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_three)]
+GrainCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
-Length = Annotated[float, Number("length")]
-PositiveLength = Annotated[float, Number("length", above=0)]
-NotNegativeLength = Annotated[float, Number("length", at_least=0)]
+Length = Annotated[float, Number("length", scaling=1)]
+PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
+NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
+KeptLength = Annotated[float, Number("length", above=0)]
 Time = Annotated[float, Number("time", at_least=0)]
 PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]
 Speed = Annotated[float, Number("velocity", noun="a speed", above=0)]
+AnySpeed = Annotated[float, Number("velocity", noun="a speed", at_least=0)]
 Acceleration = Annotated[float, Number("acceleration")]
 Angle = Annotated[float, Number("angle")]
 Frequency = Annotated[float, Number("frequency", above=0)]
@@ -215,7 +219,10 @@ Pressure = Annotated[float, Number("pressure", above=0)]
 Density = Annotated[float, Number("density", above=0)]
 Energy = Annotated[float, Number("energy", above=0)]
 Stiffness = Annotated[float, Number("stiffness", above=0)]
-Rate = Annotated[float, Number("rate", above=0)]
+Rate = Annotated[float, Number("rate", above=0, scaling=3)]
+GrainMass = Annotated[float, Number("mass", above=0, scaling=3)]
+MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
+Share = Annotated[float, Number(noun="a fraction", at_least=0)]
 AnyQuantity = Annotated[float, Number("any")]
 
 Vector3 = tuple[float, float, float]

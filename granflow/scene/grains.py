@@ -63,6 +63,6 @@ def random_for(scene: Scene, group_name: str) -> np.random.Generator:
 
 def shortfall(scene: Scene, group_name: str, error: NoRoomError) -> str:
     """The sentence for a group that does not fit, with the place of its count in the file."""
-    asked = scene.particles[group_name].count
-    place = scene.place("particles", group_name, "count")
-    return f"{place}: particles.{group_name}.count is {asked}, but {error.finding} in its region. {error.remedy}"
+    group = scene.particles[group_name]
+    place, where = scene.place("particles", group_name, "count"), "face" if group.place.kind == "inlet" else "region"
+    return f"{place}: particles.{group_name}.count is {group.count}, but {error.finding} in its {where}. {error.remedy}"

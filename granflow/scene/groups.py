@@ -4,34 +4,31 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from granflow.scene.fields import (
-    Count,
     Fault,
     Flag,
+    GrainCount,
+    GrainMass,
+    KeptLength,
     KeyPath,
     Model,
     Number,
-    Point,
     Positive,
-    PositiveLength,
-    Rate,
+    Share,
     SpinVector,
     Text,
-    Time,
     VelocityVector,
     choice,
     chosen,
     listing,
-    not_required,
 )
 from granflow.scene.numbers import whole
+from granflow.scene.places import Place
 
 _ROUNDING = 1e-12  # of the sum of shares
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
-Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
-Share = Annotated[float, Number(noun="a fraction", at_least=0)]
 
 
 class Cut(Model):
@@ -61,7 +58,7 @@ class NormalSizes(Cut):
 
     distribution: Literal["normal"] = Field(description="kind of size distribution")
     mean: Diameter = Field(description="mean diameter before the cut [m]")
-    deviation: PositiveLength = Field(description="standard deviation before the cut [m]")
+    deviation: KeptLength = Field(description="standard deviation before the cut [m]")
 
     def faults(self) -> Iterator[Fault]:
         """The mean inside the cut-offs."""
@@ -110,106 +107,16 @@ class ClassSizes(Model):
     classes: Classes = Field(description="the classes")
 
 
-SizeDistribution = UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
 Sizes = Annotated[
     Annotated[Diameter, Tag("<number>")]
     | Annotated[tuple[Diameter, ...], Tag("<list>")]
     | Annotated[UniformSizes, Tag("<uniform>")]
     | Annotated[NormalSizes, Tag("<normal>")]
     | Annotated[LogNormalSizes, Tag("<log_normal>")]
-    | Annotated[ClassSizes, Tag("<classes>")],
-    choice("distribution", number="number", listed="list"),
-]
-
-
-class Box(Model):
-    """A box along the axes."""
-
-    min: Point = Field(description="corner with the smallest coordinates [m]")
-    max: Point = Field(description="corner with the largest coordinates [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """A box with room in it."""
-        for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
-            if high <= low:
-                yield Fault(("max", i), f"it must be above min, {low:g} m")
-
-
-class Tube(Model):
-    """A round volume about an axis."""
-
-    from_: Point = Field(alias="from", description="one end of the axis [m]")
-    to: Point = Field(description="the other end of the axis [m]")
-    radius: PositiveLength = Field(description="radius [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """An axis with a length."""
-        if self.from_ == self.to:
-            yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
-
-
-class BoxRegion(Model):
-    """Room for particles: a box. Whole particles stay inside."""
-
-    box: Box = Field(description="a box along the axes, {min: [..], max: [..]}")
-
-
-class CylinderRegion(Model):
-    """Room for particles: a cylinder. Whole particles stay inside."""
-
-    cylinder: Tube = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
-
-
-def _region_tag(value: Any) -> str | None:
-    for tag, model in (("box", BoxRegion), ("cylinder", CylinderRegion)):
-        if isinstance(value, model) or (isinstance(value, dict) and tag in value):
-            return f"<{tag}>"
-    return None
-
-
-Region = Annotated[
-    Annotated[BoxRegion, Tag("<box>")] | Annotated[CylinderRegion, Tag("<cylinder>")],
-    chosen(_region_tag, "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"),
-]
-
-
-class Lattice(Model):
-    """Particles on a regular lattice in a region."""
-
-    kind: Literal["lattice"] = Field(description="way of placing the particles")
-    region: Region = Field(description="the room to fill: a box or a cylinder")
-    jitter: Jitter = Field(0.0, description="random shift, as a fraction of the free gap")
-
-
-class Pack(Model):
-    """Particles at random in a region, none overlapping."""
-
-    kind: Literal["pack"] = Field(description="way of placing the particles")
-    region: Region = Field(description="the room to fill: a box or a cylinder")
-
-
-class Rain(Model):
-    """Particles that appear at random in a region at a rate, until the count is reached."""
-
-    kind: Literal["rain"] = Field(description="way of placing the particles")
-    region: Region = Field(description="where they appear: a box or a cylinder")
-    rate: Rate = Field(description="particles per second [1/s]")
-    start: Time = Field(0.0, description="time of the first particle [s]")
-
-
-class Listed(Model):
-    """Particles at given positions."""
-
-    kind: Literal["list"] = Field(description="way of placing the particles")
-    positions: Annotated[tuple[Point, ...], listing(some="[[0, 0, 0]]")] = Field(description="centres [m]")
-
-
-Place = Annotated[
-    Annotated[Lattice, Tag("<lattice>")]
-    | Annotated[Pack, Tag("<pack>")]
-    | Annotated[Rain, Tag("<rain>")]
-    | Annotated[Listed, Tag("<list>")],
-    choice("kind"),
+    | Annotated[ClassSizes, Tag("<classes>")]
+    | Annotated[None, Tag("<none>")],
+    choice("distribution", number="number", listed="list", none="none"),
 ]
 
 
@@ -229,35 +136,74 @@ SpinOrMany = Annotated[
 
 
 class Group(Model):
-    """Particles of one material, put in place in one way. A list placement needs no count: it has its rows."""
+    """Particles of one material, put in place in one way.
 
-    model_config = ConfigDict(json_schema_extra=not_required("count"))
+    Lists and files have their rows; other groups state a count or a mass, streams perhaps only an end.
+    """
 
     material: Text = Field(description="name of the particles' material")
-    count: Count = Field(description="number of particles; with a list of positions: its length")
-    diameter: Sizes = Field(description="diameter [m], or a size distribution; a list with a list of positions")
+    count_asked: GrainCount | None = Field(
+        None, alias="count", description="number of particles; of a list or a file: its rows, and need not be written"
+    )
+    mass: GrainMass | None = Field(None, description="mass of all of them [kg], in place of count")
+    diameter: Sizes = Field(
+        None, description="diameter [m], or a size distribution; a list with a list of positions; none with a file"
+    )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="velocity at the start [m/s]")
     spin: SpinOrMany = Field((0.0, 0.0, 0.0), description="angular velocity at the start [rad/s]")
     fixed: Flag = Field(False, description="they never move, whatever meets them: grains of a rough wall")
-    place: Place = Field(description="where they are: lattice, pack, rain or list")
+    place: Place = Field(description="where they are: lattice, pack, rain, inlet, list or file")
+
+    @property
+    def count(self) -> int:
+        """Number of particles; raises ValueError where it rests on a mass or a file and was not settled yet."""
+        if self.count_asked is None:
+            raise ValueError("The number of particles is not settled; see granflow.scene.settle.")
+        return self.count_asked
+
+    @property
+    def sizes(self) -> SizeSpec:
+        """Diameters [m] of a group that has them from the scene; raises ValueError if a file has them."""
+        if self.diameter is None:
+            raise ValueError("A file has the diameters.")
+        return self.diameter
 
     @model_validator(mode="before")
     @classmethod
     def _count_rows(cls, given: Any) -> Any:
         """Fill in the count from a list of positions."""
-        if not isinstance(given, dict) or "count" in given:
+        if not isinstance(given, dict) or given.keys() & {"count", "count_asked"}:
             return given
         place = given.get("place")
         positions = place.get("positions") if isinstance(place, dict) else getattr(place, "positions", None)
         return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
-        """Lists as long as the list of positions, and only beside one; nothing that would move fixed grains."""
+        """Amounts and sizes where they belong; lists only beside lists; nothing that would move fixed grains."""
+        yield from self._faults_of_amount()
+        yield from self._faults_of_lists()
+        if self.diameter is None and self.place.kind != "file":
+            yield Fault(("diameter",), "is missing: diameter [m], or a size distribution", whole=True)
+        if self.diameter is not None and self.place.kind == "file":
+            yield Fault(("diameter",), "the file has the sizes; leave it out")
         if self.fixed:
             yield from self._faults_of_fixed()
-        rows = len(self.place.positions) if self.place.kind == "list" else None
-        if rows is not None and self.count != rows:
+
+    def _faults_of_amount(self) -> Iterator[Fault]:
+        place, count = self.place, self.count_asked
+        rows = len(place.positions) if place.kind == "list" else None
+        if rows is not None and count != rows:
             yield Fault(("count",), f"place.positions has {rows} rows; leave the count out")
+        if self.mass is not None and place.kind in ("list", "file"):
+            yield Fault(("mass",), f"it goes not with place {{kind: {place.kind}}}, which has its rows; leave it out")
+        elif self.mass is not None and count is not None:
+            yield Fault(("mass",), "count is given too: keep one of them")
+        elif self.mass is None and count is None and place.kind != "file" and getattr(place, "end", None) is None:
+            yield Fault(("count",), "is missing: number of particles; or give mass", whole=True)
+
+    def _faults_of_lists(self) -> Iterator[Fault]:
+        """Lists as long as the list of positions, and only beside one."""
+        rows = len(self.place.positions) if self.place.kind == "list" else None
         for key, length in self._lists():
             if rows is None:
                 yield Fault(key, "is a list, which goes only with place {kind: list}; give one value", whole=True)
@@ -267,8 +213,8 @@ class Group(Model):
 
     def _faults_of_fixed(self) -> Iterator[Fault]:
         """Fixed grains are there from the start, and at rest."""
-        if self.place.kind == "rain":
-            yield Fault(("fixed",), "grains that rain move; place fixed ones by lattice, pack or list")
+        if self.place.kind in ("rain", "inlet"):
+            yield Fault(("fixed",), "grains that come in move; place fixed ones by lattice, pack, list or file")
         for key in ("velocity", "spin"):
             if np.any(getattr(self, key)):
                 yield Fault((key,), "fixed is true: those grains never move; leave it out")

@@ -12,7 +12,7 @@ from granflow.scene.units import UnitError, dimension_of, to_si
 
 LARGEST = 1e30  # no SI number in a scene is beyond this
 SMALLEST = 1e-30  # and none that must be above zero is below this
-_LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
+LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
 
 
 def but(reason: str, *at: str) -> PydanticCustomError:
@@ -36,6 +36,8 @@ class Number:
     at_most: float | None = None
     words: tuple[str, ...] = ()
     whole: bool = False
+    scaling: int = 0
+    """Power of a scene's `size` with which it grows."""
 
     def read(self, value: Any) -> float | int | str:
         """Turn what stood in the file into a number within the bounds, or one of the words."""
@@ -66,8 +68,8 @@ class Number:
     def _count(self, number: float) -> int:
         if number != int(number):
             raise but(f"{self._noun} is a whole number")
-        if number > _LARGEST_COUNT:
-            raise but(f"{self._noun} goes up to {_LARGEST_COUNT}")
+        if number > LARGEST_COUNT:
+            raise but(f"{self._noun} goes up to {LARGEST_COUNT}")
         return int(number)
 
     def _inside(self, number: float) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.scene.nearness import meets_any, near_pairs
-from granflow.scene.rooms import BoxRoom, CylinderRoom
+from granflow.scene.rooms import BoxRoom, CylinderRoom, Opening
 
 PACKED_AT_MOST = 0.57
 """Solid fraction above which a random pack is not tried: the sweeps it takes grow without bound towards 0.6."""
@@ -44,7 +44,7 @@ class Spheres:
         """No spheres."""
         return cls(np.empty((0, 3)), np.empty(0))
 
-    def near(self, room: BoxRoom | CylinderRoom) -> "Spheres":
+    def near(self, room: Opening) -> "Spheres":
         """Those that reach into the room."""
         inside = room.is_near(self.position, self.radius)
         return Spheres(self.position[inside], self.radius[inside])
@@ -134,7 +134,7 @@ def pack_remedy(solid_fraction: float) -> str:
     )
 
 
-def check_width(room: BoxRoom | CylinderRoom, radius: float) -> None:
+def check_width(room: Opening, radius: float) -> None:
     """Raise NoRoomError if the largest sphere alone does not fit."""
     if radius > room.radius_max * (1 + 1e-9):
         raise NoRoomError(

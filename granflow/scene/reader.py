@@ -13,6 +13,7 @@ from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.draft import Draft, draft_of
 from granflow.scene.matter import RestitutionFit
 from granflow.scene.schema import Scene
+from granflow.scene.settle import settled
 from granflow.scene.suggest import nearest
 from granflow.scene.words import problems_of
 from granflow.scene.yaml12 import parse
@@ -29,9 +30,10 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     Raises `SceneError` with every problem at once, in the order of the file.
     """
     scene = scene_in(_document(Path(path)), overrides)
+    scene._path, scene._folder = Path(path), Path(path).parent
+    scene = settled(scene, read=True)
     if scene.start_from is not None:
         scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
-    scene._path, scene._folder = Path(path), Path(path).parent
     return scene
 
 
@@ -45,7 +47,7 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
     scene._folder = Path(source).parent
-    return scene
+    return settled(scene)
 
 
 def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:

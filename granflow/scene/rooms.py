@@ -4,20 +4,27 @@ from typing import Protocol
 
 import numpy as np
 
-from granflow.scene.groups import BoxRegion, CylinderRegion
+from granflow.scene.places import BoxRegion, CylinderRegion
 
 SLACK = 1e-9
 """Relative tolerance for things that fit exactly, such as ten 1 mm beads across 10 mm."""
 
 
-class Room(Protocol):
-    """A region, asked about spheres: points (n, 3) [m] and radii (n,) [m]."""
+class Opening(Protocol):
+    """A space into which spheres come, asked about points (n, 3) [m] and radii (n,) [m]."""
 
     volume: float
     radius_max: float  # of the largest sphere that fits
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
         """Centres (n, 3) drawn evenly from where each sphere is wholly inside."""
+
+    def is_near(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Whether spheres of radius `reach` (n,) about the points may meet it; never a false no."""
+
+
+class Room(Opening, Protocol):
+    """A region that is filled."""
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """The nearest centres (n, 3) at which the spheres are wholly inside."""
@@ -28,9 +35,6 @@ class Room(Protocol):
         Spheres of radius `margin` stay inside when shifted by any sum of the rows of the second array times numbers
         in [-1, 1]. From the bottom (of the box, of the cylinder's axis) layer by layer.
         """
-
-    def is_near(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) about the points may meet the region; never a false no."""
 
 
 class BoxRoom:
@@ -121,6 +125,25 @@ class CylinderRoom:
         local = self.to_local(points)
         beside = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
         return beside & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
+
+
+class SlabRoom:
+    """A box on a rectangle, any way round: `depth` [m] along the first side times the second."""
+
+    def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
+        lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
+        across = first / lengths[0], second / lengths[1]
+        self.corner, self.frame = corner, np.array([*across, np.cross(*across)])
+        self.inside = BoxRoom(np.zeros(3), np.array([*lengths, depth]))
+        self.volume, self.radius_max = self.inside.volume, self.inside.radius_max
+
+    def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """See Opening."""
+        return np.asarray(self.corner + self.inside.sample(radius, random) @ self.frame)
+
+    def is_near(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """See Opening."""
+        return self.inside.is_near((points - self.corner) @ self.frame.T, reach)
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:

@@ -38,19 +38,11 @@ from granflow.scene.fields import (
     listing,
 )
 from granflow.scene.groups import (
-    Box,
-    BoxRegion,
     ClassSizes,
-    CylinderRegion,
     Group,
-    Lattice,
-    Listed,
     LogNormalSizes,
     NormalSizes,
-    Pack,
-    Rain,
     SizeClass,
-    Tube,
     UniformSizes,
 )
 from granflow.scene.matter import (
@@ -58,6 +50,21 @@ from granflow.scene.matter import (
     Material,
     Pair,
     RestitutionFit,
+)
+from granflow.scene.outlets import BeyondOutlet, BoxOutlet, Outlet
+from granflow.scene.places import (
+    Box,
+    BoxRegion,
+    CylinderRegion,
+    DiscFace,
+    FromFile,
+    Inlet,
+    Lattice,
+    Listed,
+    Pack,
+    Rain,
+    RectangleFace,
+    Tube,
 )
 from granflow.scene.shapes import (
     AnyWall,
@@ -76,7 +83,9 @@ from granflow.scene.writer import to_yaml
 
 __all__ = [
     "AnyWall",
+    "BeyondOutlet",
     "Box",
+    "BoxOutlet",
     "BoxRegion",
     "Checkpoints",
     "ClassSizes",
@@ -85,10 +94,13 @@ __all__ = [
     "Cylinder",
     "CylinderRegion",
     "Disc",
+    "DiscFace",
     "Domain",
     "Expectation",
     "FieldGrid",
+    "FromFile",
     "Group",
+    "Inlet",
     "Lattice",
     "Listed",
     "LogNormalSizes",
@@ -103,6 +115,7 @@ __all__ = [
     "Plane",
     "Rain",
     "Rectangle",
+    "RectangleFace",
     "RestitutionFit",
     "Rotation",
     "Run",
@@ -240,6 +253,7 @@ class Expectation(Model):
     above: AnyQuantity | None = Field(None, description="it must be above this")
     equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
     tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
+    any_size: Flag = Field(False, description="judge it whatever the size of the scene, not only at size 1")
 
     def faults(self) -> Iterator[Fault]:
         """Exactly one comparison, with a tolerance for equals."""
@@ -262,6 +276,9 @@ class Scene(Model):
     title: Text = Field(description="one line that says what this is")
     description: Text | None = Field(None, description="what should be seen")
     seed: Seed = Field(1, description="seed of everything random")
+    size: Positive = Field(
+        1.0, description="makes equipment so many times larger, and particles more by its cube; they stay as they are"
+    )
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, Pair] = Field(description="pairs of materials, each key two names with a dash between")
@@ -271,6 +288,7 @@ class Scene(Model):
     start_from: Text | None = Field(
         None, description="directory of an earlier run, whose last particles stand in for those of groups named alike"
     )
+    outlets: dict[Name, Outlet] = Field({}, description="where particles are deleted and counted, by name")
     domain: Domain = Field(description="the box that is simulated")
     stages: Annotated[tuple[Stage, ...], listing()] = Field((), description="parts of the run, in order")
     run: Run = Field(Run(), description="how long and how finely to compute")
@@ -281,6 +299,7 @@ class Scene(Model):
     _path: Path = PrivateAttr(Path())
     _folder: Path = PrivateAttr(Path())
     _document: Document | None = PrivateAttr(None)
+    _remarks: tuple[str, ...] = PrivateAttr(())
 
     def __eq__(self, other: object) -> bool:
         """Scenes are equal that say the same, wherever they were read."""
@@ -297,6 +316,11 @@ class Scene(Model):
     def folder(self) -> Path:
         """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
         return self._folder
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was made of the scene as it was written, a sentence each: another size, overlaps in files."""
+        return self._remarks
 
     @property
     def schedule(self) -> tuple[Stage, ...]:

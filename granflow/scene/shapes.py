@@ -14,6 +14,7 @@ from granflow.scene.fields import (
     Direction,
     Fault,
     Frequency,
+    KeptLength,
     Model,
     Names,
     NotNegativeLength,
@@ -31,6 +32,18 @@ from granflow.scene.fields import (
 )
 
 _PERPENDICULAR = 1e-9  # largest cosine between two sides called perpendicular
+
+
+def faults_of_sides(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
+    """What is wrong with the two `sides` of a rectangle: they have lengths, and stand at a right angle."""
+    a, b = sides
+    lengths = math.hypot(*a), math.hypot(*b)
+    for i, length in enumerate(lengths):
+        if length == 0:
+            yield Fault(("sides", i), "a side must have a length above 0")
+    if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+        angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
+        yield Fault(("sides",), f"the two sides must be perpendicular and these stand at {angle:.4g} degrees")
 
 
 def _dot(a: Vector3, b: Vector3) -> float:
@@ -60,7 +73,7 @@ class Vibration(Timed):
 
     kind: Literal["vibration"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the motion; its length does not matter")
-    amplitude: PositiveLength | None = Field(None, description="amplitude, half of peak to peak [m]")
+    amplitude: KeptLength | None = Field(None, description="amplitude, half of peak to peak [m]")
     frequency: Frequency | None = Field(None, description="frequency [Hz]")
     angular_frequency: PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
     gamma: Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
@@ -157,14 +170,7 @@ class Rectangle(Wall):
     def faults(self) -> Iterator[Fault]:
         """Sides with lengths, at a right angle."""
         yield from super().faults()
-        a, b = self.sides
-        lengths = math.hypot(*a), math.hypot(*b)
-        for i, length in enumerate(lengths):
-            if length == 0:
-                yield Fault(("sides", i), "a side must have a length above 0")
-        if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
-            angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
-            yield Fault(("sides",), f"the two sides must be perpendicular and these stand at {angle:.4g} degrees")
+        yield from faults_of_sides(self.sides)
 
 
 class Axial(Wall):

@@ -1,13 +1,17 @@
 """Diameters drawn from the size distributions of the scene."""
 
 import math
+from collections.abc import Callable
 from statistics import NormalDist
 
 import numpy as np
 
-from granflow.scene.groups import ClassSizes, LogNormalSizes, NormalSizes, UniformSizes
+from granflow.scene.groups import ClassSizes, LogNormalSizes, NormalSizes, SizeSpec, UniformSizes
 
-SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+COUNTED_UP_TO = 10_000_000
+"""Particles up to which a mass is counted out one by one; of more, it is the mean of some that says how many."""
+
+SAMPLE = 10_000
 
 
 def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
@@ -30,6 +34,48 @@ def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> 
     return np.broadcast_to(np.asarray(sizes, dtype=np.float64), (count,)).copy()
 
 
+def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.random.Generator]) -> int:
+    """How many diameters, as `draw_diameters` gives them, have the sum of cubes nearest to `cubes` [m^3]; 1 at least.
+
+    `random` makes the generator that they will be drawn with, anew at every call.
+    """
+    if isinstance(sizes, ClassSizes):
+        return max(round(min(cubes / mean_cube(sizes), 1e18)), 1)
+    sample = draw_diameters(sizes, SAMPLE, random())
+    guess = min(cubes / float(np.mean(sample**3)), 1e18)
+    if guess > COUNTED_UP_TO or isinstance(sizes, float):
+        return max(round(guess), 1)
+    total = np.cumsum(draw_diameters(sizes, int(1.5 * guess) + SAMPLE, random()) ** 3)
+    return int(np.abs(total - cubes).argmin()) + 1
+
+
+def mean_cube(sizes: ClassSizes) -> float:
+    """Mean of the cubes of the diameters of classes [m^3]."""
+    share = number_shares(sizes)
+    return float(share @ np.array([each.diameter for each in sizes.classes]) ** 3)
+
+
+def number_shares(sizes: ClassSizes) -> np.ndarray:
+    """Shares of the classes by number (k,), with the sum 1: those by mass go through the volume, n ~ share / d^3."""
+    share = np.array([each.fraction for each in sizes.classes])
+    if sizes.by == "mass":
+        share = share / np.array([each.diameter for each in sizes.classes]) ** 3
+    return np.asarray(share / share.sum())
+
+
+def arriving_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
+    """Diameters (count,) [m] in the order of arrival, classes in turn: each keeps its share all along.
+
+    The j-th of n of a class comes at the share (j + 1/2) / n of the stream.
+    """
+    if not isinstance(sizes, ClassSizes):
+        return draw_diameters(sizes, count, random)
+    counts = class_counts(sizes, count)
+    place = np.concatenate([(np.arange(n) + 0.5) / n for n in counts if n])
+    diameter = np.repeat([each.diameter for each in sizes.classes], counts)
+    return diameter[np.argsort(place, kind="stable")]
+
+
 def truncated_normal(law: NormalDist, low: float, high: float, count: int, random: np.random.Generator) -> np.ndarray:
     """Values (count,) of a normal law given that they lie in [low, high], by the inverse of its distribution."""
     share = random.uniform(law.cdf(low), law.cdf(high), count)
@@ -39,14 +85,8 @@ def truncated_normal(law: NormalDist, low: float, high: float, count: int, rando
 
 
 def class_counts(sizes: ClassSizes, count: int) -> np.ndarray:
-    """How many particles (k,) of each class: whole numbers with the sum `count`, by the largest remainders.
-
-    Shares by mass become shares by number through the volume: n_i ~ fraction_i / diameter_i^3.
-    """
-    share = np.array([each.fraction for each in sizes.classes])
-    if sizes.by == "mass":
-        share = share / np.array([each.diameter for each in sizes.classes]) ** 3
-    exact = count * share / share.sum()
+    """How many particles (k,) of each class: whole numbers with the sum `count`, by the largest remainders."""
+    exact = count * number_shares(sizes)
     whole = np.floor(exact).astype(np.int64)
     most_missed = np.argsort(whole - exact, kind="stable")
     whole[most_missed[: count - whole.sum()]] += 1

@@ -123,7 +123,7 @@ class _Complaint:
         """A union whose member could not be told: its key is missing or has a value that is not known."""
         key = self.context.get("key", "")
         tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
-        tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list")]
+        tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]
         node = self.document.find(self.path)
         if node is None or "reason" in self.context:
             return self._but(self.path, self.context.get("reason", "it cannot be read"))

@@ -73,8 +73,9 @@ def outcome(
         "output": wall_clock.output,
         "compile": timing.compile,
     }
-    meters, loads, indices = (readings.get(kind, {}) for kind in ("meters", "loads", "indices"))
-    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads, indices=indices)
+    kinds = ("meters", "loads", "indices", "feeds")
+    meters, loads, indices, feeds = (readings.get(kind, {}) for kind in kinds)
+    return Result(run=run, seconds=seconds, totals=totals, meters=meters, loads=loads, indices=indices, feeds=feeds)
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:

@@ -24,7 +24,7 @@ from granflow.observe import (
     Result,
     TimeSeries,
     accepted_change,
-    copy_meshes,
+    copy_inputs,
     decided,
     earlier_grains,
     locked,
@@ -43,6 +43,7 @@ from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
 from granflow.scene.schema import Stage
+from granflow.scene.settle import settled
 from granflow.simulation.account import Readings, WallClock, log_plan, outcome
 from granflow.simulation.course import REST_LOOKS, Course
 from granflow.simulation.feeds import Feeds
@@ -80,7 +81,7 @@ class Simulation:
     ) -> None:
         if precision is not None:
             scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
-        self.scene = scene
+        self.scene = scene = settled(scene)
         self.out = None if out is None else Path(out)
         self._wall_clock = WallClock()
         backend = start(arch, scene.run.precision, threads)
@@ -148,13 +149,22 @@ class Simulation:
                 self._run_stage(stage, end)
         self._save()
         last = self._show_to(self._observers, TOTALS)
-        result = outcome(self.engine, self._wall_clock, last.totals, self._readings())
+        readings = {**self._readings(), "feeds": self._feeds.results()}
+        result = outcome(self.engine, self._wall_clock, last.totals, readings)
         if self.time < end or until is None:
             result = result.held_to(self.scene.expect)
-        logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
+        self._log_end()
         if self.out is not None:
             write_result(self.out, result)
         return result
+
+    def _log_end(self) -> None:
+        log = logging.getLogger("granflow")
+        for sentence in self._feeds.shares():
+            log.info("%s", sentence)
+        for sentence in self._feeds.shortfalls():
+            log.warning("%s", sentence)
+        log.info("done at %.6g s after %d steps", self.time, self.engine.step_count)
 
     def ask_to_stop(self, error: BaseException) -> None:
         """Have `run` finish its present steps, write a checkpoint and raise `error`; made for signal handlers."""
@@ -169,7 +179,7 @@ class Simulation:
         """Leave of an earlier run only what this one goes on from."""
         remove_parts(out)
         remove_after(out, self._resumed.path if self._resumed else None)
-        copy_meshes(out, self.scene)
+        copy_inputs(out, self.scene)
         write_scene_as_run(out, self.scene)
         if self._resumed is not None:
             (out / "result.json").unlink(missing_ok=True)
@@ -330,7 +340,7 @@ class Simulation:
         reopened = change.of_stage(len(kept["course"]["stage_times"]) - 1)
         self._course.put_back(kept["course"], reopened, same_scene=not change.differences)
         self._keeper.put_back(kept["engine"], wall_motions(self.scene, self._course.stage_times))
-        self._feeds.put_back(kept["feeds"])
+        self._feeds.put_back(kept["feeds"], self.engine)
         for name, observer in self._keepable():
             if name in kept["observers"]:
                 observer.put_back(kept["observers"][name])

@@ -183,3 +183,27 @@ def test_ids_stay_with_their_particles_when_others_leave(taichi_f64):
     assert last.particles["id"].tolist() == list(range(1, count, 2))
     np.testing.assert_array_equal(last.particles["radius"], 0.5 * diameter[1::2])
     np.testing.assert_array_equal(last.particles["position"], places[1::2])
+
+
+@pytest.mark.parametrize("periodic", [[], ["x", "y", "z"]])
+def test_wide_sizes_have_the_pairs_of_a_search_over_all(taichi_f64, periodic):
+    """Sizes 1 : 20 in four classes; who owns a pair, and that it stands in both rows across chunks, is as ever."""
+    rng, size, skin = np.random.default_rng(9), 0.1, 0.0003
+    diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
+    places = rng.uniform(0.0, size, (len(diameter), 3))
+    domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": periodic, "leaving": "error"}
+    scene = trial({"balls": balls(places, diameter)}, numerics={"chunk_size": 64, "skin": skin}, domain=domain)
+    simulation = begun(scene)
+    assert simulation.plan.features.size_classes == "4"
+    between = places[:, None] - places
+    between -= np.round(between / size) * size if periodic else 0.0
+    near = np.linalg.norm(between, axis=2) < 0.5 * (diameter[:, None] + diameter) + skin
+    pairs = {(i, j) for i, j in np.argwhere(near).tolist() if i < j}
+    rows = rows_of(simulation.engine)
+    within = [tuple(sorted(row[:2])) for row in rows if row[2]]
+    across = [row[:2] for row in rows if not row[2]]
+    assert len(within) == len(set(within)) > 100
+    assert len(across) == len(set(across)) > 100
+    assert {(j, i) for i, j in across} == set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == pairs
+    simulation.free()

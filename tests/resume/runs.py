@@ -16,7 +16,8 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
     """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
 
     Friction, rolling springs, the ledger, a flow meter, fields and indices are on; a row of fixed grains lies in the
-    gate, which goes with the first stage; the floor and one side go with the second. Small beads leave before that.
+    gate, which goes with the first stage, and some enter through a face. The floor and one side go with the second;
+    small beads leave before they reach that side.
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
@@ -33,6 +34,15 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
         "place": {"kind": "rain", "region": room, "rate": 8000.0},
     }  # fmt: skip
     row = balls(0.006 * np.argwhere(np.ones((9, 1, 1))) + [0.004, 0.03, 0.02], 0.005, "steel") | {"fixed": True}
+    classes = [{"diameter": 0.003, "fraction": 2}, {"diameter": 0.004, "fraction": 1}]
+    inlet = {
+        "material": "glass", "velocity": [1.0, 0.0, 0.0],
+        "diameter": {"distribution": "classes", "by": "mass", "classes": classes},
+        "place": {
+            "kind": "inlet", "mass_flow": 0.08, "start": 0.1 * duration, "end": 0.7 * duration,
+            "face": {"disc": {"center": [0.001, 0.05, 0.052], "normal": [1, 0, 0], "radius": 0.006}},
+        },
+    }  # fmt: skip
     third = duration / 3.0
     middle = {"kinetic_energy_below": 1e-9, "at_most": third} if rest else {"duration": third}
     given = {
@@ -53,7 +63,7 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
             "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
         },
     }  # fmt: skip
-    return trial({"lattice": lattice, "rain": rain, "row": row}, **(given | parts))
+    return trial({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(given | parts))
 
 
 def files_of(out):

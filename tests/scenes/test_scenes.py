@@ -9,9 +9,38 @@ from granflow import Simulation, load_scene
 SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
 LONG = ("haff_cooling",)
-LARGE = ("hopper", "vibrated_bed", "drum")
+LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse")
 
 SMALL = {
+    # Half as wide and high, an eighth of the beads, the same a: M g h / 4 = 8.3 g 9.81 7.1 mm / 4 = 0.145 mJ, and
+    # for a radius up to 8 % larger or, as so few beads run out less far (Man et al. 2021), up to 13 % smaller:
+    "column_collapse": (
+        "particles.beads.count=780",
+        "particles.beads.place.region.cylinder={from: [0, 0, 0], to: [0, 0, 14 mm], radius: 12 mm}",
+        "particles.floor.count=1296",
+        "particles.floor.place.region.box={min: [-36 mm, -36 mm, -2 mm], max: [36 mm, 36 mm, 0]}",
+        "walls.tube={shape: cylinder, from: [0, 0, -5 mm], to: [0, 0, 40 mm], radius: 12 mm, material: glass, "
+        "stages: [fill]}",
+        "stages.0.duration=0.1 s",
+        "stages.1.duration=0.2 s",
+        "expect=[{quantity: gravitational_energy, between: [0.125 mJ, 0.190 mJ]}, "
+        "{quantity: energy_error, between: [-5e-3, 5e-3]}]",
+    ),
+    # Half as wide, through a hole of four beads: 0.58 1450 sqrt(9.81) (0.016 - 1.4 0.004)^2.5 = 0.0291 kg/s
+    # to 20 %.
+    "flat_silo": (
+        "particles.beads.count=400",
+        "particles.beads.place.region.cylinder={from: [0, 0, 0], to: [0, 0, 32 mm], radius: 18 mm}",
+        "walls.plug.radius=8 mm",
+        "walls.floor.radius=18 mm",
+        "walls.floor.hole_radius=8 mm",
+        "walls.bin.radius=18 mm",
+        "output.meters.outlet.radius=8 mm",
+        "stages.0.duration=0.15 s",
+        "stages.1.duration=0.3 s",
+        "expect=[{quantity: mass_flow.outlet, between: [0.0233, 0.0349]}, "
+        "{quantity: energy_error, between: [-5e-3, 5e-3]}]",
+    ),
     # The outlet is as wide as the heap is high, so there is no steady flow to hold to Beverloo: only that all leave.
     "hopper": (
         "particles.beads.count=300",

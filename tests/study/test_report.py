@@ -107,7 +107,7 @@ def test_an_interrupted_run_says_why_and_how_far(run):
     with (run / "timeseries.csv").open("a") as file:
         file.write("0.3,pour,2,1e-")
     text = text_of(run)
-    assert "The run did not come to its end (ended by RunError: it burst): granflow resume" in text
+    assert "The run did not come to its end (ended by RunError: see the warnings). granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
     assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
         "the last row stands in for the result"

@@ -14,7 +14,7 @@ from granflow.observe.observer import CONTACTS, PARTICLES
 from granflow.plan.sizes import diameter_range
 from granflow.scene import Scene
 from granflow.scene.analysis import CoordinationIndex, FabricIndex, LaceyIndex, ReposeIndex
-from granflow.scene.groups import Box
+from granflow.scene.places import Box
 from granflow.scene.rooms import frame_along
 from granflow.snapshot import Snapshot
 

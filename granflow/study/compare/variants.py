@@ -123,8 +123,9 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
 
 
 def shrunk_counts(scene: Scene, most: int | None) -> dict[str, int]:
-    """Smaller counts of the groups that have no list of places, so that all together are at most `most` if they can."""
-    free = {name: group.count for name, group in scene.particles.items() if group.place.kind != "list"}
+    """Smaller counts of the groups without given places, so that all together are at most `most` if they can."""
+    one_by_one = ("list", "file")
+    free = {name: group.count for name, group in scene.particles.items() if group.place.kind not in one_by_one}
     listed = sum(group.count for group in scene.particles.values()) - sum(free.values())
     if most is None or listed + sum(free.values()) <= most:
         return {}

@@ -139,7 +139,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
 
 def read_grains(frame: Frame) -> Grains:
     """Grains of a frame. Raises GranflowError where the file cannot be read."""
-    mesh = _read(frame.particles)
+    mesh = read_mesh(frame.particles)
     arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     radius = arrays.get("radius", np.zeros(len(mesh.points)))
     return Grains(mesh.points.astype(np.float64), radius, arrays)
@@ -149,7 +149,7 @@ def read_walls(frame: Frame) -> Surface | None:
     """Walls of a frame, none where it has no file of walls. Raises GranflowError where it cannot be read."""
     if frame.walls is None:
         return None
-    mesh = _read(frame.walls)
+    mesh = read_mesh(frame.walls)
     numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
     blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
     return Surface(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
@@ -159,7 +159,7 @@ def read_chains(frame: Frame) -> Chains | None:
     """Contacts of a frame, none where it has no file of them. Raises GranflowError where it cannot be read."""
     if frame.contacts is None:
         return None
-    mesh = _read(frame.contacts)
+    mesh = read_mesh(frame.contacts)
     lines = [block.data for block in mesh.cells if block.type == "line"]
     ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
     forces = mesh.cell_data.get("normal_force", [])
@@ -172,7 +172,8 @@ def is_empty(path: Path) -> bool:
         return EMPTY in file.read(HEAD)
 
 
-def _read(path: Path) -> meshio.Mesh:
+def read_mesh(path: Path) -> meshio.Mesh:
+    """A VTU file, with nothing in it where it is empty. Raises GranflowError where it cannot be read."""
     try:
         if is_empty(path):  # which meshio cannot read
             return meshio.Mesh(np.zeros((0, 3)), [])

@@ -168,7 +168,11 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
         return {}
     from granflow.plan import plan_for
 
-    return {"group": tuple(scene.particles), "material": plan_for(scene).materials}
+    try:
+        materials = plan_for(scene).materials
+    except GranflowError:  # such as a mesh that has been moved since
+        materials = ()
+    return {"group": tuple(scene.particles), "material": materials}
 
 
 def _picture(painter: Painter, stage: Stage, frame: Frame) -> np.ndarray:

@@ -40,7 +40,7 @@ def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tup
         return [], "The run has no frames to draw."
     found = fresh(directory, frames)
     problem = ""
-    if not found:
+    if not any(path.suffix == ".png" for path in found):
         problem = render(directory, frames)
         found = fresh(directory, frames)
     images = [path for path in found if path.suffix == ".png"][-MOST_PICTURES:]

@@ -24,6 +24,9 @@ CAPTIONS = {
     "Flow": "Flow meters at the end; the mass flow is that of the steady part.",
     "Loads": "What the grains press the walls with: means over the run, and the largest of a row.",
 }
+ENDED = "ended by "
+"""How the log says that an exception ended a run."""
+
 PLAN = "What was computed, and why"
 BAR_STEPS = 30
 """Blocks of the bar that stands for the whole run."""
@@ -42,6 +45,8 @@ def summary(record: Record) -> Section:
     met = [entry.get("met") for entry in record.result.get("expect", ())]
     if met:
         parts.append(f"{sum(map(bool, met))} of {len(met)} expectations of the scene are met.")
+    elif record.result and record.scene is not None and record.scene.expect:
+        parts.append("It was ended early, with --until: the expectations of the scene are not judged.")
     return Section(
         "In short", [*parts, *([Table("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
     )
@@ -54,11 +59,10 @@ def state_of(record: Record) -> str:
     if record.result:
         parts = len(record.sessions)
         return f"The run is done, in {parts} parts: it was gone on with." if parts > 1 else "The run is done."
-    last = next((entry.words for entry in reversed(record.entries) if entry.words.startswith("ended by")), "")
-    why = f" ({last.splitlines()[0].strip(': ')})" if last else ""
-    return (
-        f"The run did not come to its end{why}: granflow resume {record.directory} goes on, if there is a checkpoint."
-    )
+    words = next((entry.words for entry in reversed(record.entries) if entry.words.startswith(ENDED)), "")
+    why = f" ({ENDED}{words.removeprefix(ENDED).partition(':')[0]}: see the warnings)" if words else ""
+    resume = f"granflow resume {record.directory} goes on from its last checkpoint, if it has one."
+    return f"The run did not come to its end{why}. {resume}"
 
 
 def _row(name: str, number: Any) -> tuple[str, str, str]:

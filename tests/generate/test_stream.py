@@ -1,4 +1,4 @@
-"""Rain: what is due comes when there is room, never into what is there, and the same every time."""
+"""Rain and inlets: what is due comes when there is room, never into what is there, and the same every time."""
 
 import time
 from math import inf
@@ -8,7 +8,8 @@ import pytest
 from generate.scenes import UNIFORM, room_left, scene_with, smallest_gap
 
 from granflow.errors import SceneError
-from granflow.scene.generate import Rain, rains
+from granflow.scene.generate import Stream, streams
+from granflow.scene.settle import settled
 
 REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
 
@@ -16,7 +17,7 @@ REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
 def rain_of(count=8000, rate=8000.0, start=0.0, diameter=UNIFORM, region=REGION, seed=1):
     place = {"kind": "rain", "region": region, "rate": rate, "start": start}
     group = {"count": count, "diameter": diameter, "velocity": [0, 0, -0.5], "place": place}
-    return Rain(
+    return Stream(
         scene_with(
             {"still": {"diameter": 0.004, "place": {"kind": "list", "positions": [[0, 0, 0]]}}, "rain": group}, seed
         ),
@@ -116,13 +117,13 @@ def test_slow_rain_comes_one_by_one():
 def test_too_wide_for_the_region():
     place = {"kind": "rain", "region": REGION, "rate": 1.0}
     with pytest.raises(SceneError, match=r"particles\.wide\.count is 3, but none fits in its region"):
-        rains(scene_with({"wide": {"count": 3, "diameter": 0.07, "place": place}}))
+        streams(scene_with({"wide": {"count": 3, "diameter": 0.07, "place": place}}))
 
 
-def test_rains_of_a_scene():
+def test_streams_of_a_scene():
     place = {"kind": "rain", "region": REGION, "rate": 1.0}
     groups = {name: {"count": 3, "diameter": 0.004, "place": place} for name in ("first", "second")}
-    found = rains(scene_with(groups))
+    found = streams(scene_with(groups))
     assert [each.group_name for each in found] == ["first", "second"]
     places = [each.pour(0.0, np.empty((0, 3)), np.empty(0)).position for each in found]
     assert not np.any(places[0] == places[1])
@@ -139,3 +140,73 @@ def test_eight_thousand_pour_quickly():
         pours += 1
     assert 100 <= pours <= 1100
     assert spent < 6.0  # 3 s asked; twice that before a busy machine fails the test
+
+
+def stream_with(place, **group):
+    """A settled stream of glass, 2500 kg/m3."""
+    given = {"diameter": UNIFORM, "place": place} | group
+    still = {"diameter": 0.004, "place": {"kind": "list", "positions": [[0, 0, 0]]}}
+    return Stream(settled(scene_with({"still": still, "stream": given})), "stream")
+
+
+def test_a_mass_flow_is_kept_within_a_grain():
+    """0.4 kg/s for half a second: after every pour what has come is what should have, but for the last grain."""
+    place = {"kind": "rain", "region": REGION, "mass_flow": 0.4, "start": 0.1, "end": 0.6}
+    stream = stream_with(place)
+    heaviest = 4 / 3 * np.pi * 0.0025**3 * 2500
+    came = 0.0
+    for now, grains in pour_all(stream):
+        assert not len(stream.waiting)
+        came += float((4 / 3 * np.pi * grains.radius**3 * 2500).sum())
+        assert 0.0 <= came - 0.4 * (now - 0.1) <= heaviest * (1 + 1e-9)
+    assert came == pytest.approx(0.4 * 0.5, abs=heaviest)
+    assert stream.remaining == 0 and stream.due_at[-1] < 0.6
+
+
+def test_size_classes_keep_their_shares_all_along():
+    """By mass 1 : 1 : 2 in 2, 3 and 4 mm: by number 1/8 : 1/27 : 2/64.
+
+    The j-th of n comes at the share (j + 1/2) / n of the stream, so that each of three classes is within half a grain
+    of its part of that share, the share within 3/2 of its part of all, and the count of each within 1/2 + 3/2 n/N.
+    """
+    number = np.arange(1, 1001)
+    parts = {0.002: 1 / 8, 0.003: 1 / 27, 0.004: 2 / 64}
+    classes = [{"diameter": d, "fraction": f} for d, f in zip(parts, (1, 1, 2), strict=True)]
+    sizes = {"distribution": "classes", "by": "mass", "classes": classes}
+    stream = stream_with({"kind": "rain", "region": REGION, "rate": 1000.0}, diameter=sizes, count=1000)
+    for diameter, part in parts.items():
+        came = np.cumsum(np.isclose(2 * stream.radius, diameter))
+        assert abs(came[-1] - 1000 * part / sum(parts.values())) < 1
+        assert np.abs(came - came[-1] * number / 1000).max() <= 0.5 + 1.5 * came[-1] / 1000
+
+
+@pytest.mark.parametrize(
+    ("face", "normal", "centre"),
+    [
+        ({"disc": {"center": [0.1, 0, 0.2], "normal": [3, 0, -4], "radius": 0.03}}, [0.6, 0, -0.8], [0.1, 0, 0.2]),
+        ({"rectangle": {"corner": [0, 0, 0.2], "sides": [[0, 0.06, 0], [0.05, 0, 0]]}}, [0, 0, -1], [0.025, 0.03, 0.2]),
+    ],
+)
+def test_an_inlet_lets_whole_grains_in_behind_its_face(face, normal, centre):
+    """No deeper than they come at 1 m/s between two pours: 1000 at 5000 /s in 500 pours, 0.4 ms each."""
+    place = {"kind": "inlet", "face": face, "rate": 5000.0}
+    stream = stream_with(place, count=1000, velocity=normal)
+    position, radius, seen = np.empty((0, 3)), np.empty(0), []
+    now = 0.0
+    while stream.remaining:
+        step = stream.next_time - now
+        now, position = stream.next_time, position + step * np.array(normal)
+        grains = stream.pour(now, position, radius)
+        position, radius = np.concatenate([position, grains.position]), np.concatenate([radius, grains.radius])
+        seen.append(grains)
+        assert smallest_gap(position, radius) >= -1e-12
+    assert now < 0.25, "next to nobody waited"
+    entered = np.concatenate([grains.position for grains in seen]) - centre
+    depth = entered @ np.array(normal)
+    across = entered - depth[:, None] * np.array(normal)
+    assert np.all(depth >= radius - 1e-12) and depth.max() <= 2 * radius.max() + 1.0 * 0.0004
+    if "disc" in face:
+        assert np.all(np.linalg.norm(across, axis=1) + radius <= 0.03 + 1e-12)
+    else:
+        assert np.all(np.abs(across[:, :2]) + radius[:, None] <= np.array([0.025, 0.03]) + 1e-12)
+    np.testing.assert_array_equal(seen[0].velocity[0], normal)

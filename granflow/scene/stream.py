@@ -1,4 +1,4 @@
-"""Particles that arrive during the run: so many per second, at random in a region, wherever there is room."""
+"""Particles that arrive during the run: so many, or so much mass, a second, at random wherever there is room."""
 
 import math
 from typing import Any
@@ -9,10 +9,11 @@ from granflow.errors import SceneError
 from granflow.scene.border import Border
 from granflow.scene.grains import Grains, grains_of, random_for, shortfall, stream_of
 from granflow.scene.nearness import meets_any
+from granflow.scene.places import DiscFace, Inlet, Rain
 from granflow.scene.placing import NoRoomError, Spheres, check_width
-from granflow.scene.rooms import room_of
+from granflow.scene.rooms import CylinderRoom, Opening, SlabRoom, room_of
 from granflow.scene.schema import Scene
-from granflow.scene.sizes import draw_diameters
+from granflow.scene.sizes import arriving_diameters
 
 POURS_AT_MOST = 500
 """Into how many batches a long rain is gathered: each one stops the device for a moment."""
@@ -32,25 +33,35 @@ TRIES = (8, 56)
 """Places tried for a particle: first round, and second round for those without luck."""
 
 
-class Rain:
-    """The rain of one group: which sizes come in which order is settled beforehand.
+class Stream:
+    """The rain or the inlet of one group: which sizes come in which order is settled beforehand.
 
-    Particle k is due at start + k / rate. Those due are poured in batches; one that finds no room waits and goes
-    first the next time. The places depend on the scene's seed, the number of the pour, and what is there already.
+    Particle k is due at start + k / rate, or once the mass of those before it should have come:
 
-    radius (count,) [m]: all sizes in the order of arrival.  remaining: how many are still to come.
-    next_time [s]: when to pour next; infinite once all have come.
+        t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
+
+    Those due are poured in batches; one that finds no room waits and goes first the next time. Walls are not looked
+    at. The places depend on the scene's seed, the number of the pour, and what is there already.
+
+    radius (count,) [m]: all sizes in the order of arrival.  due_at (count,) [s]: when each is due.
+    remaining: how many are still to come.  next_time [s]: when to pour next; infinite once all have come.
     """
 
     def __init__(self, scene: Scene, group_name: str) -> None:
         group = scene.particles[group_name]
         self.scene, self.group_name = scene, group_name
-        if group.place.kind != "rain":
-            raise ValueError(f"{group_name} does not rain.")
-        self.rate, self.start = group.place.rate, group.place.start
-        self.room = room_of(group.place.region)
-        self.radius = draw_diameters(group.diameter, group.count, random_for(scene, group_name)) / 2
-        self.radius.setflags(write=False)
+        place = group.place
+        if not isinstance(place, Rain | Inlet):
+            raise ValueError(f"{group_name} does not come in while the scene runs.")
+        self.start = place.start
+        self.radius = arriving_diameters(group.sizes, group.count, random_for(scene, group_name)) / 2
+        self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * scene.materials[group.material].density
+        self.due_at = self.start + _waits(place, self.mass)
+        self.interval = 1.0 / place.rate if place.rate else float(self.mass.mean()) / (place.mass_flow or math.inf)
+        for array in (self.radius, self.mass, self.due_at):
+            array.setflags(write=False)
+        gathered = math.ceil(group.count / POURS_AT_MOST)
+        self.room = _opening(place, self.radius.max(), np.array(group.velocity, float), gathered * self.interval)
         check_width(self.room, self.radius.max())
         self.batch = batch_size(self.radius, self.room.volume)
         self.waiting = np.empty(0, dtype=np.int64)
@@ -72,9 +83,16 @@ class Rain:
         """How many have not come yet, those waiting for room included."""
         return len(self.radius) - self.due_count + len(self.waiting)
 
+    @property
+    def came(self) -> np.ndarray:
+        """Whether each (count,) has come."""
+        came = np.arange(len(self.radius)) < self.due_count
+        came[self.waiting] = False
+        return came
+
     def pour(self, time: float, position: np.ndarray, radius: np.ndarray) -> Grains:
         """The grains that come at `time`, clear of those present (position (m, 3), radius (m,)) and of each other."""
-        due = min(len(self.radius), math.floor((time - self.start) * self.rate + EARLY) + 1)
+        due = int(np.searchsorted(self.due_at, time + EARLY * self.interval, side="right"))
         arriving = np.arange(self.due_count, due)
         queue = np.concatenate([self.waiting, arriving])
         self.due_count += len(arriving)
@@ -98,9 +116,9 @@ class Rain:
         if self.due_count == 0:
             return self.start
         if self.due_count == len(self.radius):
-            return time + self.batch / self.rate
+            return time + self.batch * self.interval
         last = min(self.due_count + self.batch, len(self.radius)) - 1
-        return self.start + last / self.rate
+        return float(self.due_at[last])
 
     def find_places(self, trying: np.ndarray, present: Spheres, random: np.random.Generator) -> dict[int, np.ndarray]:
         """Centres found for those of `trying` that have room, by number, in the order tried."""
@@ -133,13 +151,37 @@ def batch_size(radius: np.ndarray, volume: float) -> int:
     return max(1, min(math.ceil(len(radius) / POURS_AT_MOST), room_for))
 
 
-def rains(scene: Scene) -> tuple[Rain, ...]:
-    """One Rain for each group that rains, in the order of the scene. Raises SceneError."""
+def _waits(place: Rain | Inlet, mass: np.ndarray) -> np.ndarray:
+    """How long after the start each particle (n,) is due [s], given all masses [kg] in their order."""
+    if place.rate is not None:
+        return np.arange(len(mass)) / place.rate
+    assert place.mass_flow is not None
+    return (np.cumsum(mass) - mass) / place.mass_flow
+
+
+def _opening(place: Rain | Inlet, radius: float, velocity: np.ndarray, gathered: float) -> Opening:
+    """Where particles appear: a region, or behind a face as deep as they come in the time [s] a batch is gathered."""
+    if isinstance(place, Rain):
+        return room_of(place.region)
+    if isinstance(place.face, DiscFace):
+        disc = place.face.disc
+        normal = np.array(disc.normal) / math.hypot(*disc.normal)
+        depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
+        return CylinderRoom(np.array(disc.center), disc.center + depth * normal, disc.radius)
+    rectangle = place.face.rectangle
+    first, second = np.array(rectangle.sides, float)
+    normal = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
+    depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
+    return SlabRoom(np.array(rectangle.corner), first, second, depth)
+
+
+def streams(scene: Scene) -> tuple[Stream, ...]:
+    """One for each group that comes in while the scene runs, in the order of the scene. Raises SceneError."""
     found, problems = [], []
     for name, group in scene.particles.items():
-        if group.place.kind == "rain":
+        if isinstance(group.place, Rain | Inlet):
             try:
-                found.append(Rain(scene, name))
+                found.append(Stream(scene, name))
             except NoRoomError as error:
                 problems.append(shortfall(scene, name, error))
     if problems:

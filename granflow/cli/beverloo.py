@@ -1,0 +1,39 @@
+"""`granflow beverloo`: the law of discharge from runs or from a table."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.arguments import quantity
+from granflow.cli.messages import show_table
+
+
+def beverloo(options: argparse.Namespace) -> int:
+    """`granflow beverloo`: C and k of Beverloo's law, with the exponent 5/2 and with a free one."""
+    from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
+
+    data = read_discharges(options.places)
+    given = (data, options.grain, options.bulk_density, options.gravity)
+    fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
+    if len(set(data.opening)) > len(("C", "k", "exponent")):
+        fits.append(fit_beverloo(*given, exponent=None))
+        heads.append("exponent free")
+    print("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
+    show_table(f"{len(data.opening)} flows", ("", *heads), beverloo_rows(fits))
+    return 0
+
+
+def add_beverloo(verbs: Any) -> None:
+    """`granflow beverloo` and its arguments."""
+    summary = "fit Beverloo's law of discharge to runs with several openings, or to a table"
+    parser = verbs.add_parser("beverloo", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "places", metavar="OUT|FILE.csv", type=Path, nargs="+",
+        help="runs whose flow meter has the radius of the opening, or tables with the columns opening and mass_flow",
+    )  # fmt: skip
+    parser.add_argument("--grain", required=True, type=quantity("length"), help="diameter of the grains, such as 5mm")
+    parser.add_argument(
+        "--bulk-density", required=True, type=quantity("density"), help="of the bed, such as '1500 kg/m3'"
+    )
+    parser.add_argument("--gravity", type=quantity("acceleration"), default=9.81, help="(9.81 m/s2)")
+    parser.set_defaults(verb=beverloo)

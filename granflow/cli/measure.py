@@ -1,0 +1,42 @@
+"""`granflow measure`: indices and fields of a run that is over."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.messages import show_table
+from granflow.errors import GranflowError
+
+SHOWN = 20
+"""Rows of the table on the screen; the file has them all."""
+
+
+def measure(options: argparse.Namespace) -> int:
+    """`granflow measure`: mixing, angle of repose, fabric, fields from the frames of a run."""
+    from granflow.scene import load
+    from granflow.study.measure import measure as measured
+
+    scene_path = options.directory / "scene_as_run.yaml"
+    if not scene_path.is_file():
+        raise GranflowError(f"{options.directory} is no directory of a run: it has no scene_as_run.yaml.")
+    out = options.out or options.directory / "measured"
+    rows = measured(options.directory, load(scene_path, options.overrides), out)
+    if rows and len(rows[0]) > len(("time", "stage")):
+        step = -(-len(rows) // SHOWN)
+        cells = [[value if isinstance(value, str) else f"{value:.4g}" for value in row.values()] for row in rows]
+        show_table(f"{options.directory}, {len(rows)} frames", list(rows[0]), cells[::-1][::step][::-1])
+    print(f"Written to {out}")
+    return 0
+
+
+def add_measure(verbs: Any) -> None:
+    """`granflow measure` and its arguments."""
+    summary = "measure indices and fields of a run that is over, from its frames"
+    parser = verbs.add_parser("measure", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("directory", metavar="OUT", type=Path, help="directory that granflow run has written")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where the results go (OUT/measured)")
+    parser.add_argument(
+        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
+        help="what to measure, such as --set 'output.indices.heap={kind: repose, surface: cone}'; may be repeated",
+    )  # fmt: skip
+    parser.set_defaults(verb=measure)

@@ -1,0 +1,43 @@
+"""Copies of files that a scene names, beside the results: the scene as run finds them, and a run can go on anywhere."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from filecmp import cmp
+from pathlib import Path
+
+from granflow.observe.files import replacing
+from granflow.plan.meshes import mesh_path
+from granflow.scene import Scene
+from granflow.scene.schema import FromFile, MeshWall
+
+RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
+"""Names of results: a file of particles so named is not copied, since the run writes its own there."""
+
+
+def copy_inputs(directory: Path, scene: Scene) -> None:
+    """Put mesh files, and files of particles, where the scene as run, in that directory, names them.
+
+    Another file of that name is not lost: it goes aside with `.before` added to its name.
+    """
+    for source, name in _inputs(scene):
+        target = Path(directory) / name
+        if target.exists() and (source == target.resolve() or cmp(source, target, shallow=False)):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            target.replace(target.with_name(target.name + ".before"))
+        with replacing(target) as temporary:
+            shutil.copyfile(source, temporary)
+
+
+def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
+    """Files, and the names that the scene gives them; those that a run going on no longer has are left out."""
+    for wall in scene.walls.values():
+        if isinstance(wall, MeshWall):
+            yield mesh_path(scene, wall), wall.file
+    for place in (group.place for group in scene.particles.values()):
+        if isinstance(place, FromFile) and not RESULTS.fullmatch(place.file):
+            path = (scene.folder / place.file).resolve()
+            if path.exists():
+                yield path, place.file

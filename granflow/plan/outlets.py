@@ -1,0 +1,58 @@
+"""Outlets in plain numbers, and how deep in one a point is, for numpy; the device knows only in or out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from granflow.scene import Scene
+from granflow.scene.outlets import BoxOutlet
+
+
+@dataclass(frozen=True)
+class Drain:
+    """One outlet: a box, or what lies within `radius` [m] of an axis beyond a plane.
+
+    low, high (3,) [m]: corners of the box, or None.  point (3,) [m], normal (3,) of length 1: of the plane.
+    """
+
+    name: str
+    low: np.ndarray | None
+    high: np.ndarray | None
+    point: np.ndarray
+    normal: np.ndarray
+    radius: float
+
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """How far inside the points (n, 3) are [m], below 0 outside."""
+        if self.low is not None and self.high is not None:
+            return np.asarray(np.minimum(points - self.low, self.high - points).min(axis=1))
+        along = (points - self.point) @ self.normal
+        across = np.linalg.norm(points - self.point - along[:, None] * self.normal, axis=1)
+        return np.asarray(np.minimum(along, self.radius - across))
+
+
+def drains_of(scene: Scene) -> tuple[Drain, ...]:
+    """All outlets of a scene."""
+    found = []
+    for name, outlet in scene.outlets.items():
+        if isinstance(outlet, BoxOutlet):
+            low, high = np.array(outlet.box.min), np.array(outlet.box.max)
+            found.append(Drain(name, low, high, low, np.zeros(3), inf))
+        else:
+            normal, radius = np.array(outlet.beyond.normal), outlet.beyond.radius
+            point, unit = np.array(outlet.beyond.point), normal / np.linalg.norm(normal)
+            found.append(Drain(name, None, None, point, unit, inf if radius is None else radius))
+    return tuple(found)
+
+
+def taken_by(drains: Sequence[Drain], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
+    """Which outlet took each deleted particle (n,), -1 for none: the one it is deepest in.
+
+    `position` (n, 3) [m]; what is still in the domain (n,) was taken by one, be it by rounding.
+    """
+    if not drains:
+        return np.full(len(position), -1)
+    depth = np.stack([drain.depth(position) for drain in drains])
+    return np.where(in_domain | (depth.max(axis=0) >= 0.0), depth.argmax(axis=0), -1)

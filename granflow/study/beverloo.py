@@ -1,0 +1,173 @@
+"""The law of discharge of Beverloo, fitted to mass flows through openings of several sizes.
+
+    W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
+
+with the opening D, the grains' diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
+as large ones; for every k the best C, and the best exponent if that is asked for, follow from a straight line.
+"""
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.scene.units import UnitError, to_si
+
+EXPONENT = 2.5
+GRAVITY = 9.81
+"""Where none is given [m/s2]."""
+
+K_LOWEST = -10.0
+"""Smallest k that is tried: the published ones lie between 1 and 3."""
+
+TRIALS = 400
+ROUNDS = 6
+"""Values of k in a round of the search; each round looks between the neighbours of the best of the one before."""
+
+COLUMNS = {"opening": "length", "mass_flow": "mass_flow"}
+
+
+@dataclass(frozen=True)
+class Discharge:
+    """Mass flows [kg/s] (n,) through openings (n,) [m]."""
+
+    opening: np.ndarray
+    mass_flow: np.ndarray
+
+
+@dataclass(frozen=True)
+class BeverlooFit:
+    """C, k and the exponent, each with its standard error, 0 for an exponent that was given.
+
+    `residual` (n,): ln of measured over fitted flow; errors are nan where there are no more flows than parameters.
+    """
+
+    c: float
+    k: float
+    exponent: float
+    c_error: float
+    k_error: float
+    exponent_error: float
+    residual: np.ndarray
+
+
+def fit_beverloo(
+    data: Discharge, grain: float, bulk_density: float, gravity: float = GRAVITY, exponent: float | None = EXPONENT
+) -> BeverlooFit:
+    """Fit C and k to flows of grains of diameter `grain` [m] and `bulk_density` [kg/m3]; the exponent too if None.
+
+    W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2. Raises GranflowError where the flows are
+    too few, or not positive.
+    """
+    openings = len(np.unique(data.opening))
+    needed = 2 if exponent is not None else 3
+    if openings < needed:
+        raise GranflowError(f"Flows through {openings} different openings are too few: give {needed} or more.")
+    if not (np.all(data.mass_flow > 0.0) and np.all(data.opening > 0.0)):
+        raise GranflowError("A flow or an opening is not above 0: leave out openings that were blocked.")
+    ratio = data.opening / grain
+    height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * grain**EXPONENT))
+    k = _best_k(ratio, height, exponent)
+    level, power, residual = (values[0] for values in _line(ratio, height, np.array([k]), exponent))
+    slopes = [np.ones_like(ratio), -power / (ratio - k), np.log(ratio - k)][:needed]
+    errors = _errors(np.column_stack(slopes), residual)
+    c = float(np.exp(level))
+    free = float(errors[2]) if exponent is None else 0.0
+    return BeverlooFit(c, k, float(power), c * float(errors[0]), float(errors[1]), free, residual)
+
+
+def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> float:
+    """The k below all D/d with the least sum of squares, by ever finer trials."""
+    low, high = K_LOWEST, float(ratio.min())
+    best = low
+    for _ in range(ROUNDS):
+        trials = np.linspace(low, high, TRIALS + 2)[1:-1]
+        costs = (_line(ratio, height, trials, exponent)[2] ** 2).sum(axis=1)
+        best, step = float(trials[int(np.argmin(costs))]), float(trials[1] - trials[0])
+        low, high = best - step, min(best + step, float(ratio.min()))
+    return best
+
+
+def _line(
+    ratio: np.ndarray, height: np.ndarray, k: np.ndarray, exponent: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """ln C and the exponent (m,) that are best for each k (m,), and what is left (m, n) of the heights (n,)."""
+    along = np.log(ratio - k[:, None])
+    middle = along.mean(axis=1)
+    offset = along - middle[:, None]
+    power = np.full(len(k), exponent) if exponent is not None else (offset @ height) / (offset**2).sum(axis=1)
+    level = height.mean() - power * middle
+    return level, power, height - level[:, None] - power[:, None] * along
+
+
+def _errors(slopes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Standard errors from the scatter about the fit."""
+    surplus = len(residual) - slopes.shape[1]
+    if surplus < 1:
+        return np.full(slopes.shape[1], np.nan)
+    spread = np.linalg.pinv(slopes.T @ slopes) * (residual @ residual) / surplus
+    return np.asarray(np.sqrt(np.diag(spread)))
+
+
+def read_discharges(places: Sequence[Path]) -> Discharge:
+    """Flows of runs (directories that `granflow run` wrote) and of CSV files, all together.
+
+    Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `opening` and
+    `mass_flow`, in SI or with units. Raises GranflowError for what has neither.
+    """
+    rows = [row for place in places for row in (_of_run(place) if place.is_dir() else _of_table(place))]
+    table = np.array(rows, dtype=float).reshape(-1, 2)
+    return Discharge(table[:, 0], table[:, 1])
+
+
+def _of_run(place: Path) -> list[tuple[float, float]]:
+    from granflow.scene import load
+
+    path = place / "result.json"
+    if not path.exists():
+        raise GranflowError(f"{place} has no result.json; name a run that has ended.")
+    numbers = json.loads(path.read_text(encoding="utf-8"))["meters"]
+    meters = load(place / "scene_as_run.yaml").output.meters
+    found = [
+        (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
+    ]
+    if len(found) != 1:
+        raise GranflowError(
+            f"{place} has {len(found)} flow meters with a radius; one is needed, as wide as the opening."
+        )
+    return found
+
+
+def _of_table(place: Path) -> list[tuple[float, float]]:
+    with open(place, newline="", encoding="utf-8-sig") as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise GranflowError(f"{place} has no column {missing[0]}; the columns are opening and mass_flow.")
+        found = []
+        for row in reader:
+            try:
+                opening, flow = (to_si(row[name], dimension) for name, dimension in COLUMNS.items())
+                found.append((opening, flow))
+            except UnitError as error:
+                raise GranflowError(f"{place}:{reader.line_num}: {error}.") from None
+        return found
+
+
+def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
+    """The table of some fits: name, then value and standard error of each."""
+    rows = []
+    for name in ("c", "k", "exponent"):
+        cells = [_with_error(getattr(fit, name), getattr(fit, f"{name}_error")) for fit in fits]
+        rows.append((name.upper() if name == "c" else name, *cells))
+    scatter = [f"{np.sqrt((fit.residual**2).mean()):.2%}" for fit in fits]
+    return [*rows, ("scatter", *scatter)]
+
+
+def _with_error(value: float, error: float) -> str:
+    """Value and standard error; an error of 0 is that of a number that was given."""
+    return f"{value:.4g} ± {error:.2g}" if error else f"{value:.4g} given"

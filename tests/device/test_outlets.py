@@ -1,0 +1,78 @@
+"""Outlets delete and count what flows in through inlets, and a run that goes on keeps their counts."""
+
+from math import pi
+
+import numpy as np
+import pytest
+from resume.runs import files_of, states_of
+from trials import SOFT, balls, trial
+
+from granflow.observe import read_checkpoint
+from granflow.plan.outlets import drains_of, taken_by
+from granflow.simulation import Simulation
+
+MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.004, 0.005)}
+
+
+def chute(**parts):
+    """Two size classes enter downwards, fall past fixed grains, and end in a box or below a plane."""
+    classes = [{"diameter": diameter, "fraction": 1} for diameter in MASSES]
+    face = {"disc": {"center": [0, 0, 0.05], "normal": [0, 0, -1], "radius": 0.015}}
+    fed = {
+        "material": "glass", "velocity": [0, 0, -1.5], "mass": 0.02,
+        "diameter": {"distribution": "classes", "by": "number", "classes": classes},
+        "place": {"kind": "inlet", "face": face, "mass_flow": 1.0, "start": 0.001},
+    }  # fmt: skip
+    row = balls([[0.012 * k - 0.012, 0, 0] for k in range(3)] + [[0.5, 0, 0]], 0.006) | {"fixed": True}
+    given = {
+        "outlets": {
+            "side": {"box": {"min": [0.0, -1.0, -0.05], "max": [1.0, 1.0, 0.001]}},
+            "below": {"beyond": {"point": [0, 0, -0.02], "normal": [0, 0, -3]}},
+            "nowhere": {"beyond": {"point": [0, 0, 0.1], "normal": [0, 0, 1], "radius": 0.01}},
+        },
+        "gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3, "restitution": 0.7},
+        "run": {"duration": 0.25, "velocity_max": 3.0, "time_step": 1e-5}, "numerics": {"chunk_size": 32},
+        "output": {"interval": 0.05, "energy": True, "checkpoint": {"interval": 0.009, "keep": 100}},
+    }  # fmt: skip
+    return trial({"fed": fed, "row": row}, **(given | parts))
+
+
+def test_what_flows_in_flows_out_and_is_counted(tmp_path, taichi_f64):
+    whole, again = tmp_path / "whole", tmp_path / "again"
+    simulation = Simulation(chute(), out=whole)
+    result = simulation.run()
+    last = simulation.snapshot()
+    simulation.free()
+    count = round(0.02 / np.mean(list(MASSES.values())))
+    assert result.numbers["came_count.fed"] == count and result.numbers["missing_count.fed"] == 0.0
+    taken = {name: result.numbers[f"outlet_count.{name}"] for name in ("side", "below", "nowhere")}
+    assert sum(taken.values()) == count == result.totals["deleted_count"] and taken["nowhere"] == 0.0
+    assert taken["side"] > 20 and taken["below"] > 20
+    masses = [result.numbers[f"outlet_mass.{name}"] for name in taken]
+    assert sum(masses) == pytest.approx(result.numbers["came_mass.fed"]) == pytest.approx(0.02, abs=MASSES[0.005])
+    assert last.particles["fixed"].tolist() == [1] * 4, "fixed grains stay in an outlet, and nothing left the domain"
+    assert abs(result.totals["energy_error"]) < 1e-3
+    head = (whole / "timeseries.csv").read_text().splitlines()[0]
+    assert "waiting_count,deleted_count" in head and "outlet_count.side,outlet_mass.side [kg]" in head
+    kept = sorted(whole.glob("checkpoint_*.npz"))
+    in_the_stream = read_checkpoint(kept[1])
+    assert 0 < in_the_stream.kept["feeds"]["fed"]["due_count"] < count
+    again.mkdir()
+    for path in [*whole.glob("*.vtu"), *whole.glob("*.pvd"), whole / "timeseries.csv", kept[1]]:
+        (again / path.name).write_bytes(path.read_bytes())
+    simulation = Simulation(chute(), out=again, resume=read_checkpoint(again / kept[1].name))
+    simulation.run()
+    simulation.free()
+    assert files_of(again) == files_of(whole)
+    assert states_of(again).items() <= states_of(whole).items() and len(states_of(again)) > 4
+
+
+def test_the_deepest_outlet_takes_and_rounding_puts_none_beside_all():
+    """At x = -1, 0.5, 2: beyond the plane by 20 mm, in the box by 4 mm; past it by a hair; far from both."""
+    drains = drains_of(chute())
+    position = np.array([[0.5, 0, -0.04], [0.5, 0, -0.003], [0.5, 0, 0.001 + 1e-12], [0.5, 0, 0.5]])
+    inside = np.array([True, True, True, False])
+    assert [drains[k].name for k in taken_by(drains, position, inside)[:3]] == ["below", "side", "side"]
+    assert taken_by(drains, position, inside)[3] == -1
+    disc = drains[2].depth(np.array([[0, 0, 0.103], [0.009, 0, 0.2], [0.02, 0, 0.2], [0, 0, 0.0]]))
+    np.testing.assert_allclose(disc, [0.003, 0.001, -0.01, -0.1], atol=1e-15)

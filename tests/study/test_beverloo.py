@@ -1,0 +1,68 @@
+"""Beverloo's law is found again in flows that follow it."""
+
+import numpy as np
+import pytest
+
+from granflow.cli.main import main
+from granflow.errors import GranflowError
+from granflow.study.beverloo import Discharge, fit_beverloo, read_discharges
+
+GRAIN, DENSITY, C, K = 0.004, 1500.0, 0.58, 1.4
+OPENING = np.array([0.03, 0.035, 0.04, 0.05, 0.06, 0.075])
+
+
+def flows(exponent=2.5):
+    return C * DENSITY * np.sqrt(9.81) * GRAIN**2.5 * (OPENING / GRAIN - K) ** exponent
+
+
+def test_a_law_without_scatter_is_found_exactly():
+    found = fit_beverloo(Discharge(OPENING, flows()), GRAIN, DENSITY)
+    assert (found.c, found.k) == pytest.approx((C, K), rel=1e-6)
+    assert found.exponent == 2.5
+    # W = C rho sqrt(g) (D - k d)^2.5 of the paper is the same number.
+    assert flows()[0] == pytest.approx(C * DENSITY * np.sqrt(9.81) * (0.03 - K * GRAIN) ** 2.5)
+
+
+def test_a_free_exponent_is_found():
+    found = fit_beverloo(Discharge(OPENING, flows(2.2)), GRAIN, DENSITY, exponent=None)
+    assert (found.c, found.k, found.exponent) == pytest.approx((C, K, 2.2), rel=1e-4)
+
+
+def test_standard_errors_are_those_of_repeated_experiments():
+    """Of 300 with 1 % scatter: the spread of C and k is their mean standard error, within a fifth."""
+    random = np.random.default_rng(0)
+    found = [
+        fit_beverloo(Discharge(OPENING, flows() * np.exp(random.normal(0.0, 0.01, 6))), GRAIN, DENSITY)
+        for _ in range(300)
+    ]
+    for name in ("c", "k"):
+        values, errors = (np.array([getattr(each, f"{name}{end}") for each in found]) for end in ("", "_error"))
+        # The mean of the root of an estimated variance with 4 degrees of freedom is 0.94 of the root.
+        assert values.std() == pytest.approx(np.sqrt((errors**2).mean()), rel=0.2)
+        assert values.mean() == pytest.approx({"c": C, "k": K}[name], abs=3.0 * values.std() / np.sqrt(300) + 0.01)
+
+
+def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
+    path = tmp_path / "flows.csv"
+    rows = [f"{1e3 * opening!r} mm,{flow!r}" for opening, flow in zip(OPENING.tolist(), flows().tolist(), strict=True)]
+    path.write_text("\n".join(["opening,mass_flow", *rows]) + "\n", encoding="utf-8")
+    np.testing.assert_allclose(read_discharges([path]).opening, OPENING)
+    assert main(["beverloo", str(path), "--grain", "4mm", "--bulk-density", "1500"]) == 0
+    shown = capsys.readouterr().out
+    assert "0.58 ±" in shown and "1.4 ±" in shown and "2.5 given" in shown and "2.5 ±" in shown
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("opening\n1\n", "has no column mass_flow"),
+        ("opening,mass_flow\n5 kg,1\n", ":2: "),
+        ("opening,mass_flow\n1,1\n1,2\n", "1 different openings are too few"),
+        ("opening,mass_flow\n1,1\n2,0\n", "not above 0"),
+    ],
+)
+def test_bad_tables_are_refused_in_a_sentence(tmp_path, text, says):
+    path = tmp_path / "flows.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(GranflowError, match=says):
+        fit_beverloo(read_discharges([path]), GRAIN, DENSITY)

@@ -1,0 +1,83 @@
+"""tools/beverloo.py and tools/scene_numbers.py: what they make of flows and beds whose answer is known."""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+@pytest.fixture(autouse=True)
+def tools_at_hand(monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+
+def module(name):
+    return importlib.import_module(name)
+
+
+def flow(hole, rate, error=1e-3):
+    return module("beverloo").Flow(hole, rate, error * rate, (rate, rate))
+
+
+@pytest.mark.parametrize("power", [1.5, 2.5, 3.0])
+def test_exponent_of_a_law_comes_back(power):
+    flows = [flow(hole, 3e-4 * (hole - 1.4 * 4) ** power) for hole in (18, 22, 27, 32)]
+    found, error = module("beverloo").exponent(flows)
+    assert found == pytest.approx(power, abs=1e-9)
+    # Errors of 0.1 % each over a spread of ln(D - k d) of 0.30 (standard deviation): 0.001 / (0.30 sqrt(4)) = 0.0017.
+    x = np.log([flow.hole - 5.6 for flow in flows])
+    assert error == pytest.approx(1e-3 / (x.std() * 2), rel=1e-6)
+
+
+def test_error_of_the_exponent_grows_with_scatter():
+    rates = [(hole - 5.6) ** 2.5 * (1 + 0.05 * (-1) ** i) for i, hole in enumerate((18, 22, 27, 32))]
+    flows = [flow(hole, rate) for hole, rate in zip((18, 22, 27, 32), rates, strict=True)]
+    assert module("beverloo").exponent(flows)[1] > 0.03
+
+
+def test_offset_and_coefficient_come_back():
+    flows = [flow(hole, 2600 * ((hole - 1.25 * 4) * 1e-3) ** 2.5) for hole in (18, 22, 27, 32)]
+    assert module("beverloo").offset_at(flows) == pytest.approx((1.25, 2600), rel=1e-9)
+
+
+def test_flow_is_the_slope_and_its_halves_show_a_change():
+    times = np.linspace(0.5, 1.5, 101)
+    steady = module("beverloo").flow_of(20, times, 0.08 * times)
+    assert steady.rate == pytest.approx(0.08) and steady.halves == pytest.approx((0.08, 0.08))
+    assert steady.error < 1e-12
+    # m = t^2 / 2 flows with t: means of 0.75 and 1.25 in the halves of the time, 1 in all of it.
+    growing = module("beverloo").flow_of(20, times, times**2 / 2)
+    assert growing.rate == pytest.approx(1.0) and growing.halves == pytest.approx((0.75, 1.25))
+
+
+def test_every_hole_is_set_wherever_the_scene_has_it():
+    from granflow import load_scene
+
+    scene = load_scene(module("beverloo").SCENE, module("beverloo").overrides(28))
+    assert scene.walls["floor"].hole_radius == scene.walls["plug"].radius == scene.output.meters["outlet"].radius
+    assert scene.walls["floor"].hole_radius == pytest.approx(0.014)
+
+
+def test_edge_of_a_disc_one_bead_thick():
+    # Beads 2 mm wide in hexagons cover pi / (2 sqrt 3) = 0.907 up to 30 mm, and nothing beyond.
+    row, column = np.meshgrid(np.arange(-20, 21), np.arange(-20, 21), indexing="ij")
+    position = np.stack([2e-3 * (column + row / 2), np.sqrt(3) * 1e-3 * row, 0 * row], axis=-1).reshape(-1, 3)
+    position = position[np.hypot(position[:, 0], position[:, 1]) < 0.029]
+    edge = module("scene_numbers").edge_of(position, np.full(len(position), 1e-3))
+    assert edge == pytest.approx(0.030, abs=1.5e-3)
+
+
+def test_few_beads_far_out_are_no_deposit():
+    random = np.random.default_rng(1)
+    heap = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
+    stray = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
+    numbers, radius = module("scene_numbers"), np.full(4002, 1e-3)
+    assert numbers.edge_of(np.vstack([heap, stray]), radius) == numbers.edge_of(heap, radius[:-2]) < 0.03
+
+
+def test_quadrants_are_counted_in_the_plane_of_rotation():
+    position = np.array([[-1, 5, 1], [1, -5, 1], [1, 0, 2], [-1, 0, -1], [-2, 0, -1], [-3, 0, -1], [1, 0, -1.0]])
+    assert module("scene_numbers").quadrants(position).tolist() == [1, 2, 3, 1]
