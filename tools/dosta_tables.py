@@ -4,7 +4,7 @@
     granflow run out/dosta/drum.yaml
 
 FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's MercuryDPM entry
-(columns radius, x, y, z in metres). The scenes are those in scenes/dosta2024, the drum at its full size of 38 000 beads.
+(columns radius, x, y, z in metres). The scenes are those in scenes/dosta2024, the drum at its full size.
 """
 
 import argparse
@@ -23,7 +23,7 @@ BEADS = {1e-3: "m1", 2e-3: "m2"}
 
 
 def split(table: Path, out: Path, name: str) -> dict[float, str]:
-    """Write the beads of each radius [m] to a file of its own; give back the files. Lines that are no beads are left out."""
+    """Write the beads of each radius [m] to a file of its own, without lines that are no beads; return the files."""
     head, *lines = table.read_text(encoding="utf-8").splitlines()
     rows: dict[float, list[str]] = {}
     for line in lines:
