@@ -133,6 +133,8 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
         Quantity("border_work", "", "J", "energy that particles gain in gravity by passing a periodic border"),
+        Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
+        Quantity("free_wall_work", "", "J", "work of gravity, damping and their own force on free walls"),
         Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
         Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
     )
@@ -177,6 +179,13 @@ LOAD_QUANTITIES = _by_name(
     )
 )
 
+WALL_QUANTITIES = _by_name(
+    (
+        Quantity("wall_travel", "", "m", "way of a driven wall along its direction since the start"),
+        Quantity("wall_velocity", "", "m/s", "velocity of a driven wall along its direction"),
+    )
+)
+
 _READ_INDICES = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 mixed at random"),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
@@ -217,6 +226,7 @@ def unit_of(name: str) -> str:
     base, _, part = name.partition(".")
     if base == "seconds" and part:
         return "s"
-    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **INDEX_QUANTITIES, **FEED_QUANTITIES, **OUTLET_QUANTITIES}
+    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **WALL_QUANTITIES, **INDEX_QUANTITIES}
+    parts |= {**FEED_QUANTITIES, **OUTLET_QUANTITIES}
     known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.device.drive import driven_offsets, driven_velocities
 from granflow.device.fixed import free_shares
-from granflow.device.guards import GUARD_LOST, GUARD_OVERLAP, GUARD_TRAVEL, Pair, Party, Trip, trip_of
+from granflow.device.guards import GUARD_LOST, GUARD_OVERLAP, GUARD_TRAVEL, GUARD_WALL, Pair, Party, Trip, trip_of
 from granflow.device.records import listed_pairs
 from granflow.device.state import State
 from granflow.device.transfer import Transfer
@@ -44,6 +45,8 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
 
     `begun`: whether any step was taken, not only forces found where the particles begin.
     """
+    if code == GUARD_WALL:
+        return trip_of(code, _fastest_wall(state), None, state.clock.time_step, begun)
     there = transfer.taken(WANTED, 0, state.particles.capacity)
     there = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in there.items()}
     if code == GUARD_OVERLAP and begun:  # forces are of where the particles stand: a step ahead of the time
@@ -59,6 +62,14 @@ def trip_behind(code: int, particle: int, state: State, transfer: Transfer, time
     share = np.where(wanted & (near.overlap > 0.0), near.overlap, 0.0)
     pair = _pair(state.plan, there, near, int(share.argmax())) if share.any() else None
     return trip_of(code, party, pair, state.clock.time_step, begun)
+
+
+def _fastest_wall(state: State) -> Party:
+    """The driven wall that moves fastest."""
+    velocities = driven_velocities(state)
+    index = int(np.nan_to_num(np.linalg.norm(velocities, axis=1), nan=np.inf).argmax())
+    wall = state.plan.walls[index]
+    return Party(f"wall {wall.name}", state.plan.materials[wall.material], _vector(velocities[index]), None)
 
 
 def _party(plan: Plan, there: dict[str, np.ndarray], index: int) -> Party:
@@ -88,7 +99,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]
     moving, smaller = velocity[other], np.minimum(there["radius"][owner], there["radius"][other])
     face = -1 - partner
-    partner = np.where(partner < 0, -1 - walls_of(state, np.minimum(partner, -1)), partner)
+    partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.border.wrapped(position[owner[of_wall]])
@@ -104,14 +115,15 @@ def _at_wall(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gap (n,), normal (n, 3) and surface velocity (n, 3) of a wall, or of its faces (n,), at points (n, 3)."""
     shape, stand = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
-    rotation, center = stand.rotation[0], stand.offset[0] + stand.pivot
+    rotation, center = stand.rotation[0], stand.offset[0] + stand.pivot + driven_offsets(state)[index]
+    velocity = stand.velocity[0] + driven_velocities(state)[index]
     local = (points - center) @ rotation + stand.pivot
     if isinstance(shape, Mesh):
         first = len(state.plan.walls) + state.plan.first_triangle(index)
         gap, normal = reference_contact(shape.links, face - first, local)
     else:
         gap, normal = shape.kind.reference_closest(local, shape.parameters)
-    return gap, normal @ rotation.T, stand.velocity[0] + np.cross(stand.angular_velocity[0], points - center)
+    return gap, normal @ rotation.T, velocity + np.cross(stand.angular_velocity[0], points - center)
 
 
 def _pair(plan: Plan, there: dict[str, np.ndarray], near: Near, worst: int) -> Pair:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from granflow.device.drive import driven_work
 from granflow.device.fixed import free_shares
 from granflow.device.state import LOSSES, State
 
@@ -61,6 +62,7 @@ def ledger_totals(
     assert state.control.losses is not None
     losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
     losses["plastic"] += measured["plastic_dissipation"]
+    losses["wall_work"] += driven_work(state)
     border = state.control.border_work
     border_work = {} if border is None else {"border_work": float(border.to_numpy().sum())}
     dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))

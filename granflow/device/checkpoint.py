@@ -13,6 +13,7 @@ import numpy as np
 import taichi as ti
 from taichi.lang.util import to_numpy_type
 
+from granflow.device.drive import keep_drive, put_drive_back
 from granflow.device.engine import Engine
 from granflow.errors import GranflowError
 from granflow.walls.motion import Motion
@@ -63,6 +64,7 @@ class EngineKeeper:
             "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
             "particles": self._particles.take(np.arange(state.count)),
             "contacts": self._take_contacts(),
+            "drive": {"drives": [drive.key for drive in engine.plan.drives], **keep_drive(state)},
             "ledger": {name: field.to_numpy() for name, field in self._ledger().items()},
         }
 
@@ -78,6 +80,7 @@ class EngineKeeper:
         ledger = self._ledger()
         for name, values in _named(kept["ledger"], ledger).items():
             ledger[name].from_numpy(values)
+        self._put_drive_back(kept["drive"])
         for name in BOOKS:
             setattr(books, name, kept["books"][name])
         for name in ("material", "group"):
@@ -94,6 +97,16 @@ class EngineKeeper:
         control = self.engine.state.control
         fields = {"losses": control.losses, "border_work": control.border_work, "impulses": control.impulses}
         return {name: field for name, field in fields.items() if field is not None}
+
+    def _put_drive_back(self, kept: Kept) -> None:
+        drives = [drive.key for drive in self.engine.plan.drives]
+        if kept["drives"] != drives:
+            before, now = (", ".join(each) or "none" for each in (kept["drives"], drives))
+            raise GranflowError(
+                f"The walls that grains move were {before} and would be {now}. In a run that goes on "
+                "such a motion can get other numbers, but neither come nor go; let it start and end by stages."
+            )
+        put_drive_back(self.engine.state, {name: values for name, values in kept.items() if name != "drives"})
 
     def _take_contacts(self) -> dict[str, np.ndarray]:
         """Length of every row (n,), how many of it are walls (n,), and all slots row after row."""

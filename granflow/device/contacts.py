@@ -9,6 +9,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.batch import build_batched_forces
+from granflow.device.drive import build_enter_push
 from granflow.device.encounter import build_effective, build_encounter, build_pair_number, build_weight
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.handover import TURNS, build_inherit, build_leave, hands_over
@@ -35,6 +36,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     )
     measured = with_wall and features.loads
     enter_load = build_enter_load(state) if measured else None
+    driven = with_wall and features.driven_walls
+    _forget, enter_push = build_enter_push(state) if driven else (None, None)
 
     @ti.func
     def partner_spin(i, j, pose):
@@ -65,7 +68,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     def wall_work(i, j, pose, force, torque, dt):
         work = 0.0 * dt
         if ti.static(with_wall and features.moving_walls):
-            velocity = geometry.surface_velocity(-1 - j, pose, particles.position[i])
+            velocity = geometry.given_velocity(-1 - j, pose, particles.position[i])
             turning = state.walls.spin[pose, wall_of(j)]
             work = dt * (force.dot(ti.cast(velocity, real)) + torque.dot(ti.cast(turning, real)))
         return work
@@ -84,6 +87,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if ti.static(features.ledger):
             work = wall_work(i, j, pose, force, torque, dt)
             enter_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
+        if ti.static(driven):
+            enter_push(chunk, wall_of(j), force)
         if ti.static(measured):
             enter_load(chunk, wall_of(j), i, normal, force, torque, dt)
 
@@ -121,7 +126,7 @@ def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
     Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
-    Writes:  force, torque, history, losses, impulses, guard
+    Writes:  force, torque, history, losses, impulses, push, guard
     """
     plan, particles, contacts = state.plan, state.particles, state.contacts
     features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
@@ -137,6 +142,9 @@ def build_forces(state: State) -> Any:
         if ti.static(turns > 1):
             chosen = ti.cast(contacts.touching[slot] == ti.Vector(TURNS)[turn], ti.i32)
         return chosen
+
+    driven = features.driven_walls
+    forget_pushes, _enter = build_enter_push(state) if driven else (None, None)
 
     @ti.func
     def own_forces(chunk, i, pose, dt):
@@ -160,6 +168,8 @@ def build_forces(state: State) -> Any:
     @ti.func
     def forces(worker, chunk, count, pose, dt):
         first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)
+        if ti.static(driven):
+            forget_pushes(chunk)
         for i in range(first, last):
             own_forces(chunk, i, pose, dt)
         if ti.static(batched):

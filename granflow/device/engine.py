@@ -9,6 +9,7 @@ from granflow.device.approach import FastestApproach
 from granflow.device.backend import Backend
 from granflow.device.blame import trip_behind
 from granflow.device.books import Books, ledger_totals, mechanical_energy
+from granflow.device.drive import drive_totals, driven_offsets
 from granflow.device.fixed import free_shares
 from granflow.device.guards import GUARD_LEFT, Trip
 from granflow.device.loads import wall_impulses
@@ -248,11 +249,11 @@ class Engine:
 
     def wall_poses(self) -> dict[str, WallPose]:
         """Pose of every wall now, by name."""
-        found = {}
+        found, driven = {}, driven_offsets(self.state)
         for index, wall in enumerate(self.plan.walls):
             poses = pose(self.state.wall_motions[index], np.array([self.time]))
             present = bool(self.state.walls.present[index])
-            found[wall.name] = WallPose(present, poses.offset[0], poses.rotation[0], poses.pivot)
+            found[wall.name] = WallPose(present, poses.offset[0] + driven[index], poses.rotation[0], poses.pivot)
         return found
 
     def free(self) -> None:
@@ -341,5 +342,6 @@ class Engine:
             totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
         if self.plan.features.ledger:
             totals |= ledger_totals(self.state, books, energies, measured)
+        totals |= drive_totals(self.state)
         self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))
         return totals

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from granflow.plan import Plan
 
-GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP, GUARD_LEFT = 1, 2, 3, 4
-"""Codes: a step longer than half the skin, a position that is no number, an overlap too large, and (raised by the host)
-a particle outside a domain that none may leave."""
+GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP, GUARD_LEFT, GUARD_WALL = 1, 2, 3, 4, 5
+"""Codes: a step longer than half the skin, a position that is no number, an overlap too large, (raised by the host) a
+particle outside a domain that none may leave, and a driven wall that goes farther in a step than half the skin."""
 
-GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap", GUARD_LEFT: "left"}
+GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap", GUARD_LEFT: "left", GUARD_WALL: "wall"}
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that tripped a guard."""
@@ -140,6 +140,15 @@ def _left(trip: Trip, plan: Plan, time: float) -> str:
     )
 
 
+def _wall(trip: Trip, plan: Plan, time: float) -> str:
+    kind = next(drive.kind for drive in plan.drives if trip.party.name == f"wall {drive.name}")
+    remedy = "lower its velocity_max" if kind == "servo" else "give it more mass or damping"
+    return (
+        f"{trip.party} at {time:.6g} s moved {trip.party.speed * trip.time_step:.3g} m in one step, with a skin of "
+        f"{plan.skin:.3g} m: {remedy}, or set run.velocity_max to {SPARE_SPEED * trip.party.speed:.3g} m/s."
+    )
+
+
 def _touching(pair: Pair) -> str:
     return f"Before that step {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} of the smaller radius."
 
@@ -168,4 +177,4 @@ def _lower(time_step: float, cause: str) -> str:
     return f"{cause}: lower run.time_step (now {time_step:.3g} s), or look for grains made on top of each other."
 
 
-_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left}
+_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left, "wall": _wall}

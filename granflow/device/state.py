@@ -226,6 +226,21 @@ class Walls:
                 self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
 
 
+class DriveFields:
+    """Driven walls, an entry for each motion: way along its direction, velocity half a step behind, forces of grains.
+
+    `on`: whether it runs in the step that ends at a pose; `was_on`: in the last one; `push` [N]: what each chunk
+    adds up; `given` [J]: work on the grains; `work` [J]: of all but the grains on a free wall.
+    """
+
+    def __init__(self, block: Block, plan: Plan) -> None:
+        count = len(plan.drives)
+        self.offset, self.offset_at_search, self.velocity = (block.scalar(ti.f64, count) for _ in range(3))
+        self.given, self.work = block.scalar(ti.f64, count), block.scalar(ti.f64, count)
+        self.was_on, self.on = block.scalar(ti.i32, count), block.scalar(ti.i32, WALL_BATCH, count)
+        self.push = block.scalar(ti.f64, plan.chunk_capacity, count)
+
+
 class Control:
     """Small things that kernels and host tell each other."""
 
@@ -285,6 +300,7 @@ class State:
         self.batch: Any = Batch(block, plan, backend, slots_per_chunk) if batched else None
         self.sorting = Sorting(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
+        self.drive: Any = DriveFields(block, plan) if plan.drives else None
         self.mesh: Any = MeshFields(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()

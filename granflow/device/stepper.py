@@ -14,6 +14,7 @@ import taichi as ti
 from granflow.device.apart import build_wrap
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
+from granflow.device.drive import build_drive, mark_search
 from granflow.device.grid import lay_grids
 from granflow.device.motion import build_move
 from granflow.device.search import (
@@ -151,6 +152,7 @@ class Stepper:
 
     def _fill_rows(self, pose: int) -> None:
         state = self.state
+        mark_search(state)
         if not state.count:
             state.control.search_due[0] = 0
             state.control.search_wanted[0] = 0
@@ -262,16 +264,17 @@ class Stepper:
         return 1
 
     def _steps_walls_allow(self) -> int:
-        """Steps until the fastest wall may have crossed half the skin since the last search."""
+        """Steps until the fastest wall may have gone as far as one may between two searches; driven ones see to it."""
         plan = self.state.plan
         if plan.wall_speed == 0.0:
             return WALL_BATCH
-        return int(0.5 * plan.skin / (plan.wall_speed * plan.longest_time_step)) - self.steps_since_search
+        return int(plan.wall_way / (plan.wall_speed * plan.longest_time_step)) - self.steps_since_search
 
 
 def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:
     """One step, every chunk a task of its own."""
-    control, real = state.control, state.backend.real
+    control, real, driven = state.control, state.backend.real, state.plan.features.driven_walls
+    drive = build_drive(state) if driven else None
 
     @ti.kernel
     def step_on_gpu(
@@ -281,6 +284,10 @@ def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]
         for chunk in range(moving * chunks):
             if control.search_due[0] == 0 and control.guard[0] == 0:
                 move(chunk, count, dt)
+        if ti.static(driven):
+            for _ in range(moving):
+                if control.search_due[0] == 0 and control.guard[0] == 0:
+                    drive(chunks, pose + control.steps_done[0], dt)
         if moving == 1:
             control.search_due[0] = control.search_wanted[0]
         for chunk in range(forcing * chunks):
@@ -294,16 +301,20 @@ def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]
 
 def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None]:
     """Many steps in one launch. Workers take chunk after chunk and meet after every phase; see `meet_others`."""
-    control, real = state.control, state.backend.real
+    control, real, driven = state.control, state.backend.real, state.plan.features.driven_walls
+    drive = build_drive(state) if driven else None
 
     @ti.func
-    def meet_others(workers, meeting, forced, steps_wanted):
+    def meet_others(workers, meeting, forced, steps_wanted, chunks, pose, dt):
         """Wait until every worker is here; the last one settles what comes next before it lets the others go.
 
         Spinning on atomic counters takes a microsecond where waking Taichi's threads for every phase took sixty.
         """
         if ti.atomic_add(control.arrived[CACHE_LINE], 1) == meeting * workers - 1:
             control.next_chunk[CACHE_LINE] = 0
+            if ti.static(driven):
+                if forced == 0:
+                    drive(chunks, pose, dt)
             if forced == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
                 control.steps_done[0] = control.steps_done[0] + 1
             control.search_due[0] = control.search_wanted[0]
@@ -330,7 +341,7 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
                     move(chunk, count, dt)
                     chunk = next_chunk()
                 meeting += 1
-                meet_others(workers, meeting, 0, forcing * steps)
+                meet_others(workers, meeting, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
             if forcing == 1 and control.running[0] == 1:
                 pose_now = pose + control.steps_done[0]
                 chunk = next_chunk()
@@ -338,7 +349,7 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
                     forces(worker, chunk, count, pose_now, dt)
                     chunk = next_chunk()
                 meeting += 1
-                meet_others(workers, meeting, 1, steps)
+                meet_others(workers, meeting, 1, steps, chunks, pose_now, dt)
 
     @ti.kernel
     def step_on_cpu(

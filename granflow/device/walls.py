@@ -7,6 +7,7 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.apart import build_inside
+from granflow.device.drive import build_displacement, upload_running
 from granflow.device.mesh import build_mesh_geometry
 from granflow.device.state import WALL_BATCH, State
 from granflow.walls.catalogue import SHAPE_KINDS
@@ -26,6 +27,8 @@ class WallGeometry:
     """(distance, normal) of the contact."""
     surface_velocity: Any
     """Velocity [m/s] of the wall's material at the point."""
+    given_velocity: Any
+    """That part of it that the scene gives, without what a driven wall does."""
 
 
 def build_wall_geometry(state: State) -> WallGeometry:
@@ -33,17 +36,25 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
     In a periodic box a point meets walls where its image in the box stands.
     """
-    walls, moving = state.walls, state.plan.features.moving_walls
+    walls, moving, driven = state.walls, state.plan.features.moving_walls, state.plan.features.driven_walls
+    displacement, driven_velocity = build_displacement(state) if driven else (None, None)
     inside = build_inside(state)
     used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls if isinstance(wall.shape, Shape)})
     mesh = build_mesh_geometry(state) if state.plan.features.mesh_walls else None
     wall_count, wall_of, has_mesh = len(state.plan.walls), build_wall_of(state), mesh is not None
 
     @ti.func
+    def center(w, pose):
+        stand = walls.center[pose, w]
+        if ti.static(driven):
+            stand += displacement(w)
+        return stand
+
+    @ti.func
     def to_rest(w, pose, point):
         local = inside(point)
         if ti.static(moving):
-            local = walls.rotation[pose, w].transpose() @ (local - walls.center[pose, w]) + walls.pivot[w]
+            local = walls.rotation[pose, w].transpose() @ (local - center(w, pose)) + walls.pivot[w]
         return local
 
     @ti.func
@@ -74,14 +85,21 @@ def build_wall_geometry(state: State) -> WallGeometry:
         return gap, normal
 
     @ti.func
-    def surface_velocity(face, pose, point):
+    def given_velocity(face, pose, point):
         velocity = 0.0 * point
         if ti.static(moving):
             w = wall_of(-1 - face)
-            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - walls.center[pose, w])
+            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - center(w, pose))
         return velocity
 
-    return WallGeometry(to_rest, distance, closest, surface_velocity)
+    @ti.func
+    def surface_velocity(face, pose, point):
+        velocity = given_velocity(face, pose, point)
+        if ti.static(driven):
+            velocity += driven_velocity(wall_of(-1 - face))
+        return velocity
+
+    return WallGeometry(to_rest, distance, closest, surface_velocity, given_velocity)
 
 
 def build_wall_of(state: State) -> Any:
@@ -136,6 +154,7 @@ def upload_poses(state: State, step: int) -> None:
     def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
         field.from_numpy(np.ascontiguousarray(np.stack(arrays, axis=1), dtype=dtype))
 
+    upload_running(state, times - 0.5 * clock.time_step)
     upload(walls.center, [p.offset + p.pivot for p in now], position_real)
     upload(walls.rotation, [p.rotation for p in now], position_real)
     upload(walls.velocity, [p.velocity for p in middle], real)

@@ -18,6 +18,7 @@ from granflow.quantities import (
     METER_QUANTITIES,
     OUTLET_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_QUANTITIES,
 )
 from granflow.snapshot import Snapshot
 
@@ -163,6 +164,7 @@ def _size_of(path: Path) -> int:
 
 def _label(name: str) -> str:
     quantity, _, part = name.partition(".")
-    if quantity in OUTLET_QUANTITIES:
-        return OUTLET_QUANTITIES[quantity].label_of(part)
+    of_parts = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
+    if quantity in of_parts:
+        return of_parts[quantity].label_of(part)
     return TOTAL_QUANTITIES[name].label if name in TOTAL_QUANTITIES else name

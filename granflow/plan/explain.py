@@ -6,6 +6,7 @@ from math import ceil
 from typing import Literal, NamedTuple
 
 from granflow.plan.approach import fastest_approach
+from granflow.plan.drive import described
 from granflow.plan.features import Reason
 from granflow.plan.memory import Memory, memory_of
 from granflow.plan.plan import Plan, meetings_of
@@ -40,11 +41,14 @@ def explain(plan: Plan) -> str:
         "Features: what is computed, and why": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
+        **({"Driven walls": _drive_rows(plan)} if plan.drives else {}),
         "Meshes": _mesh_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan, width),
         "Settings that a scene may leave out": [Row(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
     }
+    if plan.scene.remarks:
+        sections["As made from what is written"] = [Row("", "", sentence) for sentence in plan.scene.remarks]
     title = f"{plan.scene.title} ({plan.scene.path})"
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
@@ -82,6 +86,14 @@ def _particle_rows(plan: Plan) -> Iterator[Row]:
     yield Row("skin", f"{plan.skin:.4g} m", share + ("" if auto else f" ({plan.scene.where('numerics', 'skin')})"))
 
 
+def _drive_rows(plan: Plan) -> Iterator[Row]:
+    for drive in plan.drives:
+        where = plan.scene.where("walls", drive.name, "motion", drive.motion)
+        yield Row(
+            drive.name, drive.kind, f"{', '.join(f'{name} {value}' for name, value in described(drive))} ({where})"
+        )
+
+
 def _materials(plan: Plan) -> str:
     unused = [name for name in plan.scene.materials if name not in plan.materials]
     listed = ", ".join(plan.materials)
@@ -105,6 +117,8 @@ def _memory_rows(plan: Plan, memory: Memory) -> Iterator[Row]:
     yield Row("contacts", size(memory.slots), f"{room}, more when they are found")
     yield Row("one contact", size(memory.per_slot), f"remembers {_remembered(plan)}")
     yield Row("search cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
+    if memory.meshes:
+        yield Row("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield Row("total", size(memory.total), "")
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from granflow.plan.sizes import WIDE, diameter_range, size_classes
+from granflow.plan.walls import is_driven
 from granflow.scene import Scene
 
 
@@ -18,6 +19,7 @@ class Features:
     adhesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
+    driven_walls: bool
     mesh_walls: bool
     one_material: bool
     ledger: bool
@@ -54,6 +56,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         adhesion=adhesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
+        driven_walls=any(is_driven(wall) for wall in scene.walls.values()),
         mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         ledger=scene.output.energy,
@@ -81,6 +84,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "adhesion": _adhesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
+        "driven_walls": _driven_reason(scene, features),
         "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
         "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
@@ -142,6 +146,14 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     name = next(name for name, wall in scene.walls.items() if wall.motion)
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+
+
+def _driven_reason(scene: Scene, features: Features) -> str:
+    if not features.driven_walls:
+        return "no wall is moved by the grains' forces"
+    name = next(name for name, wall in scene.walls.items() if is_driven(wall))
+    kinds = " and ".join(dict.fromkeys(each.kind for each in scene.walls[name].motion))
+    return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
 
 
 def _mesh_reason(scene: Scene, features: Features) -> str:

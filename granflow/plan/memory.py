@@ -27,11 +27,12 @@ class Memory:
     particles: int
     slots: int
     cells: int
+    meshes: int = 0
 
     @property
     def total(self) -> int:
         """All of it."""
-        return self.particles + self.slots + self.cells
+        return self.particles + self.slots + self.cells + self.meshes
 
 
 def memory_of(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Memory:
@@ -51,7 +52,21 @@ def memory_of(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Memory:
         particles=per_particle * plan.particle_capacity,
         slots=slot_bytes,
         cells=2 * INTEGER * (plan.cell_capacity + listed) + 2 * VECTOR * position * BOUNDS,
+        meshes=_meshes(plan, position),
     )
+
+
+def _meshes(plan: Plan, position: int) -> int:
+    """Bytes of the triangles of all mesh walls, their points and grids."""
+    total = 0
+    for index, mesh in plan.meshes.items():
+        links, grid = mesh.links, plan.mesh_grids[index]
+        arrays = (links.vertex, links.along, links.inward, links.beyond, links.normal, links.length)
+        total += position * sum(array.size for array in (*arrays, links.spoke, links.longest))
+        numbers = (links.point, links.base, links.tie, links.role, links.owner, links.spoke_start, links.rival_start)
+        counts = sum(array.size for array in (*numbers, links.rival, grid.start, grid.triangle))
+        total += INTEGER * (counts + mesh.triangle_count)
+    return total
 
 
 def _fields(plan: Plan, real: int, position: int) -> int:

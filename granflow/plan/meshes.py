@@ -99,14 +99,14 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     x, y, z = mesh.size
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
     for count, what, warning in (
-        (mesh.quad_count, "four-sided faces cut in two", False),
-        (mesh.links.open_count, "open edges: not watertight, which a hopper or a plate need not be", False),
-        (mesh.links.fold_count, "edges of more than two triangles, as where a plate stands on another", False),
-        (mesh.degenerate_count, "triangles without area left out", True),
-        (mesh.duplicate_count, "triangles left out that are there twice", True),
+        (mesh.quad_count, "four-sided face{} cut in two", False),
+        (mesh.links.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
+        (mesh.links.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
+        (mesh.degenerate_count, "triangle{} without area left out", True),
+        (mesh.duplicate_count, "triangle{} left out of those that are there twice", True),
     ):
         if count:
-            yield MeshNote(name, f"{count} {what}", warning)
+            yield MeshNote(name, f"{count} {what.format('s' if count > 1 else '')}", warning)
     doubt = _doubt(scene, mesh, smallest)
     if doubt:
         yield MeshNote(name, doubt, True)

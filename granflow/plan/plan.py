@@ -20,6 +20,7 @@ from granflow.laws.material import (
 )
 from granflow.plan.approach import fastest_approach
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
+from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.outlets import Drain, drains_of
@@ -79,6 +80,8 @@ class Plan:
     velocity_max: float
     walls: tuple[PlannedWall, ...]
     wall_speed: float
+    drives: tuple[Drive, ...]
+    """Motions of walls that the grains' forces move."""
     pace: Pace | None
     """Time steps for every velocity, where the step follows the scene."""
 
@@ -149,6 +152,11 @@ class Plan:
         """Most cells of the grids of all classes of sizes; 0 where there is but one class."""
         classes = len(self.size_classes)
         return 2 * self.cell_capacity + classes * BLOCK_CELLS if classes > 1 else 0
+
+    @property
+    def wall_way(self) -> float:
+        """Way [m] that a wall may go between two searches: half the skin, shared where both kinds of motion are."""
+        return (0.25 if self.drives and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
     def gravity(self) -> tuple[float, float, float]:
@@ -245,6 +253,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         velocity_max=velocity,
         walls=walls,
         wall_speed=speed,
+        drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
         pace=_pace(scene, law, velocity, speed) if features.adaptive_step else None,
     )
 

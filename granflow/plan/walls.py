@@ -11,7 +11,7 @@ from granflow.plan.meshes import meshes_of
 from granflow.scene import Scene
 from granflow.scene import schema as scene_schema
 from granflow.walls import motion, plane, revolved
-from granflow.walls.catalogue import Surface, reach_about
+from granflow.walls.catalogue import Surface, area_of, reach_about
 from granflow.walls.rims import join_rims
 from granflow.walls.shape import Shape, unit
 
@@ -35,7 +35,10 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     """
     walls, surfaces = scene.walls, dict[str, Surface](meshes_of(scene))
     primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
-    groups = [(wall.motion, wall.stages, wall.appears_at, wall.vanishes_at) for wall in primitives.values()]
+    groups = [
+        (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_driven(wall) else "")
+        for name, wall in primitives.items()
+    ]
     joined = join_rims([shape_of(wall) for wall in primitives.values()], groups)
     surfaces |= dict(zip(primitives, joined, strict=True))
     return tuple(PlannedWall(name, surfaces[name], material_numbers[wall.material]) for name, wall in walls.items())
@@ -60,8 +63,15 @@ def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Mo
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
+def is_driven(wall: scene_schema.AnyWall) -> bool:
+    """Whether the forces of the grains move this wall, by itself."""
+    return any(isinstance(each, scene_schema.Servo | scene_schema.Free) for each in wall.motion)
+
+
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
     start, end = _span(given, stage_times)
+    if isinstance(given, scene_schema.Servo | scene_schema.Free):
+        return motion.Driven(start, end)
     if isinstance(given, scene_schema.Translation):
         return motion.Translation(given.velocity, start, end)
     if isinstance(given, scene_schema.Rotation):
@@ -103,9 +113,7 @@ def wall_change_times(scene: Scene) -> tuple[float, ...]:
 def loaded_areas(scene: Scene) -> dict[str, float | None]:
     """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
     meshes = meshes_of(scene)
-    shapes = {name: shape_of(scene.walls[name]) for name in scene.loaded_walls if name not in meshes}
-    areas = {name: shape.kind.area(shape.parameters) for name, shape in shapes.items()}
-    return {name: meshes[name].area if name in meshes else areas[name] for name in scene.loaded_walls}
+    return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.loaded_walls}
 
 
 def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
@@ -127,4 +135,18 @@ def surface_speed(scene: Scene) -> float:
     """Largest speed [m/s] of any wall's material, spinning in place included."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
-    return max((motion.speed_bound(motions, extent / 2) for motions in wall_motions(scene, always)), default=0.0)
+    fastest = 0.0
+    for wall, motions in zip(scene.walls.values(), wall_motions(scene, always), strict=True):
+        driven = sum(_driven_speed(scene, each, extent) for each in wall.motion)
+        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + driven)
+    return fastest
+
+
+def _driven_speed(scene: Scene, given: Any, way: float) -> float:
+    """Largest speed [m/s] of a driven motion: that of a servo, or after a free wall's fall through the domain."""
+    if isinstance(given, scene_schema.Servo):
+        return given.velocity_max
+    if isinstance(given, scene_schema.Free):
+        along = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        return float(np.sqrt(2.0 * along * way))
+    return 0.0

@@ -13,7 +13,7 @@ from granflow.scene.findings import Check, Finding, unknown
 from granflow.scene.matter import RestitutionFit
 from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
 from granflow.scene.schema import Plane, Scene, Stage, Wall
-from granflow.scene.shapes import Vibration
+from granflow.scene.shapes import Free, Servo, Vibration
 from granflow.scene.suggest import known_or_meant, nearest
 from granflow.scene.words import problem_of
 
@@ -318,6 +318,23 @@ def _loads(draft: Draft) -> Iterator[Finding]:
             yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")
 
 
+def _driven(draft: Draft) -> Iterator[Finding]:
+    """Pressures of walls with an area; and a step that stays the same."""
+    driven = [
+        (("walls", name, "motion", index), wall, motion)
+        for name, wall in draft.scene.walls.items()
+        for index, motion in enumerate(wall.motion)
+        if isinstance(motion, Servo | Free)
+    ]
+    for path, wall, motion in driven:
+        if isinstance(motion, Servo) and motion.pressure is not None and isinstance(wall, Plane):
+            yield (*path, "pressure"), Fault((), "a plane has no end and so no area; give force, or take a rectangle")
+    if driven and draft.scene.run.time_step == "adaptive":
+        path, _, motion = driven[0]
+        reason = f"walls.{path[1]} is {motion.kind}, which needs a step that stays the same; write auto"
+        yield ("run", "time_step"), Fault((), reason)
+
+
 _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _materials),
     ((), _some_particles),
@@ -335,4 +352,5 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("output", "gravity", "domain"), indices),
     (("output", "expect"), expected_indices),
     (("output", "expect"), _loads),
+    (("run",), _driven),
 )

@@ -11,17 +11,23 @@ from granflow.scene.fields import (
     AlsoWritten,
     Angle,
     AngularVelocity,
+    Damping,
     Direction,
     Fault,
+    Force,
     Frequency,
     KeptLength,
+    Mass,
     Model,
     Names,
     NotNegativeLength,
     Point,
     Positive,
     PositiveAngularVelocity,
+    PositiveForce,
     PositiveLength,
+    Pressure,
+    Speed,
     Text,
     Time,
     Vector3,
@@ -119,10 +125,43 @@ class Rotation(Timed):
     angular_velocity: AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
 
 
+class Servo(Timed):
+    """A wall that holds a force: it moves along its direction, faster the more the force on the grains falls short."""
+
+    kind: Literal["servo"] = Field(description="kind of motion")
+    direction: Direction = Field(description="direction in which the wall presses; its length does not matter")
+    force: PositiveForce | None = Field(None, description="force on the grains that is held [N]")
+    pressure: Pressure | None = Field(None, description="that force over the area of the wall [Pa]")
+    velocity_max: Speed = Field(description="largest speed of the wall [m/s]")
+    gain: Positive | None = Field(
+        None, description="speed for every newton that is missing [m/(s N)]; left out: from stiffness and time step"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A force or a pressure."""
+        yield from super().faults()
+        if self.force is None and self.pressure is None:
+            yield Fault((), "has nothing to hold: give force or pressure", whole=True)
+        elif self.force is not None and self.pressure is not None:
+            yield Fault(("pressure",), "force is given too: keep one of them")
+
+
+class Free(Timed):
+    """A rigid wall with mass, free along one direction: moved by grains, gravity and a force of its own."""
+
+    kind: Literal["free"] = Field(description="kind of motion")
+    direction: Direction = Field(description="direction in which it can move; its length does not matter")
+    mass: Mass = Field(description="mass of the wall [kg]")
+    force: Force = Field(0.0, description="further force along the direction [N]")
+    damping: Damping = Field(0.0, description="force against its velocity, over the velocity [kg/s]")
+
+
 Motion = Annotated[
     Annotated[Vibration, Tag("<vibration>")]
     | Annotated[Translation, Tag("<translation>")]
-    | Annotated[Rotation, Tag("<rotation>")],
+    | Annotated[Rotation, Tag("<rotation>")]
+    | Annotated[Servo, Tag("<servo>")]
+    | Annotated[Free, Tag("<free>")],
     choice("kind"),
 ]
 

@@ -64,6 +64,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "mass_flow": Dimension(
         "a mass flow", "2 t/h", _unit_table("kg/s 1, g/s 1e-3, kg/min 1/60, kg/h 1/3600, t/h 1000/3600")
     ),
+    "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
 }
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})

@@ -20,6 +20,11 @@ def kind_code(kind: ShapeKind) -> int:
     return SHAPE_KINDS.index(kind)
 
 
+def area_of(surface: Surface) -> float | None:
+    """Area [m2] of a surface; None for one without end."""
+    return surface.area if isinstance(surface, Mesh) else surface.kind.area(surface.parameters)
+
+
 def surface_code(surface: Surface) -> int:
     """The code of a wall's kind: that of its shape, or one more for all meshes."""
     return len(SHAPE_KINDS) if isinstance(surface, Mesh) else kind_code(surface.kind)

@@ -19,6 +19,9 @@ FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
 
 STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
+LONGEST_WHY = 200
+"""Characters of a message from elsewhere."""
+
 PASSED_OVER = ("vertex", "line")
 """Cells without a surface, which files may hold besides their triangles."""
 
@@ -93,7 +96,7 @@ def _by_meshio(path: Path, kind: str) -> Soup:
             warnings.simplefilter("ignore")
             mesh = read(path)
     except (Exception, SystemExit) as error:
-        why = " ".join(str(error).split())[:120]
+        why = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:LONGEST_WHY]
         raise MeshFileError(f"cannot be read as {kind.upper()}: {why or type(error).__name__}") from None
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
@@ -103,7 +106,7 @@ def _by_meshio(path: Path, kind: str) -> Soup:
     for known in ("triangle", "quad", *PASSED_OVER):
         others.pop(known, None)
     if any(others.values()):
-        named = ", ".join(f"{count} cells of the kind {name}" for name, count in others.items())
+        named = ", ".join(f"{count} {name}" for name, count in others.items())
         raise MeshFileError(f"holds {named}, but a wall is made of triangles; write out its surface alone")
     halves = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Soup(points, np.concatenate([triangles, halves]), len(quads))

@@ -49,7 +49,15 @@ class Rotation:
     end: float = inf
 
 
-Motion = Vibration | Translation | Rotation
+@dataclass(frozen=True)
+class Driven:
+    """A wall that the grains' forces move from `start` to `end`: its displacement is found step by step, not here."""
+
+    start: float = 0.0
+    end: float = inf
+
+
+Motion = Vibration | Translation | Rotation | Driven
 
 
 @dataclass(frozen=True)
@@ -68,12 +76,15 @@ class Poses:
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
-    """The pose a wall has at each time (k,) [s]; at rest without motions. ValueError for two rotations."""
+    """The pose a wall has at each time (k,) [s]; at rest without motions. ValueError for two rotations.
+
+    What a driven wall has moved is not in it.
+    """
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
     velocity = np.zeros((len(times), 3))
     for motion in motions:
-        if not isinstance(motion, Rotation):
+        if not isinstance(motion, Rotation | Driven):
             displacement, rate = displacement_and_rate(motion, times)
             offset += displacement
             velocity += rate
@@ -132,6 +143,8 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     """Largest speed [m/s] at which any point of the wall's geometry ever moves, as if all motions ran at once.
 
+    Driven motions are not counted.
+
     `reach` is the largest distance [m] from the rotation's axis of geometry that moves when turning
     (`catalogue.reach_about`); it does not matter without a rotation.
     """
@@ -141,6 +154,6 @@ def speed_bound(motions: Sequence[Motion], reach: float) -> float:
             bound += float(np.linalg.norm(motion.velocity))
         elif isinstance(motion, Vibration):
             bound += abs(motion.amplitude * motion.angular_frequency)
-        else:
+        elif isinstance(motion, Rotation):
             bound += abs(motion.angular_velocity) * reach
     return bound

@@ -45,7 +45,7 @@ def mesh(points, corners):
 
 def write(path, points, corners):
     """Write a mesh file; every kind that is read."""
-    data = meshio.Mesh(points, [("triangle", np.asarray(corners))])
+    data = meshio.Mesh(points, [("triangle", np.asarray(corners, np.int32))])
     kind = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".vtk": "vtk", ".vtu": "vtu"}[path.suffix]
     meshio.write(path, data, file_format=kind)
     return path

@@ -1,0 +1,149 @@
+"""Meshes on the device: as the numpy twin says, the same bits on any threads, and on after a checkpoint."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import taichi as ti
+from child import in_child
+from resume.runs import last_state
+from trials import balls, plane, trial
+from walls.meshes import cube, sheet, tube, write
+
+from granflow.device import backend, stepper
+from granflow.device.mesh import build_mesh_geometry
+from granflow.device.state import State
+from granflow.observe import read_checkpoint
+from granflow.plan import plan_for
+from granflow.simulation import Simulation
+from granflow.walls.mesh_contact import bare_distance, reference_contact
+from granflow.walls.shape import FAR_AWAY
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The folder that scenes without a file look for meshes in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def wall(file, **more):
+    return {"shape": "mesh", "file": file, "material": "glass", **more}
+
+
+def all_meshes(folder):
+    """A plan with a cube, a hilly sheet and a tube, all turned so that no coordinate is round."""
+    turn = {"axis": [1, 2, 3], "angle": 0.7}
+    for name, surface in (("cube", cube()), ("hills", sheet(5, bumps=0.03)), ("tube", tube(20, rings=3))):
+        write(folder / f"{name}.ply", *surface)
+    walls = {name: wall(f"{name}.ply", rotate=turn) for name in ("cube", "hills", "tube")}
+    domain = {"min": [-5.0] * 3, "max": [5.0] * 3, "leaving": "error"}
+    return plan_for(trial({"b": balls([0.0, 0.0, 4.0], 0.3)}, walls=walls, domain=domain))
+
+
+def test_the_device_finds_what_the_twin_finds(taichi_f64, folder):
+    """The same triangle answers, with the same gap and normal, to rounding; what may answer nearby is listed."""
+    plan = all_meshes(folder)
+    state = State(plan, backend.start("cpu", "f64", 2))
+    geometry = build_mesh_geometry(state)
+
+    @ti.kernel
+    def measure(
+        points: ti.types.ndarray(ti.f64, 2), gap: ti.types.ndarray(ti.f64, 2), normal: ti.types.ndarray(ti.f64, 3),
+        bare: ti.types.ndarray(ti.f64, 2), near: ti.types.ndarray(ti.i32, 2), slack: ti.f64,
+    ):  # fmt: skip
+        for i in range(points.shape[0]):
+            point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
+            for t in range(gap.shape[1]):
+                gap[i, t], direction = geometry.contact(t, point)
+                bare[i, t] = geometry.away(t, point).norm()
+                near[i, t] = geometry.may_answer(t, point, slack)
+                for axis in ti.static(range(3)):
+                    normal[i, t, axis] = direction[axis]
+
+    rng, slack, first = np.random.default_rng(7), 0.05, 0
+    count = sum(mesh.triangle_count for mesh in plan.meshes.values())
+    low = np.min([mesh.points.min(axis=0) for mesh in plan.meshes.values()], axis=0)
+    high = np.max([mesh.points.max(axis=0) for mesh in plan.meshes.values()], axis=0)
+    corners = np.concatenate([mesh.points for mesh in plan.meshes.values()])
+    corners += rng.normal(0.0, 1e-3, corners.shape)
+    points = np.concatenate([rng.uniform(low - 0.2, high + 0.2, (300, 3)), corners])
+    gap, bare, near = (np.zeros((len(points), count), kind) for kind in (float, float, np.int32))
+    normal = np.zeros((len(points), count, 3))
+    measure(points, gap, normal, bare, near, slack)
+    moved = points + 0.999 * slack * np.array([0.6, 0.0, -0.8])
+    for mesh in plan.meshes.values():
+        own = slice(first, first + mesh.triangle_count)
+        first += mesh.triangle_count
+        triangles = np.tile(np.arange(mesh.triangle_count), len(points))
+        repeated = np.repeat(points, mesh.triangle_count, axis=0)
+        expected, direction = reference_contact(mesh.links, triangles, repeated)
+        distance = bare_distance(mesh.links.vertex[triangles], repeated)
+        np.testing.assert_allclose(gap[:, own].reshape(-1), expected, rtol=0.0, atol=2e-15)
+        answered = expected < FAR_AWAY
+        found = normal[:, own].reshape(-1, 3)[answered & (expected > 0.0)]
+        np.testing.assert_allclose(found, direction[answered & (expected > 0.0)], rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(bare[:, own].reshape(-1), distance, rtol=0.0, atol=2e-15)
+        later, _ = reference_contact(mesh.links, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
+        assert np.all(near[:, own].reshape(-1)[(later < FAR_AWAY) | answered] == 1)
+        assert near[:, own].mean() < 0.7, "most are ruled out"
+    state.free()
+
+
+SHAKEN = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 5e-4, "frequency": 80.0}
+TURNING = {"kind": "rotation", "point": [0, 0, 0.019], "axis": [1, 0, 0], "angular_velocity": 20.0}
+
+
+def stirred(out):
+    """A scene in that folder: grains over a shaken floor of hills, with a cube of plates turning among them."""
+    out.mkdir(exist_ok=True)
+    write(out / "hills.ply", *sheet(12, 0.1, bumps=5e-4))
+    points, corners = cube()
+    write(out / "cube.stl", points - 0.5, corners)
+    block = wall("cube.stl", scale=0.02, translate=[0, 0, 0.019], motion=[TURNING])
+    sides = {f"{name}{end}": plane([0.025 * (2 * end - 1) * (axis == k) for k in range(3)],
+                                   [(1 - 2 * end) * (axis == k) for k in range(3)])
+             for axis, name in enumerate("xy") for end in (0, 1)}  # fmt: skip
+    rng = np.random.default_rng(4)
+    places = 0.0062 * (np.argwhere(np.ones((7, 7, 2))) - [3, 3, 0]) + [0.0, 0.0, 0.0048]
+    places = places[np.abs(places - [0, 0, 0.019]).max(axis=1) > 0.0135]
+    grains = balls(places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal(0.0, 0.2, places.shape))
+    scene = trial(
+        {"grains": grains}, walls={"hills": wall("hills.ply", motion=[SHAKEN]), "block": block, **sides},
+        rolling="epsd", pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
+        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 16, "overlap_limit": 0.3},
+        run={"duration": 0.012, "velocity_max": 2.0, "time_step": 4e-6},
+        output={"interval": 0.004, "energy": True, "contacts": True, "checkpoint": {"interval": 0.004, "keep": 9}},
+    )  # fmt: skip
+    scene._folder = out
+    return scene
+
+
+def run_and_go_on(folder, threads, precision):
+    """State at the end of a run, and of one gone on from its first checkpoint; contacts with meshes there were."""
+    stepper.ONE_WORKER = 0
+    first, again = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
+    simulation = Simulation(stirred(first), out=first, threads=threads, precision=precision)
+    simulation.run()
+    contacts = simulation.engine.snapshot("run", frozenset({"particles", "contacts"})).contacts
+    touched = np.bincount(contacts["wall"][contacts["wall"] >= 0], minlength=2)[:2].tolist()
+    simulation.free()
+    shutil.copytree(first, again)
+    middle = read_checkpoint(sorted(again.glob("checkpoint_*.npz"))[0])
+    simulation = Simulation(stirred(again), out=again, threads=threads, precision=precision, resume=middle)
+    simulation.run()
+    totals = simulation.snapshot().totals
+    simulation.free()
+    return [last_state(first), last_state(again), touched, totals["energy_error"]]
+
+
+@pytest.mark.parametrize("precision", ["f64", *(pytest.param(p, marks=pytest.mark.slow) for p in ("mixed", "f32"))])
+def test_bits_do_not_depend_on_threads_nor_on_stopping(tmp_path, precision):
+    """Two moving meshes among planes, friction and rolling springs, the ledger kept."""
+    one, two = (in_child(run_and_go_on, str(tmp_path), threads, precision) for threads in (1, 2))
+    whole, gone_on, touched, energy_error = one
+    assert whole == gone_on
+    assert one == two
+    assert min(touched) > 0, "both meshes are touched at the end"
+    assert energy_error < 0.02

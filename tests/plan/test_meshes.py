@@ -1,0 +1,169 @@
+"""Mesh walls of a scene: which files are read, and what is said of those that cannot be walls or are doubtful."""
+
+import struct
+
+import meshio
+import numpy as np
+import pytest
+from walls.meshes import cube, sheet, write
+
+from granflow.errors import SceneError
+from granflow.plan import explain, plan_for
+from granflow.scene import load
+from granflow.walls.mesh import mesh_of
+from granflow.walls.mesh_file import read_triangles
+
+SCENE = """\
+title: A ball on a mesh
+gravity: [0, 0, -9.81]
+materials: {glass: {preset: glass}}
+pairs: {glass-glass: {restitution: 0.9, friction: 0.2}}
+contact: {normal: zhou, tangential: mindlin, rolling: none}
+walls:
+  floor: {shape: mesh, file: FILE, material: glass}
+particles:
+  ball: {material: glass, count: 1, diameter: 10 mm, place: {kind: list, positions: [[0.5, 0.5, 1.5]]}}
+domain: {min: [-1, -1, -1], max: [2, 2, 2], leaving: delete}
+run: {duration: 1 s}
+output: {interval: 1 s}
+"""
+
+
+def plan_of(folder, file, more=""):
+    """The plan of a scene in that folder with a mesh wall of that file and more keys."""
+    path = folder / "scene.yaml"
+    path.write_text(SCENE.replace("file: FILE", f"file: {file}{more}"), encoding="utf-8")
+    return plan_for(load(path))
+
+
+def problem(folder, file, more=""):
+    """What is said of the file, after its name."""
+    with pytest.raises(SceneError) as error:
+        plan_of(folder, file, more)
+    head = f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {file}, which "
+    (sentence,) = error.value.problems
+    assert sentence.startswith(head)
+    return sentence.removeprefix(head)
+
+
+def binary_stl(path, triangles, count=None, head=b"made by hand"):
+    """A binary STL of triangles (t, 3, 3) that says it holds `count`."""
+    parts = [head.ljust(80), struct.pack("<I", len(triangles) if count is None else count)]
+    parts += [struct.pack("<12fH", 0.0, 0.0, 0.0, *np.ravel(triangle), 0) for triangle in triangles]
+    path.write_bytes(b"".join(parts))
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "vtk", "vtu"])
+def test_every_kind_of_file_gives_the_same_mesh(tmp_path, kind):
+    points, corners = cube()
+    write(tmp_path / f"cube.{kind}", points, corners)
+    (mesh,) = plan_of(tmp_path, f"cube.{kind}").meshes.values()
+    assert (mesh.triangle_count, len(mesh.points), mesh.links.open_count) == (12, 8, 0)
+    order = np.lexsort(mesh.points.T[::-1])
+    np.testing.assert_array_equal(mesh.points[order], points)
+
+
+def test_binary_stl_is_read_whatever_its_head_says(tmp_path):
+    points, corners = cube()
+    for head in (b"solid cube", b"", b"solid \0"):
+        binary_stl(tmp_path / "cube.stl", points[corners], head=head)
+        mesh = mesh_of(read_triangles(tmp_path / "cube.stl"))
+        assert (mesh.triangle_count, len(mesh.points)) == (12, 8)
+
+
+def test_meshes_are_scaled_then_turned_then_shifted(tmp_path):
+    """A quarter turn about z takes (x, y) to (-y, x), one about x then takes (y, z) to (-z, y)."""
+    points, corners = cube()
+    write(tmp_path / "cube.ply", points * [1.0, 2.0, 3.0], corners)
+    turns = "[{axis: [0, 0, 2], angle: 90 deg}, {axis: [1, 0, 0], angle: 90 deg}]"
+    more = f", scale: 0.1, rotate: {turns}, translate: [0, 0, 1 cm]"
+    (mesh,) = plan_of(tmp_path, "cube.ply", more).meshes.values()
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    np.testing.assert_allclose(low, [-0.2, -0.3, 0.01], atol=1e-15)
+    np.testing.assert_allclose(high, [0.0, 0.0, 0.11], atol=1e-15)
+
+
+def test_files_that_are_no_walls(tmp_path):
+    points, corners = cube()
+    triangles = points[corners]
+    assert problem(tmp_path, "none.stl") == "does not exist."
+    (tmp_path / "empty.stl").write_bytes(b"")
+    assert problem(tmp_path, "empty.stl") == "is empty."
+    binary_stl(tmp_path / "lies.stl", triangles, count=2**32 - 1)
+    assert problem(tmp_path, "lies.stl") == (
+        "says it holds 4294967295 triangles, but has room for 12: it is cut short or damaged."
+    )
+    (tmp_path / "short.stl").write_bytes(b"\0" * 50)
+    assert problem(tmp_path, "short.stl") == "is cut short: it has 50 bytes, fewer than the head of an STL file."
+    binary_stl(tmp_path / "nan.stl", np.where(triangles == 1.0, np.nan, triangles))
+    assert problem(tmp_path, "nan.stl") == "has 12 triangles with coordinates that are no numbers."
+    binary_stl(tmp_path / "flat.stl", triangles * [1, 0, 0])
+    assert problem(tmp_path, "flat.stl") == "has no triangle with an area."
+    (tmp_path / "mesh.step").write_text("ISO-10303-21")
+    assert problem(tmp_path, "mesh.step") == (
+        "is no kind of file that is read here; the kinds are stl, obj, ply, vtk, vtu."
+    )
+    meshio.write(tmp_path / "solid.vtu", meshio.Mesh(points, [("tetra", [[0, 1, 2, 4]])]))
+    assert problem(tmp_path, "solid.vtu") == (
+        "holds 1 tetra, but a wall is made of triangles; write out its surface alone."
+    )
+    for name in ("cube.ply", "cube.vtu", "cube.vtk", "cube.obj"):
+        write(tmp_path / name, points, corners)
+        whole = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    assert problem(tmp_path, "cube.vtu").startswith("cannot be read as VTU: ")
+    assert problem(tmp_path, "cube.ply").startswith("cannot be read as PLY: ")
+    assert problem(tmp_path, "cube.vtk").startswith("cannot be read as VTK: ")
+    assert problem(tmp_path, "cube.obj").startswith("cannot be read as OBJ: ")
+
+
+def test_files_lie_in_the_scenes_folder(tmp_path):
+    folder, beside = tmp_path / "scenes", tmp_path / "secret.stl"
+    (folder / "parts").mkdir(parents=True)
+    binary_stl(beside, cube()[0][cube()[1]])
+    (folder / "link.stl").symlink_to(beside)
+    assert problem(folder, "link.stl") == (
+        "leads out of the scene's folder by a symbolic link; put the file itself there."
+    )
+    binary_stl(folder / "parts" / "cube.stl", cube()[0][cube()[1]])
+    assert plan_of(folder, "parts/cube.stl").meshes[0].triangle_count == 12
+    for path in ("../secret.stl", "/secret.stl", "parts/../../secret.stl"):
+        with pytest.raises(SceneError) as error:
+            plan_of(folder, path)
+        assert str(error.value) == (
+            f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {path}, but the file must lie in the scene's folder, "
+            "or below it; give its path from there."
+        )
+
+
+def test_millimetres_are_noticed(tmp_path):
+    points, corners = cube()
+    binary_stl(tmp_path / "cube.stl", 1000.0 * points[corners])
+    assert problem(tmp_path, "cube.stl") == (
+        "is 1.73e+03 m large, 333 times the domain: in millimetres it needs scale: 0.001."
+    )
+    assert plan_of(tmp_path, "cube.stl", ", scale: 0.001").warnings == ()
+    (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 0.02").warnings
+    assert warning == (
+        "walls.floor: 34.6 m large, 6.67 times the domain: if the file is in millimetres, set scale: 0.001."
+    )
+    (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 1e-6").warnings
+    assert warning == "walls.floor: 0.00173 m large, less than the smallest particle; see scale."
+    (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 0.001, translate: [5, 0, 0]").warnings
+    assert warning == "walls.floor: wholly outside the domain; see scale and translate."
+
+
+def test_what_was_left_out_and_what_is_open_is_said(tmp_path):
+    points, corners = sheet(4)
+    triangles = points[corners]
+    useless = [triangles[0][::-1], triangles[3], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]]
+    binary_stl(tmp_path / "sheet.stl", np.concatenate([triangles, useless]))
+    plan = plan_of(tmp_path, "sheet.stl")
+    assert plan.warnings == (
+        "walls.floor: 1 triangle without area left out.",
+        "walls.floor: 2 triangles left out of those that are there twice.",
+    )
+    said = " ".join(explain(plan).split())
+    assert "floor 32 triangles 1 x 1 x 0 m" in said
+    assert "16 open edges: not watertight, which a hopper or a plate need not be" in said
+    assert "mesh walls on walls.floor is one" in said
