@@ -104,6 +104,7 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
     for count, what, warning in (
         (mesh.quad_count, "four-sided face{} cut in two", False),
+        (mesh.divided_count, "triangle{} divided where corners of others lie on their edges", False),
         (mesh.links.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
         (mesh.links.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
         (mesh.degenerate_count, "triangle{} without area left out", True),
