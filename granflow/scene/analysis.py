@@ -11,6 +11,7 @@ from granflow.scene.fields import (
     Count,
     Counts,
     Fault,
+    KeptLength,
     Model,
     Names,
     Number,
@@ -77,7 +78,7 @@ class LaceyIndex(CellGrid):
     kind: Literal["lacey"] = Field(description="kind of index")
     groups: Names | None = Field(None, description="groups whose grains are the one kind")
     materials: Names | None = Field(None, description="materials whose grains are the one kind")
-    smaller_than: PositiveLength | None = Field(None, description="diameter below which grains are the one kind [m]")
+    smaller_than: KeptLength | None = Field(None, description="diameter below which grains are the one kind [m]")
     at_least: Count = Field(10, description="grains that a cell must hold to count")
 
     def faults(self) -> Iterator[Fault]:
@@ -119,15 +120,24 @@ class CoordinationIndex(Model):
     region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
 
 
+class ContentIndex(Model):
+    """What is in a box: grains whose centre is inside, whole."""
+
+    kind: Literal["content"] = Field(description="kind of index")
+    region: Box = Field(description="the box whose grains are counted")
+
+
 AnyIndex = Annotated[
     Annotated[LaceyIndex, Tag("<lacey>")]
     | Annotated[ReposeIndex, Tag("<repose>")]
     | Annotated[FabricIndex, Tag("<fabric>")]
-    | Annotated[CoordinationIndex, Tag("<coordination>")],
+    | Annotated[CoordinationIndex, Tag("<coordination>")]
+    | Annotated[ContentIndex, Tag("<content>")],
     choice("kind"),
 ]
 
 QUANTITIES_OF = {
+    "content": ("content_count", "content_mass", "content_volume"),
     "lacey": ("lacey_index",),
     "repose": ("angle_of_repose", "angle_of_repose_error"),
     "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),

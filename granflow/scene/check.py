@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement, product
 
 from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
 from granflow.scene.check_analysis import expected_indices, field_grids, indices
+from granflow.scene.check_domain import shear
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
@@ -280,10 +281,16 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
     return low, high  # type: ignore[return-value]
 
 
+def _counted(scene: Scene) -> list[str]:
+    """Names of flow meters, and of what each counts by itself, as `outlet.glass`."""
+    names = scene.output.meters
+    return [*names, *(f"{name}.{part}" for name in names for part in scene.meter_parts(name))]
+
+
 def _parts(draft: Draft) -> Iterator[Finding]:
     """Expectations of flow meters, outlets and groups that exist."""
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
-        (METER_QUANTITIES, draft.scene.output.meters, "meter"),
+        (METER_QUANTITIES, _counted(draft.scene), "meter"),
         (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
         (FEED_QUANTITIES, _coming_in(draft), "stream"),
     )
@@ -347,6 +354,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("stages", "run"), _duration),
     (("gravity",), _gamma),
     (("domain",), _regions),
+    (("domain", "particles", "output"), shear),
     (("output", "expect"), _parts),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), indices),

@@ -4,6 +4,7 @@ Physics has no hidden defaults: what the outcome rests on must be written. What 
 defaults, all of them in `Run` and `Numerics`.
 """
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -34,6 +35,7 @@ from granflow.scene.fields import (
     Seed,
     Speed,
     Text,
+    Time,
     couple,
     listing,
 )
@@ -124,6 +126,7 @@ __all__ = [
     "Run",
     "Scene",
     "Servo",
+    "Shear",
     "SizeClass",
     "Stage",
     "Translation",
@@ -133,10 +136,28 @@ __all__ = [
     "Wall",
 ]
 
+RIGHT_ANGLE = 1e-6
+"""Largest cosine of an angle that counts as a right one."""
+
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+ShearRate = Annotated[float, Number("rate", noun="a rate of shear")]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True, words=("auto",))]
+
+
+class Shear(Model):
+    """The images of the box across two periodic faces move along them: uniform shear without walls (Lees-Edwards)."""
+
+    velocity_along: Literal["x", "y", "z"] = Field(description="axis of the velocity")
+    gradient_along: Literal["x", "y", "z"] = Field(description="axis across which the velocity changes")
+    rate: ShearRate = Field(description="velocity over height [1/s]; negative: the other way")
+    start: Time = Field(0.0, description="time from which on the images move [s]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Two axes."""
+        if self.velocity_along == self.gradient_along:
+            yield Fault(("gradient_along",), "velocity_along is the same axis; give another")
 
 
 class Domain(Box):
@@ -145,6 +166,7 @@ class Domain(Box):
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
         (), description="axes along which opposite faces are one, such as [x, y]"
     )
+    shear: Shear | None = Field(None, description="uniform shear through two periodic axes")
     leaving: Literal["delete", "error", "grow"] = Field(
         description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
         "nothing, the domain grows with them"
@@ -156,6 +178,9 @@ class Domain(Box):
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
                 yield Fault(("periodic", index), "it is there already; name each axis once")
+        for key in ("velocity_along", "gradient_along") if self.shear else ():
+            if getattr(self.shear, key) not in self.periodic:
+                yield Fault(("shear", key), "domain.periodic does not have it; both axes of a shear are periodic")
 
 
 class Stage(Model):
@@ -210,11 +235,36 @@ class Numerics(Model):
 
 
 class Meter(Model):
-    """A flow meter: the mass beyond a plane, or beyond a disc of it, with what was deleted there."""
+    """A flow meter: the mass through a plane, or a disc or rectangle of it, with what was deleted there."""
 
-    point: Point = Field(description="a point on the plane; the centre, if there is a radius [m]")
+    point: Point = Field(
+        description="a point on the plane; the centre, if there is a radius, a corner, if there are sides [m]"
+    )
     normal: Direction = Field(description="direction counted as forward; its length does not matter")
     radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
+    sides: Annotated[tuple[Point, Point], couple("two edge vectors")] | None = Field(
+        None, description="the two edges of a rectangle from the point, perpendicular to each other and the normal [m]"
+    )
+    by: Literal["material", "group"] | None = Field(
+        None, description="count every material, or group of particles, by itself too"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A disc or a rectangle; sides at right angles to each other and to the normal."""
+        if self.sides is None:
+            return
+        if self.radius is not None:
+            yield Fault(("sides",), "radius is given too: keep one of them")
+        (a, b), lengths = self.sides, [math.hypot(*each) for each in (*self.sides, self.normal)]
+        if not all(lengths):
+            yield Fault(("sides",), "a side must have a length above 0")
+            return
+        cosines = [
+            abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
+            for first, second, i, j in ((a, b, 0, 1), (a, self.normal, 0, 2), (b, self.normal, 1, 2))
+        ]
+        if max(cosines) > RIGHT_ANGLE:
+            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 
 class Checkpoints(Model):
@@ -330,6 +380,11 @@ class Scene(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    def meter_parts(self, name: str) -> tuple[str, ...]:
+        """Names of the materials, or groups, that a flow meter counts by themselves."""
+        by = self.output.meters[name].by
+        return () if by is None else tuple(self.materials if by == "material" else self.particles)
 
     @property
     def loaded_walls(self) -> tuple[str, ...]:

@@ -148,6 +148,7 @@ def test_a_scene_has_its_indices_by_name():
     scene = scene_with(
         **{way: {"kind": "lacey", "cell": 0.2, "region": region, way: of} for way, of in ways.items()},
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, grains={"kind": "coordination"},
+        half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
     )  # fmt: skip
     kind = np.arange(5000) % 2
     particles = particles_of(
@@ -166,6 +167,10 @@ def test_a_scene_has_its_indices_by_name():
     values = [meters[way].readings()["lacey_index"] for way in ways]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["grains"].readings()["coordination_number"] == 3.0
+    there = particles["position"][:, 0] <= 0.5
+    volume = 4.0 / 3.0 * np.pi * (particles["radius"][there] ** 3).sum()
+    expected = [there.sum(), particles["mass"][there].sum(), volume]
+    assert list(meters["half"].readings().values()) == pytest.approx(expected)
 
 
 def test_upwards_is_against_gravity():
