@@ -26,7 +26,7 @@ def stand_ins(monkeypatch, tmp_path):
 
         def __init__(self, scene, **options):
             calls.simulation = options
-            self.plan = types.SimpleNamespace(step=types.SimpleNamespace(warnings=calls.warnings))
+            self.plan = types.SimpleNamespace(warnings=calls.warnings)
 
         def run(self, until=None):
             calls.until = until
