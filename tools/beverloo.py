@@ -6,8 +6,8 @@
     W = C rho_b sqrt(g) (D - k d)^(5/2)        (Beverloo, Leniger & van de Velde 1961)
 
 Prints the flow through every hole, that of the first and of the second half of the time, the exponent at k = 1.4
-(spheres), and the k at the exponent 5/2. Each run writes its files into a folder of its own; those that are there are
-not run again.
+(spheres), and k and C at the exponent 5/2. Each run writes its files into a folder of its own; those that are there are
+not run again, and `granflow beverloo` reads them, too.
 """
 
 import argparse
@@ -17,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow.study.beverloo import Discharge, fit_beverloo
+
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "flat_silo.yaml"
 HOLES = "18,21,24,28,32"
 GRAIN = 4.0
@@ -24,6 +26,9 @@ GRAIN = 4.0
 
 OFFSET = 1.4
 """k of Beverloo for spheres."""
+
+BULK_DENSITY = 1450.0
+"""Of the bed before it is opened [kg/m3]: a solid fraction of 0.58."""
 
 FALLEN = 1200
 """Beads to wait for: less than a third of them, so that the heap stays higher than the hole is wide."""
@@ -69,12 +74,6 @@ def exponent(flows: list[Flow], grain: float = GRAIN, offset: float = OFFSET) ->
     return slope, float(np.sqrt(max(scatter, 1.0) / spread))
 
 
-def offset_at(flows: list[Flow], power: float = 2.5, grain: float = GRAIN) -> tuple[float, float]:
-    """k and C rho_b sqrt(g) [kg/s/m^2.5] where the exponent is `power`: W^(1/power) is a straight line of D."""
-    slope, cut = np.polyfit([flow.hole for flow in flows], [flow.rate ** (1 / power) for flow in flows], 1)
-    return float(-cut / slope / grain), float((slope * 1e3) ** power)
-
-
 def read_flow(folder: Path, hole: float) -> Flow:
     """The flow of a run from its timeseries.csv, from START after the opening to the end."""
     with (folder / "timeseries.csv").open(encoding="utf-8", newline="") as file:
@@ -88,7 +87,7 @@ def read_flow(folder: Path, hole: float) -> Flow:
 def overrides(hole: float) -> list[str]:
     """The scene with another hole, open until about FALLEN beads have passed."""
     width = max(hole - OFFSET * GRAIN, GRAIN) * 1e-3
-    expected = 0.5 * 1450 * np.sqrt(9.81) * width**2.5 / (2500 * np.pi / 6 * (GRAIN * 1e-3) ** 3)
+    expected = 0.5 * BULK_DENSITY * np.sqrt(9.81) * width**2.5 / (2500 * np.pi / 6 * (GRAIN * 1e-3) ** 3)
     places = ("walls.plug.radius", "walls.floor.hole_radius", "output.meters.outlet.radius")
     return [
         *(f"{place}={hole / 2} mm" for place in places),
@@ -116,9 +115,11 @@ def report(flows: list[Flow]) -> str:
     for flow in flows:
         rate, first, second = (1e3 * each for each in (flow.rate, *flow.halves))
         lines.append(f"{flow.hole:7.1f} {rate:9.2f} {flow.error / flow.rate:7.1%} {first:9.2f} {second:9.2f}")
+    data = Discharge(*(np.array(each) for each in zip(*((1e-3 * flow.hole, flow.rate) for flow in flows), strict=True)))
+    fit = fit_beverloo(data, 1e-3 * GRAIN, BULK_DENSITY)
     lines += [
         "exponent at k = {:.1f}: {:.3f} +- {:.3f}".format(OFFSET, *exponent(flows)),
-        "k at 5/2: {:.2f}, with C rho_b sqrt(g) = {:.0f} kg/s/m^2.5".format(*offset_at(flows)),
+        f"at the exponent 5/2: k = {fit.k:.2f} +- {fit.k_error:.2f}, C = {fit.c:.3f} +- {fit.c_error:.3f}",
     ]
     changes = [second / first - 1 for first, second in (flow.halves for flow in flows)]
     lines.append(

@@ -11,6 +11,7 @@ from granflow.errors import GranflowError
 
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
+    *("fields_*.pvd", "fields_*.vtu", "measured/fields_*.pvd", "measured/fields_*.vtu", "measured/measured.csv"),
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
     *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
 )

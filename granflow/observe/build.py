@@ -44,7 +44,7 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters and wall loads."""
     border = Border.of(scene.domain)
     meters = {
-        name: FlowMeter(meter.point, meter.normal, meter.radius, border)
+        name: FlowMeter(meter.point, meter.normal, meter.radius, border, meter.sides, meter.by, scene.meter_parts(name))
         for name, meter in (scene.output.meters or {}).items()
     }
     loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}

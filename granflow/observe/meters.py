@@ -13,27 +13,67 @@ from granflow.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class _Look:
-    """What a meter remembers of its last look; `distance` [m] beyond the plane."""
+    """What a meter remembers of its last look; `distance` [m] beyond the plane, `kind`: number of the part."""
 
     id: np.ndarray
     mass: np.ndarray
     position: np.ndarray
     distance: np.ndarray
+    kind: np.ndarray
 
 
-_LOOK = ("id", "mass", "position", "distance")
+_LOOK = ("id", "mass", "position", "distance", "kind")
+
+
+class Tally:
+    """Net mass [kg] and number of particles so far, and how the mass came to be: (time [s], stage, mass [kg])."""
+
+    def __init__(self) -> None:
+        self.mass, self.count = 0.0, 0
+        self.history: list[tuple[float, str, float]] = []
+
+    def add(self, mass: np.ndarray, direction: np.ndarray) -> None:
+        """Count particles of masses (n,), each 1 forward or -1 back (n,)."""
+        self.mass += float((mass * direction).sum())
+        self.count += int(direction.sum())
+
+    def mass_flow(self) -> float:
+        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        if len(self.history) < 2:
+            return 0.0
+        (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
+        return (mass_now - mass_before) / (time_now - time_before)
+
+    def readings(self) -> list[float]:
+        """Mass, number, and mass flow since the look before, in the order of METER_QUANTITIES."""
+        return [self.mass, self.count, self.mass_flow()]
+
+    def result(self) -> dict[str, float]:
+        """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
+        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+
+    def keep(self) -> dict[str, Any]:
+        """All of it."""
+        return {"mass": self.mass, "count": self.count, "history": self.history}
+
+    def put_back(self, kept: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        self.mass, self.count = kept["mass"], kept["count"]
+        self.history = [(time, stage, mass) for time, stage, mass in kept["history"]]
 
 
 class FlowMeter:
-    """Net mass and number of particles through a plane, or through a disc in it if a radius is given.
+    """Net mass and number of particles through a plane, or through a disc or a rectangle in it.
 
-    `point` (3,) [m] on the plane and centre of the disc, `normal` (3,) the direction that counts as forward,
-    `radius` [m], `border` of a periodic box. Particles are followed by id from look to look:
+    `point` (3,) [m] on the plane, centre of the disc of `radius` [m] or corner of the rectangle with the edges
+    `sides` (2, 3) [m]; `normal` (3,) the direction that counts as forward; `border` of a periodic box; `by`:
+    "material" or "group", each of which, by the names `parts`, gets a tally of its own. Particles are followed by id
+    from look to look:
 
     - a centre that changed sides crossed where the straight line between the two looks cuts the plane; it
-      counts if that is within the radius, forward as plus and back as minus;
-    - a particle deleted since the last look counts as crossed if it was then on the near side and no
-      further than the radius from the axis: it left the domain too fast to be seen on the far side;
+      counts if that is within the disc or rectangle, forward as plus and back as minus;
+    - a particle deleted since the last look counts as crossed if it was then on the near side and straight
+      before the disc or rectangle: it left the domain too fast to be seen on the far side;
     - in a periodic box the line goes to the nearest image: who comes in again on the other side has not gone back;
     - what stood on the far side at the first look, or was put in there, never counts.
     """
@@ -44,51 +84,72 @@ class FlowMeter:
         normal: Sequence[float],
         radius: float | None = None,
         border: Border | None = None,
+        sides: Sequence[Sequence[float]] | None = None,
+        by: str | None = None,
+        parts: Sequence[str] = (),
     ) -> None:
         self.point = np.asarray(point, dtype=np.float64)
         self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
         self.radius = np.inf if radius is None else radius
-        self._border = border
-        self.mass = 0.0
-        self.count = 0
-        self.history: list[tuple[float, str, float]] = []
+        self.sides = None if sides is None else np.asarray(sides, dtype=np.float64)
+        self._border, self._by = border, by
+        self.total = Tally()
+        self.parts = {name: Tally() for name in parts}
         self._last: _Look | None = None
 
+    @property
+    def mass(self) -> float:
+        """Net mass [kg] so far."""
+        return self.total.mass
+
+    @property
+    def count(self) -> int:
+        """Net number of particles so far."""
+        return self.total.count
+
+    @property
+    def history(self) -> list[tuple[float, str, float]]:
+        """Time [s], stage and mass [kg] at every look."""
+        return self.total.history
+
+    def tallies(self) -> dict[str, Tally]:
+        """The tally of everything under "", and those of the parts by name."""
+        return {"": self.total, **self.parts}
+
     def look(self, snapshot: Snapshot) -> None:
-        """Count what passed since the last look; needs id, mass and position of the particles."""
+        """Count what passed since the last look; needs id, mass and position of the particles, and `by`."""
         now = self._look_at(snapshot)
         if self._last is not None:
             self._count_crossed(self._last, now)
             self._count_deleted(self._last, now)
         self._last = now
-        self.history.append((snapshot.time, snapshot.stage, self.mass))
+        for tally in self.tallies().values():
+            tally.history.append((snapshot.time, snapshot.stage, tally.mass))
 
     def mass_flow(self) -> float:
         """Mass flow [kg/s] between the last two looks, 0 after the first."""
-        if len(self.history) < 2:
-            return 0.0
-        (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
-        return (mass_now - mass_before) / (time_now - time_before)
+        return self.total.mass_flow()
 
     def result(self) -> dict[str, float]:
-        """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
-        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+        """Numbers of everything at the end, see Tally."""
+        return self.total.result()
 
     def keep(self) -> dict[str, Any]:
-        """Counts, history and the last look."""
+        """Counts, histories and the last look."""
         last = {} if self._last is None else {name: getattr(self._last, name) for name in _LOOK}
-        return {"mass": self.mass, "count": self.count, "history": self.history, "last": last}
+        return {"tallies": {name: tally.keep() for name, tally in self.tallies().items()}, "last": last}
 
     def put_back(self, kept: dict[str, Any]) -> None:
         """Go on counting from there."""
-        self.mass, self.count = kept["mass"], kept["count"]
-        self.history = [(time, stage, mass) for time, stage, mass in kept["history"]]
+        for name, tally in self.tallies().items():
+            tally.put_back(kept["tallies"][name])
         self._last = _Look(**kept["last"]) if kept["last"] else None
 
     def _look_at(self, snapshot: Snapshot) -> _Look:
         particles = snapshot.particles
         distance = (particles["position"] - self.point) @ self.normal
-        return _Look(particles["id"], particles["mass"], particles["position"], distance)
+        kind = np.zeros(len(distance), np.int32) if self._by is None else particles[self._by]
+        return _Look(particles["id"], particles["mass"], particles["position"], distance, kind)
 
     def _count_crossed(self, last: _Look, now: _Look) -> None:
         _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
@@ -98,7 +159,7 @@ class FlowMeter:
             entered = self._crossing(self._border.beside(start, end), end)
             direction = np.where(direction == 0, entered, direction)
         crossed = direction != 0
-        self._add(now.mass[after][crossed], direction[crossed])
+        self._add(now.mass[after][crossed], direction[crossed], now.kind[after][crossed])
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """1, -1 or 0 (n,) for ways (n, 3) [m] through the meter forward, back or not at all."""
@@ -106,17 +167,26 @@ class FlowMeter:
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         way = first / np.where(direction == 0, 1.0, first - last)
         place = start + way[:, None] * (end - start)
-        return np.where(np.linalg.norm(place - self.point, axis=1) <= self.radius, direction, 0)
+        return np.where(self._within(place), direction, 0)
+
+    def _within(self, place: np.ndarray) -> np.ndarray:
+        """Whether points (n, 3) of the plane lie in the disc or rectangle."""
+        apart = place - self.point
+        if self.sides is None:
+            return np.asarray(np.linalg.norm(apart, axis=1) <= self.radius)
+        share = apart @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
+        return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
 
     def _count_deleted(self, last: _Look, now: _Look) -> None:
-        in_plane = last.position - self.point - last.distance[:, None] * self.normal
-        near = (last.distance <= 0) & (np.linalg.norm(in_plane, axis=1) <= self.radius)
+        foot = last.position - last.distance[:, None] * self.normal
+        near = (last.distance <= 0) & self._within(foot)
         deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
-        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int))
+        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int), last.kind[deleted])
 
-    def _add(self, mass: np.ndarray, direction: np.ndarray) -> None:
-        self.mass += float((mass * direction).sum())
-        self.count += int(direction.sum())
+    def _add(self, mass: np.ndarray, direction: np.ndarray, kind: np.ndarray) -> None:
+        self.total.add(mass, direction)
+        for number, tally in enumerate(self.parts.values()):
+            tally.add(mass[kind == number], direction[kind == number])
 
 
 def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 from granflow.observe.indices.meter import IndexMeter
 from granflow.observe.loads import LoadMeter
-from granflow.observe.meters import FlowMeter
+from granflow.observe.meters import FlowMeter, Tally
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
 from granflow.quantities import (
@@ -79,8 +79,13 @@ class TimeSeries:
             self._file = None
 
     def results(self) -> dict[str, dict[str, float]]:
-        """Numbers of every meter at the end, by the meter's name."""
-        return {name: meter.result() for name, meter in self.meters.items()}
+        """Numbers of every meter at the end, by the meter's name, and of its parts, as `outlet.glass`."""
+        return {name: tally.result() for name, tally in self._tallies().items()}
+
+    def _tallies(self) -> dict[str, Tally]:
+        """What the meters count, by their names and those of the parts."""
+        meters = self.meters.items()
+        return {f"{name}.{part}".rstrip("."): tally for name, each in meters for part, tally in each.tallies().items()}
 
     def all_results(self) -> dict[str, dict[str, dict[str, float]]]:
         """Numbers at the end of every meter, measured wall and index, by its name."""
@@ -145,14 +150,13 @@ class TimeSeries:
             self._size, self._unwritten = self._size + written, self._unwritten[written:]
 
     def _readings(self) -> list[float]:
-        meters = self.meters.values()
-        flows = [number for meter in meters for number in (meter.mass, meter.count, meter.mass_flow())]
+        flows = [number for tally in self._tallies().values() for number in tally.readings()]
         loads = [number for load in self.loads.values() for number in load.readings().values()]
         return flows + loads + [number for index in self.indices.values() for number in index.readings().values()]
 
     def _meter_labels(self) -> list[str]:
         quantities = METER_QUANTITIES.values()
-        flows = [quantity.label_of(name) for name in self.meters for quantity in quantities]
+        flows = [quantity.label_of(name) for name in self._tallies() for quantity in quantities]
         loads = [LOAD_QUANTITIES[each].label_of(name) for name, load in self.loads.items() for each in load.readings()]
         known, indices = INDEX_QUANTITIES, self.indices.items()
         return flows + loads + [known[each].label_of(name) for name, index in indices for each in index.readings()]

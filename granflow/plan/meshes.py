@@ -9,7 +9,7 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.scene import Scene
-from granflow.scene.schema import MeshWall
+from granflow.scene.schema import MeshWall, Wall
 from granflow.walls.mesh import Mesh, mesh_of
 from granflow.walls.mesh_file import MeshFileError, read_triangles
 from granflow.walls.motion import rotation_matrices
@@ -82,8 +82,12 @@ def _placed(wall: MeshWall, mesh: Mesh) -> Mesh:
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     share = _size(mesh) / _domain_size(scene)
     if share > FAR_TOO_LARGE:
-        remedy = f"in millimetres it needs scale: {wall.scale / MILLIMETRES:g}"
-        raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {remedy}")
+        raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
+
+
+def _remedy(wall: Wall) -> str:
+    scale = wall.scale / MILLIMETRES if isinstance(wall, MeshWall) else 1.0
+    return f"if the file is in millimetres, set scale: {scale:g}"
 
 
 def _size(mesh: Mesh) -> float:
@@ -100,6 +104,7 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
     for count, what, warning in (
         (mesh.quad_count, "four-sided face{} cut in two", False),
+        (mesh.divided_count, "triangle{} divided where corners of others lie on their edges", False),
         (mesh.links.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
         (mesh.links.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
         (mesh.degenerate_count, "triangle{} without area left out", True),
@@ -107,17 +112,17 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     ):
         if count:
             yield MeshNote(name, f"{count} {what.format('s' if count > 1 else '')}", warning)
-    doubt = _doubt(scene, mesh, smallest)
+    doubt = _doubt(scene, name, mesh, smallest)
     if doubt:
         yield MeshNote(name, doubt, True)
 
 
-def _doubt(scene: Scene, mesh: Mesh, smallest: float) -> str | None:
+def _doubt(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
     """What is probably not meant."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     size, share = _size(mesh), _size(mesh) / _domain_size(scene)
     if share > TOO_LARGE:
-        return f"{size:.3g} m large, {share:.3g} times the domain: if the file is in millimetres, set scale: 0.001"
+        return f"{size:.3g} m large, {share:.3g} times the domain: {_remedy(scene.walls[name])}"
     if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):
         return "wholly outside the domain; see scale and translate"
     if size < smallest:

@@ -119,15 +119,24 @@ class CoordinationIndex(Model):
     region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
 
 
+class ContentIndex(Model):
+    """What is in a box: grains whose centre is inside, whole."""
+
+    kind: Literal["content"] = Field(description="kind of index")
+    region: Box = Field(description="the box whose grains are counted")
+
+
 AnyIndex = Annotated[
     Annotated[LaceyIndex, Tag("<lacey>")]
     | Annotated[ReposeIndex, Tag("<repose>")]
     | Annotated[FabricIndex, Tag("<fabric>")]
-    | Annotated[CoordinationIndex, Tag("<coordination>")],
+    | Annotated[CoordinationIndex, Tag("<coordination>")]
+    | Annotated[ContentIndex, Tag("<content>")],
     choice("kind"),
 ]
 
 QUANTITIES_OF = {
+    "content": ("content_count", "content_mass", "content_volume"),
     "lacey": ("lacey_index",),
     "repose": ("angle_of_repose", "angle_of_repose_error"),
     "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),

@@ -280,10 +280,16 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
     return low, high  # type: ignore[return-value]
 
 
+def _counted(scene: Scene) -> list[str]:
+    """Names of flow meters, and of what each counts by itself, as `outlet.glass`."""
+    names = scene.output.meters
+    return [*names, *(f"{name}.{part}" for name in names for part in scene.meter_parts(name))]
+
+
 def _parts(draft: Draft) -> Iterator[Finding]:
     """Expectations of flow meters, outlets and groups that exist."""
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
-        (METER_QUANTITIES, draft.scene.output.meters, "meter"),
+        (METER_QUANTITIES, _counted(draft.scene), "meter"),
         (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
         (FEED_QUANTITIES, _coming_in(draft), "stream"),
     )

@@ -4,6 +4,7 @@ Physics has no hidden defaults: what the outcome rests on must be written. What 
 defaults, all of them in `Run` and `Numerics`.
 """
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -133,6 +134,9 @@ __all__ = [
     "Wall",
 ]
 
+RIGHT_ANGLE = 1e-6
+"""Largest cosine of an angle that counts as a right one."""
+
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
@@ -210,11 +214,36 @@ class Numerics(Model):
 
 
 class Meter(Model):
-    """A flow meter: the mass beyond a plane, or beyond a disc of it, with what was deleted there."""
+    """A flow meter: the mass through a plane, or a disc or rectangle of it, with what was deleted there."""
 
-    point: Point = Field(description="a point on the plane; the centre, if there is a radius [m]")
+    point: Point = Field(
+        description="a point on the plane; the centre, if there is a radius, a corner, if there are sides [m]"
+    )
     normal: Direction = Field(description="direction counted as forward; its length does not matter")
     radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
+    sides: Annotated[tuple[Point, Point], couple("two edge vectors")] | None = Field(
+        None, description="the two edges of a rectangle from the point, perpendicular to each other and the normal [m]"
+    )
+    by: Literal["material", "group"] | None = Field(
+        None, description="count every material, or group of particles, by itself too"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A disc or a rectangle; sides at right angles to each other and to the normal."""
+        if self.sides is None:
+            return
+        if self.radius is not None:
+            yield Fault(("sides",), "radius is given too: keep one of them")
+        (a, b), lengths = self.sides, [math.hypot(*each) for each in (*self.sides, self.normal)]
+        if not all(lengths):
+            yield Fault(("sides",), "a side must have a length above 0")
+            return
+        cosines = [
+            abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
+            for first, second, i, j in ((a, b, 0, 1), (a, self.normal, 0, 2), (b, self.normal, 1, 2))
+        ]
+        if max(cosines) > RIGHT_ANGLE:
+            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 
 class Checkpoints(Model):
@@ -330,6 +359,11 @@ class Scene(Model):
     def schedule(self) -> tuple[Stage, ...]:
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    def meter_parts(self, name: str) -> tuple[str, ...]:
+        """Names of the materials, or groups, that a flow meter counts by themselves."""
+        by = self.output.meters[name].by
+        return () if by is None else tuple(self.materials if by == "material" else self.particles)
 
     @property
     def loaded_walls(self) -> tuple[str, ...]:

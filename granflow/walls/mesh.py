@@ -1,6 +1,6 @@
 """A wall of triangles at rest: welded points, sound triangles, and what was left out of them. numpy only."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from granflow.walls.mesh_file import Soup
 from granflow.walls.mesh_links import Links, link
+from granflow.walls.mesh_split import divided
 from granflow.walls.shape import distance_from_axis
 
 WELD = 1e-6
@@ -23,6 +24,7 @@ class Mesh:
     degenerate_count: int = 0
     duplicate_count: int = 0
     quad_count: int = 0
+    divided_count: int = 0
 
     @cached_property
     def links(self) -> Links:
@@ -64,11 +66,11 @@ class Mesh:
         points = self.points * scale
         if not np.array_equal(rotation, np.eye(3)):
             points = points @ rotation.T
-        return Mesh(points + offset, self.corners, self.degenerate_count, self.duplicate_count, self.quad_count)
+        return replace(self, points=points + offset)
 
 
 def mesh_of(soup: Soup) -> Mesh:
-    """Weld the points, drop triangles without area and those that are there twice.
+    """Weld the points, drop triangles without area and those that are there twice, divide those that do not fit.
 
     Raises ValueError if none is left.
     """
@@ -84,8 +86,9 @@ def mesh_of(soup: Soup) -> Mesh:
     corners = corners[first]
     if not len(corners):
         raise ValueError("has no triangle with an area")
+    corners, split = divided(points, corners, tolerance)
     kept, corners = np.unique(corners, return_inverse=True)
-    return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, soup.quad_count)
+    return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, soup.quad_count, split)
 
 
 def first_of_each(rows: np.ndarray) -> np.ndarray:

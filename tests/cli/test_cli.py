@@ -188,8 +188,9 @@ def test_earlier_run_is_refused_and_replaced_only_by_force(stand_ins, capsys):
 @pytest.mark.parametrize("pattern", RESULT_FILES)
 def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
     make_room(tmp_path, force=False)
-    (tmp_path / "pictures").mkdir()
-    (tmp_path / pattern.replace("*", "0003")).touch()
+    path = tmp_path / pattern.replace("*", "0003")
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
     with pytest.raises(GranflowError, match="--force"):
         make_room(tmp_path, force=False)
 

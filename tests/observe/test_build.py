@@ -11,13 +11,15 @@ TRIANGLES = {"floor": (np.zeros((3, 3)), np.array([[0, 1, 2]]))}
 
 
 def scene_of(**output):
-    meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None)
+    meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None, sides=None, by=None)
     block = {
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
         "energy": False, "meters": {"outlet": meter}, "fields": {}, "indices": {}, **output,
     }  # fmt: skip
     domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), leaving="error")
-    return SimpleNamespace(output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=())
+    return SimpleNamespace(
+        output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=(), meter_parts=lambda name: ()
+    )
 
 
 def kinds(scene, triangles, path):

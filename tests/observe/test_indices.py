@@ -93,6 +93,16 @@ def test_slope_of_a_plane_of_known_angle(degrees):
     assert slope.angle == pytest.approx(np.radians(degrees), abs=np.radians(0.5) + 3.0 * slope.error)
 
 
+def test_where_a_region_ends_within_a_column_the_slope_is_the_same():
+    """A narrow slice, whose bounds leave slivers of columns of 6 mm counted from the origin."""
+    points, radius = heap(np.radians(24.0), "wedge")
+    low, high = [0.2517, -0.2163], [0.2943, -0.1977]
+    here = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    slope = slope_of_plane(points[here], radius[here], 0.006)
+    assert slope.angle == pytest.approx(np.radians(24.0), abs=np.radians(0.5) + 3.0 * slope.error)
+    assert slope.error < np.radians(2.0)
+
+
 def test_no_heap_has_no_slope():
     for slope_of in (slope_of_cone, slope_of_plane):
         assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
@@ -138,6 +148,7 @@ def test_a_scene_has_its_indices_by_name():
     scene = scene_with(
         **{way: {"kind": "lacey", "cell": 0.2, "region": region, way: of} for way, of in ways.items()},
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, grains={"kind": "coordination"},
+        half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
     )  # fmt: skip
     kind = np.arange(5000) % 2
     particles = particles_of(
@@ -156,6 +167,10 @@ def test_a_scene_has_its_indices_by_name():
     values = [meters[way].readings()["lacey_index"] for way in ways]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["grains"].readings()["coordination_number"] == 3.0
+    there = particles["position"][:, 0] <= 0.5
+    volume = 4.0 / 3.0 * np.pi * (particles["radius"][there] ** 3).sum()
+    expected = [there.sum(), particles["mass"][there].sum(), volume]
+    assert list(meters["half"].readings().values()) == pytest.approx(expected)
 
 
 def test_upwards_is_against_gravity():

@@ -84,3 +84,37 @@ def test_steady_flow_is_zero_where_nothing_flows(history):
 
 def test_steady_flow_counts_what_passes_between_the_last_look_of_one_stage_and_the_first_of_the_next():
     assert steady_flow([(0.0, "fill", 0.0), (1.0, "open", 1.0)]) == pytest.approx(1.0)
+
+
+def test_a_rectangle_counts_who_passes_within_its_sides():
+    meter = FlowMeter((0, 0, 1), (0, 0, -1), sides=((2, 0, 0), (0, 1, 0)))
+    above = {0: (1, 0.5, 2), 1: (1, 1.5, 2), 2: (2.5, 0.5, 2), 3: (-0.1, 0.5, 2), 4: (1.9, 0.1, 1.1)}
+    below = {i: (x, y, 0.5) for i, (x, y, z) in above.items() if i != 4}
+    assert seen(meter, above, below) == (2.0**0 + 2.0**4, 2)
+
+
+def test_materials_are_counted_by_themselves_too():
+    def look(meter, time, heights):
+        ids = np.array(sorted(heights))
+        arrays = {
+            "id": ids, "position": np.array([[0.0, 0.0, heights[i]] for i in ids]), "mass": 2.0**ids,
+            "material": ids % 2,
+        }  # fmt: skip
+        meter.look(snapshot_of(time=time, particles=arrays))
+
+    def meter():
+        return FlowMeter((0, 0, 1), (0, 0, -1), by="material", parts=("glass", "steel"))
+
+    whole, first, again = meter(), meter(), meter()
+    moments = ((0.0, {0: 2, 1: 2, 2: 2, 3: 2}), (1.0, {0: 0, 1: 2, 2: 0, 3: 0}), (2.0, {1: 0}))
+    for moment in moments:
+        look(whole, *moment)
+    for moment in moments[:2]:
+        look(first, *moment)
+    again.put_back(first.keep())
+    look(again, *moments[2])
+    assert whole.keep()["tallies"] == again.keep()["tallies"], "a meter that goes on counts as one that never stopped"
+    assert (whole.mass, whole.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
+    assert whole.parts["glass"].readings() == [5.0, 2, 0.0]
+    assert whole.parts["steel"].readings() == [10.0, 2, 2.0]
+    assert sum(tally.mass for tally in whole.parts.values()) == whole.mass

@@ -140,12 +140,12 @@ def test_millimetres_are_noticed(tmp_path):
     points, corners = cube()
     binary_stl(tmp_path / "cube.stl", 1000.0 * points[corners])
     assert problem(tmp_path, "cube.stl") == (
-        "is 1.73e+03 m large, 333 times the domain: in millimetres it needs scale: 0.001."
+        "is 1.73e+03 m large, 333 times the domain: if the file is in millimetres, set scale: 0.001."
     )
     assert plan_of(tmp_path, "cube.stl", ", scale: 0.001").warnings == ()
     (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 0.02").warnings
     assert warning == (
-        "walls.floor: 34.6 m large, 6.67 times the domain: if the file is in millimetres, set scale: 0.001."
+        "walls.floor: 34.6 m large, 6.67 times the domain: if the file is in millimetres, set scale: 2e-05."
     )
     (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 1e-6").warnings
     assert warning == "walls.floor: 0.00173 m large, less than the smallest particle; see scale."

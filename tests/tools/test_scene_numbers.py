@@ -38,11 +38,6 @@ def test_error_of_the_exponent_grows_with_scatter():
     assert module("beverloo").exponent(flows)[1] > 0.03
 
 
-def test_offset_and_coefficient_come_back():
-    flows = [flow(hole, 2600 * ((hole - 1.25 * 4) * 1e-3) ** 2.5) for hole in (18, 22, 27, 32)]
-    assert module("beverloo").offset_at(flows) == pytest.approx((1.25, 2600), rel=1e-9)
-
-
 def test_flow_is_the_slope_and_its_halves_show_a_change():
     times = np.linspace(0.5, 1.5, 101)
     steady = module("beverloo").flow_of(20, times, 0.08 * times)

@@ -120,6 +120,22 @@ def test_the_grid_lists_every_triangle_within_reach_once():
         assert set(np.flatnonzero(distance < reach)) <= set(listed)
 
 
+def test_parts_meshed_one_by_one_join_without_a_seam():
+    """A square of two triangles beside one of 32: one triangle answers wherever the centre is, also along the seam."""
+    coarse, halves = sheet(1)
+    fine, corners = sheet(4)
+    surface = mesh(np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)]))
+    assert surface.divided_count == 1
+    assert (surface.triangle_count, surface.links.open_count) == (2 + 3 + 32, 3 + 12)
+    rng = np.random.default_rng(8)
+    places = np.stack([rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1)
+    points = np.concatenate([places, rng.choice([-0.2, 0.1], (300, 1))], axis=1)
+    points[:10, 1] = np.linspace(-0.5, 0.5, 9)[[0, 1, 2, 3, 4, 5, 6, 7, 8, 4]]
+    gap, _, _ = contacts(surface, points)
+    np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
+    np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
+
+
 def test_points_are_welded_and_useless_triangles_left_out():
     points, corners = sheet(3)
     loose = points[corners].reshape(-1, 3)

@@ -67,7 +67,7 @@ def fields_of(sums: Sums) -> dict[str, np.ndarray]:
         "solid_fraction": s["volume"][:, 0],
         "momentum": s["momentum"],
         "velocity": velocity,
-        "granular_temperature": _over(-_trace(kinetic_stress)[:, None] / 3.0, density)[:, 0],
+        "granular_temperature": _over(np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0, density)[:, 0],
         "kinetic_stress": kinetic_stress,
         "coordination_number": _over(s["touching"], s["number"])[:, 0],
     }

@@ -13,7 +13,7 @@ from granflow.observe.indices.structure import anisotropy, coordination, fabric_
 from granflow.observe.observer import CONTACTS, PARTICLES
 from granflow.plan.sizes import diameter_range
 from granflow.scene import Scene
-from granflow.scene.analysis import CoordinationIndex, FabricIndex, LaceyIndex, ReposeIndex
+from granflow.scene.analysis import ContentIndex, CoordinationIndex, FabricIndex, LaceyIndex, ReposeIndex
 from granflow.scene.places import Box
 from granflow.scene.rooms import frame_along
 from granflow.snapshot import Snapshot
@@ -32,13 +32,17 @@ def index_meters(scene: Scene) -> dict[str, IndexMeter]:
     return {name: _meter(scene, asked) for name, asked in scene.output.indices.items()}
 
 
-def _meter(scene: Scene, asked: LaceyIndex | ReposeIndex | FabricIndex | CoordinationIndex) -> IndexMeter:
+def _meter(
+    scene: Scene, asked: LaceyIndex | ReposeIndex | FabricIndex | CoordinationIndex | ContentIndex
+) -> IndexMeter:
     if isinstance(asked, LaceyIndex):
         return _lacey_meter(scene, asked)
     if isinstance(asked, ReposeIndex):
         return _repose_meter(scene, asked)
     if isinstance(asked, FabricIndex):
         return IndexMeter(lambda snapshot: _fabric(snapshot, asked.region), OF_CONTACTS)
+    if isinstance(asked, ContentIndex):
+        return IndexMeter(lambda snapshot: _content(snapshot, asked.region), OF_PARTICLES)
     return IndexMeter(lambda snapshot: _coordination(snapshot, asked.region), OF_PARTICLES)
 
 
@@ -88,6 +92,14 @@ def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
 def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
     grains = free_grains(snapshot.particles)
     return coordination(grains["coordination_number"][_inside(grains["position"], region)])
+
+
+def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
+    grains = free_grains(snapshot.particles)
+    there = chosen(grains, _inside(grains["position"], region))
+    volume = 4.0 / 3.0 * np.pi * float((there["radius"].astype(float) ** 3).sum())
+    mass = float(there["mass"].astype(float).sum())
+    return {"content_count": float(len(there["mass"])), "content_mass": mass, "content_volume": volume}
 
 
 def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:

@@ -59,8 +59,15 @@ def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope
 
 
 def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
-    """Tops (m, 3) of the highest spheres, one for each column of the square grid that has any."""
-    column = np.floor(points[:, :2] / edge).astype(np.int64)
+    """Tops (m, 3) of the highest spheres, one for each column of the grid that has any.
+
+    The columns are about `edge` wide and share the room of the points evenly: in a sliver of a column at its border,
+    the highest sphere would lie deep inside the heap.
+    """
+    low = points[:, :2].min(axis=0)
+    room = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
+    number = np.maximum(np.round(room / edge), 1)
+    column = np.minimum((points[:, :2] - low) / room * number, number - 1).astype(np.int64)
     top = points[:, 2] + radius
     order = np.lexsort((-top, column[:, 1], column[:, 0]))
     changes = (np.diff(column[order], axis=0) != 0).any(axis=1)

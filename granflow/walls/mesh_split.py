@@ -1,0 +1,71 @@
+"""Triangles divided where a corner of others lies on one of their edges, so that the two sides of the seam join."""
+
+import numpy as np
+
+from granflow.walls.mesh_links import edges_of, pairs_of
+
+MOST_COMPARED = 2 * 10**8
+"""Pairs of open edge and point beyond which a mesh is left as it is: nothing in it fits together."""
+
+PART = 10**6
+"""Pairs that are looked at together."""
+
+
+def divided(points: np.ndarray, corners: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
+    """Corners (u, 3) of triangles that share whole edges, and how many of the given (t, 3) were divided.
+
+    A point within `tolerance` [m] of an open edge, and further from both its ends, divides the triangle of that edge.
+    """
+    count = 0
+    while True:
+        triangle, side, on_edge = hanging_points(points, corners, tolerance)
+        if not len(triangle):
+            return corners, count
+        one_side = side == side[np.searchsorted(triangle, triangle)]  # the others have their turn next
+        triangle, side, on_edge = triangle[one_side], side[one_side], on_edge[one_side]
+        count += len(np.unique(triangle))
+        corners = np.concatenate([np.delete(corners, triangle, axis=0), fans(points, corners, triangle, side, on_edge)])
+
+
+def hanging_points(
+    points: np.ndarray, corners: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles (h,) in order, their sides 0 to 2, and the points that lie on them."""
+    _, _, open_ = pairs_of(edges_of(corners))
+    open_ = np.sort(open_)
+    start, end = corners.reshape(-1)[open_], np.roll(corners, -1, axis=1).reshape(-1)[open_]
+    loose = np.unique(start)
+    found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
+    if len(open_) * len(loose) <= MOST_COMPARED:
+        step = max(PART // max(len(loose), 1), 1)
+        for first in range(0, len(open_), step):
+            part = slice(first, first + step)
+            edge, point = np.nonzero(lies_on(points, start[part], end[part], loose, tolerance))
+            found.append(np.stack([open_[part][edge], loose[point]]))
+    edge, point = np.concatenate(found, axis=1)
+    return edge // 3, edge % 3, point
+
+
+def lies_on(points: np.ndarray, start: np.ndarray, end: np.ndarray, loose: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether (e, p) each point lies on each edge, apart from its ends."""
+    along = points[end] - points[start]
+    length = np.linalg.norm(along, axis=1)
+    away = points[loose][None, :, :] - points[start][:, None, :]
+    height = np.einsum("epx,ex->ep", away, along / length[:, None])
+    beside = np.sqrt(np.maximum(np.einsum("epx,epx->ep", away, away) - height**2, 0.0))
+    return (beside <= tolerance) & (height > tolerance) & (height < length[:, None] - tolerance)
+
+
+def fans(
+    points: np.ndarray, corners: np.ndarray, triangle: np.ndarray, side: np.ndarray, on_edge: np.ndarray
+) -> np.ndarray:
+    """Triangles from the corner across to the pieces of the divided side, for each divided triangle."""
+    found = []
+    for each in np.unique(triangle):
+        mine = triangle == each
+        start, end, across = np.roll(corners[each], -int(side[mine][0]))
+        inner = on_edge[mine]
+        inner = inner[np.argsort((points[inner] - points[start]) @ (points[end] - points[start]), kind="stable")]
+        ends = np.array([start, *inner, end])
+        found += [[a, b, across] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return np.array(found)

@@ -1,0 +1,58 @@
+"""The stirrer is a mesh that a script makes; it mixes two halves, and no bead goes through it or through the bowl."""
+
+import importlib.util
+from collections import Counter
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from watching import SCENES, watched
+
+TOOL = Path(__file__).parents[2] / "tools" / "make_mixer.py"
+
+
+def made():
+    spec = importlib.util.spec_from_file_location("make_mixer", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    mesh = module.stirrer(pitch=45.0)
+    return mesh.points, mesh.cells_dict["triangle"]
+
+
+def test_parts_are_closed_and_seen_from_outside():
+    points, triangles = made()
+    sides = np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T.tolist()
+    edges = Counter(map(tuple, sides))
+    assert all(count == 1 and edges[b, a] == 1 for (a, b), count in edges.items())
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    blades = 4 * 35.5 * 14.0 * 3.0  # [mm3]
+    shaft = 28.5 * 12 / 2 * 5.0**2 * np.sin(np.pi / 6)  # a prism with twelve sides
+    assert np.sum(a * np.cross(b, c)) / 6 == pytest.approx(blades + shaft, rel=1e-12)
+
+
+def test_the_shipped_file_is_what_the_script_makes():
+    points, triangles = made()
+    shipped = meshio.read(SCENES / "meshes" / "stirrer.stl")
+    corners = shipped.points[shipped.cells_dict["triangle"]]
+    np.testing.assert_allclose(corners, points[triangles], atol=1e-5)  # STL is in single precision [mm]
+
+
+def test_small_form(tmp_path, taichi_f64):
+    small = (
+        "particles.left.count=150",
+        "particles.right.count=150",
+        "materials.glass.young_modulus=3 MPa",
+        "materials.steel.young_modulus=3 MPa",
+        "numerics.overlap_limit=0.2",
+        "stages.1.duration=0.3 s",
+        "expect=[{quantity: particle_count, equals: 300, tolerance: 0}, "
+        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
+    )
+    assert watched("mixer", tmp_path, overrides=small)[1] == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_two_halves_become_one(tmp_path, taichi_f64):
+    assert watched("mixer", tmp_path)[1] == []

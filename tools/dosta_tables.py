@@ -1,0 +1,62 @@
+"""The drum and the penetration test of Dosta et al. (2024) from their own beads, where their tables are at hand.
+
+    python tools/dosta_tables.py FOLDER --out out/dosta      writes drum.yaml, penetration.yaml and the beads of each
+    granflow run out/dosta/drum.yaml
+
+FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's MercuryDPM entry
+(columns radius, x, y, z in metres). The scenes are those in scenes/dosta2024, the drum at its full size.
+"""
+
+import argparse
+from pathlib import Path
+
+from granflow import load_scene
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes" / "dosta2024"
+COLUMNS = 4
+
+DRUM_TABLE, PENETRATION_TABLE = "Drum_PartCoordinates.txt", "Penetration_25KParticles.txt"
+DRUM = ["size=2", "stages=[{name: turn, duration: 5 s}]"]
+PENETRATION = ["particles.ball.place.start=0 s", "run.duration=0.1 s"]
+BEADS = {1e-3: "m1", 2e-3: "m2"}
+"""Their material by the radius [m]."""
+
+
+def split(table: Path, out: Path, name: str) -> dict[float, str]:
+    """Write the beads of each radius [m] to a file of its own, without lines that are no beads; return the files."""
+    head, *lines = table.read_text(encoding="utf-8").splitlines()
+    rows: dict[float, list[str]] = {}
+    for line in lines:
+        if len(line.split()) == COLUMNS:
+            rows.setdefault(float(line.split()[0]), []).append(line)
+    files = {radius: f"{name}_{BEADS[radius]}.txt" for radius in rows}
+    for radius, file in files.items():
+        (out / file).write_text("\n".join([head, *rows[radius], ""]), encoding="utf-8")
+    return files
+
+
+def write(name: str, groups: dict[str, float], overrides: list[str], table: Path, out: Path) -> Path:
+    """Write a scene whose `groups`, each with a radius [m], stand where the table says; return its path."""
+    files, path = split(table, out, name), out / f"{name}.yaml"
+    path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).text(), encoding="utf-8")
+    placed = [
+        f"particles.{group}={{material: {BEADS[radius]}, place: {{kind: file, file: {files[radius]}}}}}"
+        for group, radius in groups.items()
+    ]
+    path.write_text(load_scene(path, placed).text(), encoding="utf-8")
+    return path
+
+
+def main() -> None:
+    """Write both."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("out/dosta"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    print(write("drum", {"large": 2e-3, "small": 1e-3}, DRUM, options.folder / DRUM_TABLE, options.out))
+    print(write("penetration", {"beads": 1e-3}, PENETRATION, options.folder / PENETRATION_TABLE, options.out))
+
+
+if __name__ == "__main__":
+    main()
