@@ -102,9 +102,10 @@ def rows_of(engine):
     return found
 
 
-def begun(scene):
-    """A simulation whose first search is done."""
+def begun(scene, step=0):
+    """A simulation whose first search is done, at the time of step number `step`."""
     simulation = Simulation(scene)
+    simulation.engine.state.clock.step_count = step
     simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
     simulation.engine.refresh()
     return simulation

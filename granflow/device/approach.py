@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.apart import build_apart
+from granflow.device.apart import build_apart, build_drift
 from granflow.device.encounter import build_effective, build_pair_number
 from granflow.device.pair import build_meet
 from granflow.device.state import Block, State
@@ -76,14 +76,15 @@ def _build_square(state: State) -> Any:
 def _build_closing(state: State) -> Any:
     """Device function: overlap [m], 0 or less where a pair is apart, and its rate [m/s]; walls at pose 0."""
     particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
-    meet, geometry, apart = build_meet(state.plan), build_wall_geometry(state), build_apart(state)
+    meet, geometry = build_meet(state.plan), build_wall_geometry(state)
+    apart, drift = build_apart(state), build_drift(state)
 
     @ti.func
     def closing(i, j, dt):
         overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
         if j >= 0:
-            between = ti.cast(apart(particles.position[i], particles.position[j]), real)
-            late = particles.velocity[i] - particles.velocity[j]
+            between = ti.cast(apart(particles.position[i], particles.position[j], 0), real)
+            late = particles.velocity[i] - particles.velocity[j] - drift(i, j, 0)
             overlap, _n, _m, _c, rate, _r, _a, _p = meet(
                 particles.radius[i], particles.radius[j], between, late, late, dt
             )

@@ -9,8 +9,8 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.apart import build_apart
-from granflow.device.encounter import build_effective, build_pair_number, build_weight
+from granflow.device.apart import build_apart, build_drift
+from granflow.device.encounter import build_border_work, build_effective, build_pair_number, build_weight
 from granflow.device.fixed import build_felt_mass
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.pair import build_meet, build_respond, build_touches, half_of_both
@@ -29,7 +29,7 @@ def put(columns: ti.template(), worker, entry, vector):
 
 
 def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, last, time_step): add the contacts between grains of the rows first..last.
+    """Device function (worker, chunk, first, last, pose, time_step): add contacts between grains, rows first..last.
 
     Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows
     Writes:  force, torque, history, losses, guard, the worker's batch
@@ -37,16 +37,16 @@ def build_batched_forces(state: State) -> Any:
     find, gather, respond, hand_out = _build_find(state), _build_gather(state), _build_respond(state), _build_out(state)
 
     @ti.func
-    def batched_forces(worker, chunk, first, last, dt):
+    def batched_forces(worker, chunk, first, last, pose, dt):
         i = first
         while i < last:
             found = 0
             while i < last and found < BATCH:
-                found = find(worker, chunk, i, found, dt)
+                found = find(worker, chunk, i, found, pose, dt)
                 i += 1
-            gather(worker, found, dt)
+            gather(worker, found, pose, dt)
             respond(worker, (found + LANES - 1) // LANES * LANES, dt)
-            hand_out(worker, chunk, found, first, last)
+            hand_out(worker, chunk, found, first, last, pose, dt)
 
     return batched_forces
 
@@ -73,12 +73,12 @@ def _build_find(state: State) -> Any:
             ti.atomic_min(control.guard_particle[0], particles.id[i])
 
     @ti.func
-    def find(worker, chunk, i, begin, dt):
+    def find(worker, chunk, i, begin, pose, dt):
         position, radius = particles.position[i], particles.radius[i]
         end = begin
         for slot in range(contacts.row_middle[i], contacts.row_end[i]):
             j = contacts.partner[slot]
-            between = ti.cast(apart(position, particles.position[j]), real)
+            between = ti.cast(apart(position, particles.position[j], pose), real)
             radius_partner = particles.radius[j]
             batch.slot[worker, end] = slot
             batch.owner[worker, end] = i
@@ -103,6 +103,7 @@ def _build_gather(state: State) -> Any:
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
     read, pair_number, prepares = build_read(state), build_pair_number(state), law.prepare is not None
+    drift = build_drift(state)
     felt_mass = build_felt_mass(state)
 
     @ti.func
@@ -118,15 +119,15 @@ def _build_gather(state: State) -> Any:
         )  # fmt: skip
 
     @ti.func
-    def gather(worker, end, dt):
+    def gather(worker, end, pose, dt):
         for entry in range(end):
             i, j, slot = batch.owner[worker, entry], batch.partner[worker, entry], batch.slot[worker, entry]
             batch.radius[worker, entry] = particles.radius[i]
-            late = particles.velocity[i] - particles.velocity[j]
+            late = particles.velocity[i] - particles.velocity[j] - drift(i, j, pose)
             now = late
             put(batch.late, worker, entry, late)
             if ti.static(features.rate_dependent):
-                now = particles.velocity_now[i] - particles.velocity_now[j]
+                now = particles.velocity_now[i] - particles.velocity_now[j] - drift(i, j, pose)
                 put(batch.now, worker, entry, now)
             batch.mass[worker, entry] = felt_mass(i)
             batch.mass_partner[worker, entry] = felt_mass(j)
@@ -211,7 +212,7 @@ def _build_out(state: State) -> Any:
     """Device function: forces to both partners, if the second is of this chunk, and histories back to their slots."""
     plan, particles, contacts, control, batch = state.plan, state.particles, state.contacts, state.control, state.batch
     features, history = plan.features, contacts.history
-    weight = build_weight(state)
+    weight, enter_border_work = build_weight(state), build_border_work(state)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -236,7 +237,7 @@ def _build_out(state: State) -> Any:
             control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
 
     @ti.func
-    def hand_out(worker, chunk, end, first, last):
+    def hand_out(worker, chunk, end, first, last, pose, dt):
         for entry in range(end):
             i, j = batch.owner[worker, entry], batch.partner[worker, entry]
             force = vector_of(batch.apart, worker, entry)
@@ -250,5 +251,7 @@ def _build_out(state: State) -> Any:
             keep(worker, entry, batch.slot[worker, entry])
             if ti.static(features.ledger):
                 enter_losses(worker, chunk, i, j, entry)
+                if ti.static(features.shear):
+                    enter_border_work(chunk, i, j, force, pose, dt)
 
     return hand_out

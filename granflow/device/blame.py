@@ -93,7 +93,7 @@ def _near_pairs(code: int, state: State, there: dict[str, np.ndarray], time: flo
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, there["position_at_search"])
     other = np.maximum(partner, 0)
-    apart = position[owner] - state.plan.border.beside(position[other], position[owner])
+    apart = position[owner] - state.plan.border.at(time).beside(position[other], position[owner])
     distance = np.linalg.norm(apart, axis=1)
     overlap = there["radius"][owner] + there["radius"][other] - distance
     normal = apart / np.maximum(distance, 1e-3 * there["radius"][owner])[:, None]

@@ -10,7 +10,13 @@ import taichi as ti
 
 from granflow.device.batch import build_batched_forces
 from granflow.device.drive import build_enter_push
-from granflow.device.encounter import build_effective, build_encounter, build_pair_number, build_weight
+from granflow.device.encounter import (
+    build_border_work,
+    build_effective,
+    build_encounter,
+    build_pair_number,
+    build_weight,
+)
 from granflow.device.guards import GUARD_OVERLAP
 from granflow.device.handover import TURNS, build_inherit, build_leave, hands_over
 from granflow.device.loads import build_enter_load
@@ -26,6 +32,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     features, real = plan.features, state.backend.real
     encounter, effective = build_encounter(state, with_wall), build_effective(state, with_wall)
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
+    enter_border_work = build_border_work(state)
     wall_of, handing = build_wall_of(state), with_wall and hands_over(state)
     leave, inherit = (build_leave(state), build_inherit(state)) if handing else (None, None)
     respond, read, write, forget = (
@@ -87,6 +94,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if ti.static(features.ledger):
             work = wall_work(i, j, pose, force, torque, dt)
             enter_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
+            if ti.static(features.shear and not with_wall):
+                enter_border_work(chunk, i, j, force, pose, dt)
         if ti.static(driven):
             enter_push(chunk, wall_of(j), force)
         if ti.static(measured):
@@ -173,6 +182,6 @@ def build_forces(state: State) -> Any:
         for i in range(first, last):
             own_forces(chunk, i, pose, dt)
         if ti.static(batched):
-            batched_forces(worker, chunk, first, last, dt)
+            batched_forces(worker, chunk, first, last, pose, dt)
 
     return forces

@@ -4,7 +4,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.apart import build_apart
+from granflow.device.apart import build_apart, build_drift
 from granflow.device.fixed import build_felt_mass
 from granflow.device.pair import build_meet, build_touches, half_of_both
 from granflow.device.state import State
@@ -24,7 +24,8 @@ def build_encounter(state: State, with_wall: bool) -> Any:
 
 def _build_grain_encounter(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    meet, touches, apart = build_meet(state.plan), build_touches(real), build_apart(state)
+    meet, touches = build_meet(state.plan), build_touches(real)
+    apart, drift = build_apart(state), build_drift(state)
 
     @ti.func
     def grain_encounter(i, j, pose, time_step):
@@ -32,12 +33,12 @@ def _build_grain_encounter(state: State) -> Any:
         zero = 0.0 * particles.velocity[i]
         overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
         normal, middle, across, late_rate = zero, zero, zero, 0.0 * radius
-        between = ti.cast(apart(particles.position[i], particles.position[j]), real)
+        between = ti.cast(apart(particles.position[i], particles.position[j], pose), real)
         if touches(between.dot(between), radius + radius_partner):
-            late = particles.velocity[i] - particles.velocity[j]
+            late = particles.velocity[i] - particles.velocity[j] - drift(i, j, pose)
             now = late
             if ti.static(features.rate_dependent):
-                now = particles.velocity_now[i] - particles.velocity_now[j]
+                now = particles.velocity_now[i] - particles.velocity_now[j] - drift(i, j, pose)
             overlap, normal, middle, across, late_rate, rate, arm, arm_partner = meet(
                 radius, radius_partner, between, late, now, time_step
             )
@@ -130,6 +131,22 @@ def build_weight(state: State) -> Any:
         return share
 
     return weight
+
+
+def build_border_work(state: State) -> Any:
+    """Device function (chunk, i, j, force on i, pose, time_step): enter the work of the moving image of j on a pair.
+
+    W = F_ij . (velocity of the image over its original) dt, once for each pair.
+    """
+    weight, drift = build_weight(state), build_drift(state)
+    border_work: Any = state.control.border_work
+
+    @ti.func
+    def enter_border_work(chunk, i, j, force, pose, dt):
+        work = weight(i, j) * dt * force.dot(drift(i, j, pose))
+        border_work[chunk] = border_work[chunk] + ti.cast(work, ti.f64)
+
+    return enter_border_work
 
 
 def build_pair_number(state: State) -> Any:

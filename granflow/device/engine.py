@@ -241,7 +241,9 @@ class Engine:
         names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
         arrays = self.synchronized(names)
         totals = self._totals(arrays, measured)
-        arrays["position"] = self.plan.border.wrapped(arrays["position"])
+        arrays["position"], arrays["velocity"] = self.plan.border.brought_in(
+            arrays["position"], arrays["velocity"], self.time
+        )
         particles = self._particle_arrays(arrays) if "particles" in wants else {}
         contacts = self._contact_arrays(arrays) if "contacts" in wants else None
         poses, impulses = self.wall_poses(), wall_impulses(self.state)
@@ -336,6 +338,8 @@ class Engine:
             "overlap_largest": measured["overlap_largest"],
             "coordination_number": float(free @ arrays["coordination"]) / max(free.sum(), 1.0),
         }
+        if self.plan.features.shear:
+            totals["shear_strain"] = self.plan.border.strain(self.time)
         if books.waiting_count is not None:
             totals["waiting_count"] = float(books.waiting_count)
         for name, (outlet_count, outlet_mass) in books.outlets.items():

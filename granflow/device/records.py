@@ -50,7 +50,7 @@ class ContactRecords:
         wall[with_wall] = walls_of(self.state, partner[with_wall])
         foot, force = self.foot.to_numpy()[slot], self.force.to_numpy()[slot]
         cap, first = found.pop("friction_limit"), arrays["position"][owner]
-        second = self.state.plan.border.beside(arrays["position"][other], first)
+        second = self.state.plan.border.at(self.state.clock.time).beside(arrays["position"][other], first)
         return found | memory | {
             "first_id": arrays["id"][owner].astype(np.int64),
             "second_id": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),

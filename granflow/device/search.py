@@ -8,7 +8,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.apart import build_apart
+from granflow.device.apart import build_apart, build_seen_from, build_turn
 from granflow.device.fixed import build_can_meet
 from granflow.device.grid import build_cell_number
 from granflow.device.leaving import build_stays
@@ -85,9 +85,12 @@ def build_around(state: State) -> tuple[Any, Any]:
 def build_within(state: State) -> Any:
     """Device function (point, reach, number of the grid): first cell along each axis that a sphere meets, and the end.
 
-    Along a periodic axis they may lie off the grid, but none stands for another.
+    Along a periodic axis they may lie off the grid, but none stands for another; images along a sheared gradient are
+    looked at by themselves.
     """
-    sorting, real, periodic = state.sorting, state.backend.position_real, state.plan.border.axes
+    sorting, real, border = state.sorting, state.backend.position_real, state.plan.border
+    across = -1 if border.shear is None else border.shear.across
+    periodic = [axis for axis in border.axes if axis != across]
     slack = 1.0 + ROUNDING
 
     @ti.func
@@ -99,6 +102,9 @@ def build_within(state: State) -> Any:
             if ti.static(axis in periodic):
                 if highest[axis] - lowest[axis] >= cells[axis] - 1:
                     lowest[axis], highest[axis] = 0.0, ti.cast(cells[axis], real) - 1.0
+            elif ti.static(axis == across):
+                lowest[axis] = ti.max(lowest[axis], 0.0)
+                highest[axis] = ti.min(highest[axis], ti.cast(cells[axis], real) - 1.0)
             else:
                 last = ti.cast(cells[axis], real) - 1.0
                 lowest[axis] = ti.max(ti.min(lowest[axis], last), 0.0)
@@ -346,6 +352,9 @@ def build_rows(state: State) -> Callable[..., None]:
     number, place, apart = build_cell_number(), build_place(state), build_apart(state)
     around, meant = build_around(state)
     classes, within = len(plan.size_classes), build_within(state)
+    sheared, by_class = plan.features.shear, sorting.listed is not None
+    images, turn = int(sheared), build_turn(state) if sheared else None
+    seen_from = build_seen_from(state)
     geometry, has_mesh = build_wall_geometry(state), plan.features.mesh_walls
     mesh = build_mesh_geometry(state) if has_mesh else None
     recall = build_recall(state) if remembers else None
@@ -382,13 +391,17 @@ def build_rows(state: State) -> Callable[..., None]:
         return filled
 
     @ti.func
-    def append_if_near(chunk, slot, i, j, skin):
+    def append_if_near(chunk, slot, i, j, skin, turned, pose):
+        """Along a sheared gradient only those whose nearest image is in the row of cells that is looked at."""
         filled = slot
         first, last = chunk * chunk_size, (chunk + 1) * chunk_size
         if j > i or (j < first) or (j >= last):
-            between = apart(particles.position[i], particles.position[j])
-            reach = particles.radius[i] + particles.radius[j] + skin
-            if between.dot(between) < reach * reach and can_meet(i, j):
+            between = apart(particles.position[i], particles.position[j], pose)
+            reach, meant_so = particles.radius[i] + particles.radius[j] + skin, True
+            if ti.static(sheared):
+                meant_so = turn(particles.position[i], particles.position[j]) == turned
+                reach += ti.cast(ti.abs(turned), real) * skin
+            if between.dot(between) < reach * reach and meant_so and can_meet(i, j):
                 filled = append(chunk, filled, i, j)
         return filled
 
@@ -405,23 +418,28 @@ def build_rows(state: State) -> Callable[..., None]:
                 for next_x in range(first_x, end_x):
                     cell = number(meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells)
                     for j in range(sorting.cell_start[cell], sorting.cell_start[cell + 1]):
-                        filled = append_if_near(chunk, filled, i, j, skin)
+                        filled = append_if_near(chunk, filled, i, j, skin, 0, 0)
         return filled
 
     @ti.func
-    def near_grains_by_class(chunk, slot, i, skin):
-        """Class by class, those in the cells that one of the class can reach from."""
+    def near_grains_by_class(chunk, slot, i, skin, pose):
+        """Class by class, those in the cells that one of the class can reach from, row of images by row of images."""
         filled = slot
         for group in range(classes):
-            cells = sorting.cells[group]
-            first, end = within(particles.position[i], particles.radius[i] + sorting.radius[group] + skin, group)
-            for next_z in range(first[2], end[2]):
-                for next_y in range(first[1], end[1]):
-                    for next_x in range(first[0], end[0]):
-                        cell = number(meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells)
-                        cell += sorting.first_cell[group]
-                        for k in range(sorting.listed_start[cell], sorting.listed_start[cell + 1]):
-                            filled = append_if_near(chunk, filled, i, sorting.listed[k], skin)
+            cells, reach = sorting.cells[group], particles.radius[i] + sorting.radius[group] + skin
+            if ti.static(sheared):
+                reach += skin
+            for turned in range(-images, images + 1):
+                first, end = within(seen_from(particles.position[i], turned, pose), reach, group)
+                for next_z in range(first[2], end[2]):
+                    for next_y in range(first[1], end[1]):
+                        for next_x in range(first[0], end[0]):
+                            cell = number(
+                                meant(next_x, cells, 0), meant(next_y, cells, 1), meant(next_z, cells, 2), cells
+                            )
+                            cell += sorting.first_cell[group]
+                            for k in range(sorting.listed_start[cell], sorting.listed_start[cell + 1]):
+                                filled = append_if_near(chunk, filled, i, sorting.listed[k], skin, turned, pose)
         return filled
 
     @ti.func
@@ -430,8 +448,8 @@ def build_rows(state: State) -> Callable[..., None]:
         if ti.static(wall_count > 0):
             filled = near_walls(chunk, filled, i, skin, pose)
         contacts.row_middle[i] = filled
-        if ti.static(classes > 1):
-            filled = near_grains_by_class(chunk, filled, i, skin)
+        if ti.static(by_class):
+            filled = near_grains_by_class(chunk, filled, i, skin, pose)
         else:
             filled = near_grains(chunk, filled, i, skin)
         return filled

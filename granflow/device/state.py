@@ -259,6 +259,9 @@ class Control:
         self.impulses = block.vector(ti.f64, plan.chunk_capacity, loaded, count=IMPULSE_SIZE) if loaded else None
         turns = ledger and plan.features.periodic != "none"
         self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
+        sheared, place = plan.features.shear, backend.position_real
+        self.border_offset: Any = block.scalar(place, WALL_BATCH) if sheared else None
+        self.border_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""

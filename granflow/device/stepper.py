@@ -11,7 +11,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.apart import build_wrap
+from granflow.device.apart import build_wrap, upload_offsets
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
 from granflow.device.drive import build_drive, mark_search
@@ -81,14 +81,14 @@ class Stepper:
         self.steps_since_search = 0
         self._since_sample = 0
         self._crew = Crew(state.backend.worker_count)
-        self._pose = WALL_BATCH if state.plan.features.moving_walls else 0
+        self._pose = WALL_BATCH if state.plan.poses else 0
         self._build()
 
     def _build(self) -> None:
         """Compile all phases, by launching them over nothing."""
         began, state = clock.perf_counter(), self.state
         periodic = state.plan.features.periodic != "none"
-        self._wrap = build_wrap(state) if periodic else lambda count: None
+        self._wrap = build_wrap(state) if periodic else lambda count, pose, step: None
         self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
         self._list_classes = build_class_lists(state) if state.sorting.listed is not None else lambda count, cells: None
         self._set_aside = build_set_aside(state) if state.contacts.history else lambda count: None
@@ -96,6 +96,7 @@ class Stepper:
         build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
         self._step = build(state, build_move(state), build_forces(state))
         self._bounds(0)
+        self._wrap(0, 0, 1.0)
         self._sort(0, 0)
         self._list_classes(0, 0)
         self._gather(0)
@@ -109,7 +110,7 @@ class Stepper:
         began, compiled = clock.perf_counter(), self.timing.compile
         state = self.state
         if state.count:
-            gone = self._sort_particles()
+            gone = self._sort_particles(pose)
             if gone:
                 self._on_gone(state.count - gone, state.count)
                 state.count -= gone
@@ -118,10 +119,10 @@ class Stepper:
         self.timing.search += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.search_count += 1
 
-    def _sort_particles(self) -> int:
+    def _sort_particles(self, pose: int) -> int:
         """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
         state = self.state
-        self._wrap(state.count)
+        self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
         grids = lay_grids(state)
         self._sort(state.count, grids[0].cell_count)
@@ -178,9 +179,16 @@ class Stepper:
 
     def stand_walls(self, step: int) -> None:
         """Pose 0 on the device becomes that after step number `step`."""
+        if self.state.plan.poses:
+            self._upload(step)
+            self._pose = WALL_BATCH
+
+    def _upload(self, step: int) -> None:
+        """Bring to the device where walls and images stand from step number `step` on."""
         if self.state.plan.features.moving_walls:
             upload_poses(self.state, step)
-            self._pose = WALL_BATCH
+        if self.state.plan.features.shear:
+            upload_offsets(self.state, step)
 
     def advance(self, steps: int, step: int) -> int:
         """Do `steps` steps after step number `step`; returns those done.
@@ -200,11 +208,11 @@ class Stepper:
 
     def _advance_batch(self, steps: int, step: int) -> int:
         state, plan = self.state, self.state.plan
-        if plan.features.moving_walls:
+        if plan.poses:
             if self._steps_walls_allow() < 1:
                 self.refresh(step)
             if self._pose == WALL_BATCH:
-                upload_poses(state, step + 1)
+                self._upload(step + 1)
                 self._pose = 0
             steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
         state.control.steps_done[0] = 0
@@ -216,7 +224,7 @@ class Stepper:
             done += 1
         else:
             self.steps_since_search += done
-        if plan.features.moving_walls:
+        if plan.poses:
             self._pose += done
         self._since_sample += done
         self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
@@ -264,11 +272,15 @@ class Stepper:
         return 1
 
     def _steps_walls_allow(self) -> int:
-        """Steps until the fastest wall may have gone as far as one may between two searches; driven ones see to it."""
+        """Steps until the fastest wall may have gone as far as one may between two searches, or an image the skin.
+
+        Driven walls see to it themselves.
+        """
         plan = self.state.plan
-        if plan.wall_speed == 0.0:
+        way, speed = (plan.wall_way, plan.wall_speed) if not plan.features.shear else (plan.skin, plan.border_speed)
+        if speed == 0.0:
             return WALL_BATCH
-        return int(plan.wall_way / (plan.wall_speed * plan.longest_time_step)) - self.steps_since_search
+        return int(way / (speed * plan.longest_time_step)) - self.steps_since_search
 
 
 def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:

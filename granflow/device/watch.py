@@ -93,6 +93,7 @@ def _keeps_energy(plan: Plan) -> bool:
     walls = plan.scene.walls.values()
     stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
     turns = any(plan.gravity[axis] for axis in plan.border.axes)  # who passes a border may fall for ever
+    turns = turns or plan.features.shear
     return stay and not turns and not plan.features.moving_walls and not plan.law.attracts
 
 

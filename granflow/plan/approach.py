@@ -6,6 +6,7 @@ import numpy as np
 
 from granflow.plan.walls import surface_speed
 from granflow.scene import Scene
+from granflow.scene.border import Border
 from granflow.scene.schema import FromFile
 
 WITHOUT_MOTION = 1.0
@@ -24,11 +25,12 @@ def fastest_approach(scene: Scene) -> Approach:
     """Take it from the scene, or estimate it: free fall through the domain or initial speeds, and moving walls."""
     if scene.run.velocity_max is not None:
         return Approach(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
-    fall, initial, surface = free_fall(scene), initial_speed(scene), surface_speed(scene)
+    fall, initial, surface = free_fall(scene), initial_speed(scene), max(surface_speed(scene), image_speed(scene))
     if not max(fall, initial, surface) > 0.0:
         return Approach(WITHOUT_MOTION, "assumed: nothing moves or falls at first")
     fast, why = fall, f"free fall through the domain ({fall:.3g} m/s)"
-    meeting, against = surface, f"the fastest wall ({surface:.3g} m/s)"
+    whose = "the fastest wall" if not image_speed(scene) else "the image across the sheared border"
+    meeting, against = surface, f"{whose} ({surface:.3g} m/s)"
     if initial > fall:
         fast, why = initial, f"the fastest particle at the start ({initial:.3g} m/s)"
         if initial > surface:
@@ -41,6 +43,12 @@ def free_fall(scene: Scene) -> float:
     """Speed [m/s] after a fall from one corner of the domain to the opposite one."""
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
+
+
+def image_speed(scene: Scene) -> float:
+    """Speed [m/s] of the images across a sheared border."""
+    shear = Border.of(scene.domain).shear
+    return 0.0 if shear is None else abs(shear.speed)
 
 
 def initial_speed(scene: Scene) -> float:

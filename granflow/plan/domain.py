@@ -22,12 +22,13 @@ SAME = 1e-3
 def refuse_narrow(scene: Scene, radius_max: float, skin: float) -> None:
     """Raise SceneError where a particle could be near two images of another."""
     border, needed = Border.of(scene.domain), 4.0 * radius_max + 2.0 * skin
+    more = "" if border.shear is None else ", which is double under shear"
     for axis in border.axes:
         if border.width[axis] < needed:
             raise SceneError(
                 f"{scene.place('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the domain is "
                 f"{border.width[axis]:.4g} m wide, but a particle could touch two images of another there. Make it at "
-                f"least {needed:.4g} m wide, two of the largest diameters and twice the skin."
+                f"least {needed:.4g} m wide, two of the largest diameters and twice the skin{more}."
             )
 
 

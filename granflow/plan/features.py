@@ -27,6 +27,7 @@ class Features:
     adaptive_step: bool
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
+    shear: bool
     fixed_grains: bool
     outlets: bool
     size_classes: str
@@ -63,6 +64,7 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         loads=bool(scene.loaded_walls),
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
+        shear=scene.domain.shear is not None,
         fixed_grains=any(group.fixed for group in scene.particles.values()),
         outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
@@ -93,6 +95,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
         if scene.domain.periodic
         else "the domain has no periodic axes",
+        "shear": _shear_reason(scene),
         "fixed_grains": _fixed_reason(scene, features),
         "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
@@ -183,6 +186,14 @@ def _fixed_reason(scene: Scene, features: Features) -> str:
 def _step_reason(scene: Scene) -> str:
     how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
     return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
+
+
+def _shear_reason(scene: Scene) -> str:
+    shear = scene.domain.shear
+    if shear is None:
+        return "the domain is not sheared"
+    moved = f"{shear.velocity_along} changes with {shear.gradient_along} by {shear.rate:g} 1/s"
+    return f"velocity along {moved} ({scene.where('domain', 'shear')})"
 
 
 def _sizes_reason(scene: Scene) -> str:

@@ -18,7 +18,7 @@ from granflow.laws.material import (
     shear_modulus_eff,
     yield_strength,
 )
-from granflow.plan.approach import fastest_approach
+from granflow.plan.approach import fastest_approach, image_speed
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
@@ -149,9 +149,19 @@ class Plan:
 
     @property
     def listed_cell_capacity(self) -> int:
-        """Most cells of the grids of all classes of sizes; 0 where there is but one class."""
-        classes = len(self.size_classes)
-        return 2 * self.cell_capacity + classes * BLOCK_CELLS if classes > 1 else 0
+        """Most cells of the grids of all classes of sizes; 0 where there is but one class in a box without shear."""
+        classes, needed = len(self.size_classes), self.features.shear or len(self.size_classes) > 1
+        return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
+
+    @property
+    def poses(self) -> bool:
+        """Whether walls or images stand elsewhere from step to step."""
+        return self.features.moving_walls or self.features.shear
+
+    @property
+    def border_speed(self) -> float:
+        """Speed of the images across a sheared border [m/s]."""
+        return 0.0 if self.border.shear is None else abs(self.border.shear.speed)
 
     @property
     def wall_way(self) -> float:
@@ -233,7 +243,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
     speed = wall_speed(scene, walls)
     skin = _skin(scene, radius_min, velocity, step.value)
-    refuse_narrow(scene, radius_max, skin)
+    refuse_narrow(scene, radius_max, 2.0 * skin if features.shear else skin)
     refuse_walls(scene, walls, radius_max + skin)
     refuse_endless_turns(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
@@ -254,7 +264,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         walls=walls,
         wall_speed=speed,
         drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
-        pace=_pace(scene, law, velocity, speed) if features.adaptive_step else None,
+        pace=_pace(scene, law, velocity, max(speed, image_speed(scene))) if features.adaptive_step else None,
     )
 
 

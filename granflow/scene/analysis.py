@@ -11,6 +11,7 @@ from granflow.scene.fields import (
     Count,
     Counts,
     Fault,
+    KeptLength,
     Model,
     Names,
     Number,
@@ -77,7 +78,7 @@ class LaceyIndex(CellGrid):
     kind: Literal["lacey"] = Field(description="kind of index")
     groups: Names | None = Field(None, description="groups whose grains are the one kind")
     materials: Names | None = Field(None, description="materials whose grains are the one kind")
-    smaller_than: PositiveLength | None = Field(None, description="diameter below which grains are the one kind [m]")
+    smaller_than: KeptLength | None = Field(None, description="diameter below which grains are the one kind [m]")
     at_least: Count = Field(10, description="grains that a cell must hold to count")
 
     def faults(self) -> Iterator[Fault]:

@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement, product
 
 from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
 from granflow.scene.check_analysis import expected_indices, field_grids, indices
+from granflow.scene.check_domain import shear
 from granflow.scene.document import KeyPath, Problem
 from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
@@ -353,6 +354,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("stages", "run"), _duration),
     (("gravity",), _gamma),
     (("domain",), _regions),
+    (("domain", "particles", "output"), shear),
     (("output", "expect"), _parts),
     (("output", "stages", "domain"), field_grids),
     (("output", "gravity", "domain"), indices),

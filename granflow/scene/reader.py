@@ -29,8 +29,8 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     the scene is validated; the value is YAML.
     Raises `SceneError` with every problem at once, in the order of the file.
     """
-    scene = scene_in(_document(Path(path)), overrides)
-    scene._path, scene._folder = Path(path), Path(path).parent
+    scene = scene_in(_document(Path(path)), overrides, Path(path).parent)
+    scene._path = Path(path)
     scene = settled(scene, read=True)
     if scene.start_from is not None:
         scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
@@ -43,15 +43,16 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     Raises as `load` does.
     """
     try:
-        scene = scene_in(parse(text, source), overrides)
+        return settled(scene_in(parse(text, source), overrides, Path(source).parent))
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
-    scene._folder = Path(source).parent
-    return settled(scene)
 
 
-def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:
-    """Make the scene of a document that is read already. Raises as `load` does."""
+def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> Scene:
+    """Make the scene of a document that is read already; its paths count from `folder`. Raises as `load` does.
+
+    What rests on several of its parts, or on files, is not settled yet.
+    """
     problems = list(document.problems)
     for override in overrides:
         problems += overriding.apply(document, override)
@@ -61,6 +62,7 @@ def scene_in(document: Document, overrides: Sequence[str] = ()) -> Scene:
         ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
         raise SceneError([*map(str, ordered[:_MOST_SHOWN]), *_unsaid(ordered)])
     scene._document = document
+    scene._folder = folder or Path()
     return scene
 
 

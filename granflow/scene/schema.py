@@ -35,6 +35,7 @@ from granflow.scene.fields import (
     Seed,
     Speed,
     Text,
+    Time,
     couple,
     listing,
 )
@@ -125,6 +126,7 @@ __all__ = [
     "Run",
     "Scene",
     "Servo",
+    "Shear",
     "SizeClass",
     "Stage",
     "Translation",
@@ -139,8 +141,23 @@ RIGHT_ANGLE = 1e-6
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+ShearRate = Annotated[float, Number("rate", noun="a rate of shear")]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True, words=("auto",))]
+
+
+class Shear(Model):
+    """The images of the box across two periodic faces move along them: uniform shear without walls (Lees-Edwards)."""
+
+    velocity_along: Literal["x", "y", "z"] = Field(description="axis of the velocity")
+    gradient_along: Literal["x", "y", "z"] = Field(description="axis across which the velocity changes")
+    rate: ShearRate = Field(description="velocity over height [1/s]; negative: the other way")
+    start: Time = Field(0.0, description="time from which on the images move [s]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Two axes."""
+        if self.velocity_along == self.gradient_along:
+            yield Fault(("gradient_along",), "velocity_along is the same axis; give another")
 
 
 class Domain(Box):
@@ -149,6 +166,7 @@ class Domain(Box):
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
         (), description="axes along which opposite faces are one, such as [x, y]"
     )
+    shear: Shear | None = Field(None, description="uniform shear through two periodic axes")
     leaving: Literal["delete", "error", "grow"] = Field(
         description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
         "nothing, the domain grows with them"
@@ -160,6 +178,9 @@ class Domain(Box):
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
                 yield Fault(("periodic", index), "it is there already; name each axis once")
+        for key in ("velocity_along", "gradient_along") if self.shear else ():
+            if getattr(self.shear, key) not in self.periodic:
+                yield Fault(("shear", key), "domain.periodic does not have it; both axes of a shear are periodic")
 
 
 class Stage(Model):

@@ -21,6 +21,7 @@ from granflow.scene.fields import (
     Model,
     Names,
     NotNegativeLength,
+    Number,
     Point,
     Positive,
     PositiveAngularVelocity,
@@ -37,6 +38,7 @@ from granflow.scene.fields import (
     listing,
 )
 
+MeshScale = Annotated[float, Number(above=0, scaling=1)]
 _PERPENDICULAR = 1e-9  # largest cosine between two sides called perpendicular
 
 
@@ -274,7 +276,7 @@ class MeshWall(Wall):
 
     shape: Literal["mesh"] = Field(description="shape of the wall")
     file: Text = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
-    scale: Positive = Field(1.0, description="factor from the file's units to metres: 0.001 for millimetres")
+    scale: MeshScale = Field(1.0, description="factor from the file's units to metres: 0.001 for millimetres")
     rotate: Annotated[tuple[Turn, ...], listing(one=True), AlsoWritten()] = Field(
         (), description="how the mesh is turned about the origin: one turn or a list of them, one after the other"
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from child import in_child
 from resume.runs import busy_scene, files_of, states_of
+from sheared import sheared_gas
 from trials import SOFT
 
 from granflow.device import stepper
@@ -58,6 +59,14 @@ def test_a_step_that_follows_the_scene(tmp_path, taichi_f64):
     clocks = [read_checkpoint(path).kept["engine"]["clock"]["time_step"] for path in written]
     assert len(set(clocks)) > 1
     gone_on_with(scene, tmp_path / "whole", tmp_path / "again", written[4])
+    assert_same(tmp_path / "whole", tmp_path / "again")
+
+
+def test_in_the_middle_of_a_shear(tmp_path, taichi_f64):
+    output = {"interval": 0.0008, "checkpoint": {"interval": 0.0007, "keep": 100}}
+    scene = sheared_gas(duration=0.004, sizes=(0.002, 0.0065), output=output)
+    written = undisturbed(scene, tmp_path / "whole")
+    gone_on_with(scene, tmp_path / "whole", tmp_path / "again", written[2])
     assert_same(tmp_path / "whole", tmp_path / "again")
 
 

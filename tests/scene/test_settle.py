@@ -12,6 +12,8 @@ from granflow.plan.approach import fastest_approach
 from granflow.scene import load
 from granflow.scene.generate import initial_grains
 from granflow.scene.reader import scene_of
+from granflow.scene.schema import MeshWall, Vibration
+from granflow.scene.settle import scaled
 from granflow.scene.sizes import draw_diameters
 
 GRAIN = pi / 6.0 * 0.004**3 * 2500.0
@@ -94,7 +96,7 @@ def test_particles_from_a_file(tmp_path):
     assert (group.count, group.place.found.diameter_min, group.place.found.diameter_max) == (3, 0.002, 0.004)
     assert group.place.found.overlap_max == pytest.approx(0.25)
     assert [sentence.replace(f"{tmp_path}/", "") for sentence in scene.remarks] == [
-        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (2 and 3)."
+        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (lines 2 and 3)."
     ]
     assert fastest_approach(scene).value == pytest.approx(10.0)
     assert plan_for(scene).radius_min == 0.001
@@ -181,3 +183,12 @@ def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
     assert problems(tmp_path, FILE, "size=2", start=ROWS) == [
         "--set size=2: size is 2, but the positions of particles.beads are given one by one; leave size out."
     ]
+
+
+def test_size_scales_a_mesh_and_not_what_measures_grains(tmp_path):
+    """Walked through the schema, so that a new key needs its type only."""
+    wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
+    larger = scaled(wall, 3.0)
+    assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
+    shaken = Vibration(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
+    assert scaled(shaken, 3.0) == shaken

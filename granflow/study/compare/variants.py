@@ -70,7 +70,7 @@ def variants_of(
         described = _described(scene, normal, reference_velocity, most_particles)
         text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", placed=False)
         try:
-            found.append(Variant(key, title, normal, scene_in(text)))
+            found.append(Variant(key, title, normal, scene_in(text, folder=scene.folder)))
         except SceneError as error:
             found.append(Variant(key, title, normal, None, "; ".join(error.problems)))
     return found
