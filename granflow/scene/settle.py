@@ -195,7 +195,8 @@ def _overlap(scene: Scene, name: str, rows: Table) -> tuple[float, list[str]]:
     apart = np.linalg.norm(rows.position[first] - rows.position[second], axis=1)
     share = (rows.radius[first] + rows.radius[second] - apart) / np.minimum(rows.radius[first], rows.radius[second])
     worst = int(share.argmax())
-    lines = f"{rows.line[first[worst]]} and {rows.line[second[worst]]}"
+    kind = "points" if rows.path.suffix.lower() == ".vtu" else "lines"
+    lines = f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
     pairs = f"{len(first)} pairs overlap" if len(first) > 1 else "one pair overlaps"
     return float(share[worst]), [
         f"particles.{name}: {pairs} in {rows.path}, by up to {share[worst]:.3g} of the smaller radius ({lines})."

@@ -96,7 +96,7 @@ def test_particles_from_a_file(tmp_path):
     assert (group.count, group.place.found.diameter_min, group.place.found.diameter_max) == (3, 0.002, 0.004)
     assert group.place.found.overlap_max == pytest.approx(0.25)
     assert [sentence.replace(f"{tmp_path}/", "") for sentence in scene.remarks] == [
-        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (2 and 3)."
+        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (lines 2 and 3)."
     ]
     assert fastest_approach(scene).value == pytest.approx(10.0)
     assert plan_for(scene).radius_min == 0.001
