@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.scene import Scene
+from granflow.scene.fields import Vector3
 from granflow.scene.schema import MeshWall, Wall
 from granflow.walls.mesh import Mesh, mesh_of
 from granflow.walls.mesh_file import MeshFileError, read_triangles
@@ -38,7 +39,7 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
             try:
-                mesh = _placed(wall, _read(scene, wall))
+                mesh = _mesh(scene, wall)
                 _refuse_size(scene, wall, mesh)
                 found[name] = mesh
             except (MeshFileError, ValueError) as error:
@@ -58,25 +59,25 @@ def mesh_path(scene: Scene, wall: MeshWall) -> Path:
     return path
 
 
-def _read(scene: Scene, wall: MeshWall) -> Mesh:
+def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
     path = mesh_path(scene, wall)
     try:
         stamp = path.stat()
     except OSError:
         return mesh_of(read_triangles(path))
-    return _read_once(path, stamp.st_mtime_ns, stamp.st_size)
+    turns = tuple((turn.axis, turn.angle) for turn in wall.rotate)
+    return _mesh_once(path, (stamp.st_mtime_ns, stamp.st_size), wall.scale, turns, wall.translate)
 
 
 @lru_cache(FILES_KEPT)
-def _read_once(path: Path, changed: int, size: int) -> Mesh:
-    return mesh_of(read_triangles(path))
-
-
-def _placed(wall: MeshWall, mesh: Mesh) -> Mesh:
+def _mesh_once(
+    path: Path, stamp: tuple[int, int], scale: float, turns: tuple[tuple[Vector3, float], ...], offset: Vector3
+) -> Mesh:
+    """The mesh of a file that was last changed then, scaled, turned and shifted."""
     turned = np.eye(3)
-    for turn in wall.rotate:
-        turned = rotation_matrices(unit(turn.axis), np.array([turn.angle]))[0] @ turned
-    return mesh.placed(wall.scale, turned, np.array(wall.translate))
+    for axis, angle in turns:
+        turned = rotation_matrices(unit(axis), np.array([angle]))[0] @ turned
+    return mesh_of(read_triangles(path)).placed(scale, turned, np.array(offset))
 
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:

@@ -97,7 +97,8 @@ def _by_meshio(path: Path, kind: str) -> Soup:
             mesh = read(path)
     except (Exception, SystemExit) as error:
         why = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:LONGEST_WHY]
-        raise MeshFileError(f"cannot be read as {kind.upper()}: {why or type(error).__name__}") from None
+        why = why or "it is damaged, or of another kind"
+        raise MeshFileError(f"cannot be read as {kind.upper()}: {why}") from None
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
