@@ -8,7 +8,7 @@ from granflow import Simulation, load_scene
 
 SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
-LONG = ("haff_cooling",)
+LONG = ("haff_cooling", "haff_periodic")
 DOSTA = tuple(f"dosta2024/{name}" for name in ("silo_large_orifice", "silo_small_orifice", "drum", "penetration"))
 LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", *DOSTA)
 
