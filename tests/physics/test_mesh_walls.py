@@ -140,9 +140,9 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
 
 @pytest.mark.slow
 def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder):
-    """Without friction or loss: the fall of R - r turns into speed, over some hundred seams, whatever the facets.
+    """Without friction or loss it hops from facet to facet, and has its energy back whenever it touches none.
 
-    A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 1 % of the speed's square.
+    A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 0.2 % of the fall.
     """
     write(folder / "fine.ply", *tube(60, 0.1, 0.4))
     group = balls([[0.0949, 0.0, 0.2]], 0.01)
@@ -152,10 +152,12 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
         run={"duration": 1.0, "velocity_max": 2.0, "time_step": 1e-5}, output={"interval": 1.0}, **parts,
     )  # fmt: skip
     seen = []
-    last, _ = finished(scene, observers=[every(0.002, seen.append)])
+    last, _ = finished(scene, observers=[every(0.002, seen.append, ("particles", "totals"))])
     height = np.array([each.particles["position"][0, 1] for each in seen])
     square = np.array([(each.particles["velocity"] ** 2).sum() for each in seen])
     assert square.max() == pytest.approx(2 * 9.81 * 0.095, rel=0.02)
     energy = 0.5 * square + 9.81 * height
-    assert np.ptp(energy) < 0.01 * 9.81 * 0.095
+    free = np.array([each.totals["contact_count"] == 0 for each in seen])
+    assert free.sum() > 50
+    assert np.abs(energy[free]).max() < 1e-3 * 9.81 * 0.095
     assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in seen]).T)).max() < 0.0953
