@@ -70,9 +70,9 @@ def elsewhere():
     return places, velocities, np.zeros_like(places)
 
 
-def hits(walls, **parts):
-    """All balls at once."""
-    places, velocity, spin = (np.concatenate(both) for both in zip(on_floor(), elsewhere(), strict=True))
+def hits(walls, where=(on_floor, elsewhere), **parts):
+    """All balls of those places at once."""
+    places, velocity, spin = (np.concatenate(all_of) for all_of in zip(*(each() for each in where), strict=True))
     given = {"pair": {"friction": 0.3, "restitution": 0.7}, "run": {"duration": 1.2e-3, "velocity_max": 5.0}}
     output = {"interval": 1.2e-3, "energy": True}
     group = balls(places, 0.01, velocity=velocity, spin=spin)
@@ -131,7 +131,7 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
     """Over a half space, over two triangles and over 2048."""
     normal = {"law": "linear", "stiffness": {"reference_velocity": 1.0}} if law == "linear" else law
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}
-    ends = {name: finished(hits({"floor": each}, normal=normal))[0] for name, each in floors.items()}
+    ends = {name: finished(hits({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
     for name in ("two", "many"):
         for quantity in ("position", "velocity", "spin"):
             np.testing.assert_array_equal(ends[name].particles[quantity], ends["plane"].particles[quantity])
@@ -140,9 +140,9 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
 
 @pytest.mark.slow
 def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder):
-    """Without friction or loss: the fall of R - r turns into speed, over some hundred seams, whatever the facets.
+    """Without friction or loss it hops from facet to facet, and has its energy back whenever it touches none.
 
-    A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 1 % of the speed's square.
+    A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 0.2 % of the fall.
     """
     write(folder / "fine.ply", *tube(60, 0.1, 0.4))
     group = balls([[0.0949, 0.0, 0.2]], 0.01)
@@ -152,10 +152,12 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
         run={"duration": 1.0, "velocity_max": 2.0, "time_step": 1e-5}, output={"interval": 1.0}, **parts,
     )  # fmt: skip
     seen = []
-    last, _ = finished(scene, observers=[every(0.002, seen.append)])
+    last, _ = finished(scene, observers=[every(0.002, seen.append, ("particles", "totals"))])
     height = np.array([each.particles["position"][0, 1] for each in seen])
     square = np.array([(each.particles["velocity"] ** 2).sum() for each in seen])
     assert square.max() == pytest.approx(2 * 9.81 * 0.095, rel=0.02)
     energy = 0.5 * square + 9.81 * height
-    assert np.ptp(energy) < 0.01 * 9.81 * 0.095
+    free = np.array([each.totals["contact_count"] == 0 for each in seen])
+    assert free.sum() > 50
+    assert np.abs(energy[free]).max() < 1e-3 * 9.81 * 0.095
     assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in seen]).T)).max() < 0.0953
