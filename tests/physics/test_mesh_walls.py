@@ -70,9 +70,9 @@ def elsewhere():
     return places, velocities, np.zeros_like(places)
 
 
-def hits(walls, **parts):
-    """All balls at once."""
-    places, velocity, spin = (np.concatenate(both) for both in zip(on_floor(), elsewhere(), strict=True))
+def hits(walls, where=(on_floor, elsewhere), **parts):
+    """All balls of those places at once."""
+    places, velocity, spin = (np.concatenate(all_of) for all_of in zip(*(each() for each in where), strict=True))
     given = {"pair": {"friction": 0.3, "restitution": 0.7}, "run": {"duration": 1.2e-3, "velocity_max": 5.0}}
     output = {"interval": 1.2e-3, "energy": True}
     group = balls(places, 0.01, velocity=velocity, spin=spin)
@@ -131,7 +131,7 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
     """Over a half space, over two triangles and over 2048."""
     normal = {"law": "linear", "stiffness": {"reference_velocity": 1.0}} if law == "linear" else law
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}
-    ends = {name: finished(hits({"floor": each}, normal=normal))[0] for name, each in floors.items()}
+    ends = {name: finished(hits({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
     for name in ("two", "many"):
         for quantity in ("position", "velocity", "spin"):
             np.testing.assert_array_equal(ends[name].particles[quantity], ends["plane"].particles[quantity])
