@@ -84,6 +84,7 @@ CONTACT_QUANTITIES = _by_name(
         Quantity("first_id", "i", "1", "id of particle i", file_type="int64"),
         Quantity("second_id", "j", "1", "id of particle j, -1 where i touches a wall", file_type="int64"),
         Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
+        Quantity("triangle", "", "1", "index of the triangle of a wall that is a mesh, else -1", file_type="int32"),
         Quantity("first_position", "xi", "m", "centre of particle i", "vector", "float64"),
         Quantity("second_position", "xj", "m", "centre of j, or foot point on the wall", "vector", "float64"),
         Quantity("force", "F", "N", "total force on particle i, viscous and friction force included", "vector"),

@@ -8,7 +8,7 @@ import taichi as ti
 from granflow.device.apart import build_inside
 from granflow.device.encounter import build_either_encounter, build_pair_number
 from granflow.device.state import Block, State
-from granflow.device.walls import build_wall_geometry, walls_of
+from granflow.device.walls import build_wall_geometry, triangles_of, walls_of
 from granflow.laws.whole import whole_force
 
 AT_LIMIT = 1.0 - 1e-6
@@ -46,8 +46,9 @@ class ContactRecords:
         loading = found["overlap"] >= memory["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
-        wall = np.full(len(partner), -1, np.int32)
+        wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
         wall[with_wall] = walls_of(self.state, partner[with_wall])
+        triangle[with_wall] = triangles_of(self.state, partner[with_wall])
         foot, force = self.foot.to_numpy()[slot], self.force.to_numpy()[slot]
         cap, first = found.pop("friction_limit"), arrays["position"][owner]
         second = self.state.plan.border.at(self.state.clock.time).beside(arrays["position"][other], first)
@@ -55,6 +56,7 @@ class ContactRecords:
             "first_id": arrays["id"][owner].astype(np.int64),
             "second_id": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),
             "wall": wall,
+            "triangle": triangle,
             "first_position": first,
             "second_position": np.where(with_wall[:, None], foot, second),
             "force": force.astype(float),

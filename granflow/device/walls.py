@@ -139,6 +139,14 @@ def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
     return walls[-1 - partner].astype(np.int64)
 
 
+def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
+    """Index (n,) of the triangle within its wall that each partner (n,) below 0 is; -1 for a wall that is no mesh."""
+    plan = state.plan
+    first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
+    over_all = -1 - partner - len(plan.walls)
+    return np.where(over_all < 0, -1, over_all - first[walls_of(state, partner)])
+
+
 def upload_poses(state: State, step: int) -> None:
     """Put the poses after WALL_BATCH steps from number `step` on the device, velocities from the middle of each step.
 

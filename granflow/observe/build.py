@@ -35,7 +35,7 @@ def observers_for(
     if output.contacts:
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
-        observers.append(WallFrames(out_dir, interval, wall_triangles))
+        observers.append(WallFrames(out_dir, interval, wall_triangles, loaded=loaded_areas(scene)))
     observers += [field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
     return observers
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.observe.frames import FrameSeries, mesh_of_cells, mesh_of_points
 from granflow.observe.observer import CONTACTS, PARTICLES, WALLS
+from granflow.observe.pressed import traction_and_pressure, triangle_areas
 from granflow.observe.schedule import Schedule
 from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.snapshot import Snapshot
@@ -132,10 +133,10 @@ class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the walls that are present, moved to where they stand.
 
     `triangles`: name -> (rest points (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array
-    `wall` holds the index of the wall in that order.
+    `wall` holds the index of the wall in that order. `loaded`: areas [m2] of the walls whose loads are shown, None
+    for what has no end; the cell arrays `traction` and `pressure` hold them as they are at that moment.
     """
 
-    wants = frozenset({WALLS})
     stem = "walls"
 
     def __init__(
@@ -144,13 +145,17 @@ class WallFrames(Frames):
         interval: float,
         triangles: Mapping[str, tuple[np.ndarray, np.ndarray]],
         start: float = 0.0,
+        loaded: Mapping[str, float | None] | None = None,
     ) -> None:
         super().__init__(directory, interval, start)
-        self._triangles = dict(triangles)
+        self._triangles, self._loaded = dict(triangles), dict(loaded or {})
+        self._areas = {name: triangle_areas(*triangles[name]) for name in self._loaded}
+        self.wants = frozenset({WALLS, CONTACTS} if self._loaded else {WALLS})
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
         """Make the mesh of one frame."""
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+        loads = [(np.zeros((0, 3)), np.zeros(0))]
         point_count = 0
         for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
@@ -159,9 +164,19 @@ class WallFrames(Frames):
             points.append(pose.moved(rest_points))
             corners.append(rest_corners + point_count)
             walls.append(np.full(len(rest_corners), index, np.int32))
+            loads.append(self._loads(snapshot, index, name, len(rest_corners)))
             point_count += len(rest_points)
         cell_data = {"wall": np.concatenate(walls)}
+        if self._loaded:
+            for name, parts in zip(("traction", "pressure"), zip(*loads, strict=True), strict=True):
+                cell_data[name] = np.concatenate(parts).astype(np.float32)
         return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
+
+    def _loads(self, snapshot: Snapshot, index: int, name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Traction (count, 3) and pressure (count,) [Pa] on a wall; not numbers where its loads are not asked for."""
+        if name not in self._loaded:
+            return np.full((count, 3), np.nan), np.full(count, np.nan)
+        return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._loaded[name])
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ def scene_of(**output):
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
         "energy": False, "meters": {"outlet": meter}, "fields": {}, "indices": {}, **output,
     }  # fmt: skip
-    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), leaving="error")
+    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), shear=None, leaving="error")
     return SimpleNamespace(
         output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=(), meter_parts=lambda name: ()
     )

@@ -161,3 +161,32 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
     assert free.sum() > 50
     assert np.abs(energy[free]).max() < 1e-3 * 9.81 * 0.095
     assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in seen]).T)).max() < 0.0953
+
+
+def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
+    """Balls at rest in the walls by a known overlap: F = 4/3 E* sqrt(R) d^(3/2), E* = E / (2 (1 - nu^2)) (Hertz)."""
+    overlaps = np.array([1e-5, 4e-5, 2e-5, 3e-5])
+    places = np.array([[0.1, -0.1, 0.0], [-0.1, 0.1, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, -0.5]])
+    places[:, 2] += 0.005 - overlaps
+    walls = {
+        "sheet": wall("two.stl"),
+        "shelf": {
+            "shape": "rectangle", "corner": [0.25, -0.05, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass",
+        },
+        "floor": plane([0, 0, -0.5], [0, 0, 1]),
+    }  # fmt: skip
+    output = {"interval": 1.0, "loads": True, "contacts": True}
+    scene = trial({"balls": balls(places)}, walls=walls, output=output, run={"duration": 1e-6, "velocity_max": 0.1})
+    finished(scene, out=folder / "out")
+    forces = 4.0 / 3.0 * 1e8 / (2.0 * (1.0 - 0.25**2)) * np.sqrt(0.005) * overlaps**1.5
+    frame = meshio.read(folder / "out" / "walls_0000.vtu")
+    middles = frame.points[frame.cells_dict["triangle"]].mean(axis=1)
+    pressure, traction, of_wall = (frame.cell_data[name][0] for name in ("pressure", "traction", "wall"))
+    below_diagonal = middles[:2, 1] < middles[:2, 0]
+    assert below_diagonal.sum() == 1
+    np.testing.assert_allclose(pressure[:2], np.where(below_diagonal, *forces[:2]) / (0.4 * 0.4 / 2.0), rtol=1e-5)
+    np.testing.assert_allclose(pressure[of_wall == 1], forces[2] / (0.1 * 0.1), rtol=1e-5)
+    assert np.isnan(pressure[of_wall == 2]).all(), "half of space has no area"
+    bounded = of_wall < 2
+    np.testing.assert_allclose(traction[bounded, 2], -pressure[bounded], rtol=1e-6)
+    np.testing.assert_allclose(traction[bounded, :2], 0.0, atol=1e-6 * pressure[:2].max())

@@ -1,0 +1,30 @@
+"""What the grains do to each triangle of the walls at one moment, for pictures of the walls."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Areas (k,) [m2] of triangles: points (n, 3) [m], corners (k, 3)."""
+    first, second, third = (points[corners[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1)
+
+
+def traction_and_pressure(
+    contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force over area (k, 3) and normal force over area (k,) [Pa] that grains exert on each triangle of a wall.
+
+    `contacts`: as in a Snapshot; `wall`: index of the wall in the scene; `areas` (k,) [m2] of its triangles; `area`
+    [m2] of all of it, None where it has no end. A mesh has what acts on each of its triangles; a shape that is drawn
+    with triangles, and has none, the mean over all of it (not a number where it has no end).
+    """
+    here = contacts["wall"] == wall
+    force, push, triangle = -contacts["force"][here], contacts["normal_force"][here], contacts["triangle"][here]
+    if len(triangle) == 0 or triangle[0] < 0:
+        whole = np.nan if area is None else area
+        mean, pressure = force.sum(axis=0) / whole, push.sum() / whole
+        return np.broadcast_to(mean, (len(areas), 3)).copy(), np.full(len(areas), pressure)
+    traction = np.stack([np.bincount(triangle, part, len(areas)) for part in force.T], axis=1)
+    return traction / areas[:, None], np.bincount(triangle, push, len(areas)) / areas
