@@ -37,9 +37,10 @@ def test_small_form(tmp_path, taichi_f64):
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_the_ball_rises_with_the_beads_about_it(tmp_path, taichi_f64):
-    frames, unmet = watched("brazil_nut", tmp_path, 2 * CYCLE)
+    frames, unmet = watched("brazil_nut", tmp_path, CYCLE)
     assert unmet == []
-    frames = [frame for frame in frames if frame.stage == "shake" and frame.time > 0.3]
+    # The bed is thrown for more than a cycle, so it lies on the floor at the end of every other one.
+    frames = [frame for frame in frames if frame.time > 0.4][::2]
     nut = np.array([frame.particles["position"][0, 2] for frame in frames])
     above = [np.mean(frame.particles["position"][1:, 2] > height) for frame, height in zip(frames, nut, strict=True)]
     assert above[0] > 0.6 and above[-1] < 0.1
@@ -55,6 +56,6 @@ def convection(frames):
         x, y = before.particles["position"][1:], after.particles["position"][1:]
         here = (x[:, 2] > 8e-3) & (x[:, 2] < 32e-3)
         rise.append((y - x)[here, 2])
-        inner.append(np.hypot(x[here, 0], x[here, 1]) < CUP - SIDE)
-    moves, middle = np.concatenate(rise), np.concatenate(inner)
-    return moves[middle].mean(), moves[~middle].mean()
+        inner.append(np.hypot(x[here, 0], x[here, 1]))
+    moves, radius = np.concatenate(rise), np.concatenate(inner)
+    return moves[radius < CUP / 2].mean(), moves[radius > CUP - SIDE].mean()
