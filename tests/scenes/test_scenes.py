@@ -76,21 +76,6 @@ SMALL = {
         "expect=[{quantity: gravitational_energy, between: [0.125 mJ, 0.190 mJ]}, "
         "{quantity: energy_error, between: [-5e-3, 5e-3]}]",
     ),
-    # Half as wide, through a hole of four beads: 0.58 1450 sqrt(9.81) (0.016 - 1.4 0.004)^2.5 = 0.0291 kg/s
-    # to 20 %.
-    "flat_silo": (
-        "particles.beads.count=400",
-        "particles.beads.place.region.cylinder={from: [0, 0, 0], to: [0, 0, 32 mm], radius: 18 mm}",
-        "walls.plug.radius=8 mm",
-        "walls.floor.radius=18 mm",
-        "walls.floor.hole_radius=8 mm",
-        "walls.bin.radius=18 mm",
-        "output.meters.outlet.radius=8 mm",
-        "stages.0.duration=0.15 s",
-        "stages.1.duration=0.3 s",
-        "expect=[{quantity: mass_flow.outlet, between: [0.0233, 0.0349]}, "
-        "{quantity: energy_error, between: [-5e-3, 5e-3]}]",
-    ),
     # The outlet is as wide as the heap is high, so there is no steady flow to hold to Beverloo: only that all leave.
     "hopper": (
         "particles.beads.count=300",
