@@ -10,7 +10,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
 LONG = ("haff_cooling", "haff_periodic")
 DOSTA = tuple(f"dosta2024/{name}" for name in ("silo_large_orifice", "silo_small_orifice", "drum", "penetration"))
-LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", *DOSTA)
+LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", "impact", *DOSTA)
 
 SMALL = {
     # A ball of 8 mm and 1600 beads, as the bed is to the ball of 20 mm. It has 0.968 g (2.8 m/s)^2 / 2 = 3.8 mJ, most
