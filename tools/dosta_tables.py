@@ -17,7 +17,7 @@ COLUMNS = 4
 
 DRUM_TABLE, PENETRATION_TABLE = "Drum_PartCoordinates.txt", "Penetration_25KParticles.txt"
 DRUM = ["size=2", "stages=[{name: turn, duration: 5 s}]"]
-PENETRATION = ["particles.ball.place.start=0 s", "run.duration=0.1 s"]
+PENETRATION = ["particles.ball.place.start=0 s", "run.duration=0.03 s"]
 BEADS = {1e-3: "m1", 2e-3: "m2"}
 """Their material by the radius [m]."""
 
