@@ -4,6 +4,7 @@ import pytest
 from watching import watched
 
 
+@pytest.mark.slow
 def test_small_form(tmp_path, taichi_f64):
     """Twenty beads wide and four deep, and only until the first have run out."""
     small = (

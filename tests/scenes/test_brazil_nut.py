@@ -14,6 +14,7 @@ SIDE = 6.5e-3  # beads within this of the side go down [m]
 CUP = 26e-3  # radius [m]
 
 
+@pytest.mark.slow
 def test_small_form(tmp_path, taichi_f64):
     small = (
         "particles.nut.diameter=12 mm",

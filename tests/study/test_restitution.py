@@ -123,7 +123,7 @@ def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(t
 
 
 def test_scenes_that_come_with_granflow_need_no_warning():
-    for path in SCENES.glob("*.yaml"):
+    for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
         assert warnings(plan_for(load(path))) == [], path
 
 
