@@ -44,7 +44,8 @@ SMALL = {
         "numerics.overlap_limit=0.4",
         "stages.0.duration=0.15 s",
         "stages.1.duration=0.3 s",
-        "expect=[{quantity: mass_flow.outlet, between: [0.0184, 0.0284], any_size: true}, "
+        # Beverloo's 0.0234 kg/s to 21 % is 84 +- 18 beads in 0.3 s, and their number scatters by its root, 9.
+        "expect=[{quantity: flow_count.outlet, between: [57, 111], any_size: true}, "
         "{quantity: energy_error, between: [-1e-2, 1e-2], any_size: true}]",
     ),
     # 125 large and 469 small beads at the same Froude number: M g b = 1.85 mN m, w = 2.83 rad/s. Of 0.5 s the slope
