@@ -5,12 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 
-def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Areas (k,) [m2] of triangles: points (n, 3) [m], corners (k, 3)."""
-    first, second, third = (points[corners[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1)
-
-
 def traction_and_pressure(
     contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -9,10 +9,11 @@ import numpy as np
 
 from granflow.observe.frames import FrameSeries, mesh_of_cells, mesh_of_points
 from granflow.observe.observer import CONTACTS, PARTICLES, WALLS
-from granflow.observe.pressed import traction_and_pressure, triangle_areas
+from granflow.observe.pressed import traction_and_pressure
 from granflow.observe.schedule import Schedule
 from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.snapshot import Snapshot
+from granflow.walls.mesh import triangle_areas
 
 # Rounding of positions in files may reach this part of the smallest radius before they take 8 bytes.
 POSITION_TOLERANCE = 1e-4

@@ -15,6 +15,12 @@ WELD = 1e-6
 """Points nearer than this share of the mesh's size are one: ten times what files in single precision round off."""
 
 
+def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Areas (t,) [m2] of triangles: points (n, 3) [m], corners (t, 3)."""
+    sides = points[corners[:, 1:]] - points[corners[:, :1]]
+    return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles of one wall: points (n, 3) [m], corners (t, 3) as indices of points, and what was left out."""
@@ -44,8 +50,7 @@ class Mesh:
     @property
     def areas(self) -> np.ndarray:
         """Area (t,) of every triangle [m2]."""
-        sides = self.points[self.corners[:, 1:]] - self.points[self.corners[:, :1]]
-        return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        return triangle_areas(self.points, self.corners)
 
     @property
     def area(self) -> float:
