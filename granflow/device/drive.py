@@ -110,23 +110,18 @@ def build_displacement(state: State) -> tuple[Any, Any]:
     """Device functions (wall): displacement [m] and velocity [m/s] of a wall by its drives, zero without."""
     drives, fields, real = state.plan.drives, state.drive, state.backend.position_real
 
-    @ti.func
-    def displacement(w):
-        total = ti.Vector.zero(real, 3)
-        for r in ti.static(range(len(drives))):
-            if w == drives[r].wall:
-                total += ti.cast(fields.offset[r] * ti.Vector(drives[r].direction, dt=ti.f64), real)
-        return total
+    def along_its_drives(values: Any) -> Any:
+        @ti.func
+        def total_of(w):
+            total = ti.Vector.zero(real, 3)
+            for r in ti.static(range(len(drives))):
+                if w == drives[r].wall:
+                    total += ti.cast(values[r] * ti.Vector(drives[r].direction, dt=ti.f64), real)
+            return total
 
-    @ti.func
-    def velocity(w):
-        total = ti.Vector.zero(real, 3)
-        for r in ti.static(range(len(drives))):
-            if w == drives[r].wall:
-                total += ti.cast(fields.velocity[r] * ti.Vector(drives[r].direction, dt=ti.f64), real)
-        return total
+        return total_of
 
-    return displacement, velocity
+    return along_its_drives(fields.offset), along_its_drives(fields.velocity)
 
 
 def upload_running(state: State, times: np.ndarray) -> None:
