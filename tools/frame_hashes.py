@@ -5,7 +5,7 @@
 
 Each array of a frame has its own SHA-256; the comparison uses the set of hashes, so that an array may be renamed. A
 frame of one thread must equal the frame of two. Hashes depend on the processor and its math library: compare on one
-machine only. Takes about five minutes on two cores.
+machine only. Takes about ten minutes on two cores.
 """
 
 import argparse
