@@ -120,6 +120,8 @@ def add_resume(verbs: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
-    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)")
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
+    )
     add_machine(parser)
     parser.set_defaults(verb=resume)

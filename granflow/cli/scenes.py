@@ -96,7 +96,9 @@ def add_run(verbs: Any) -> None:
     parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
-    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)")
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
+    )
     parser.add_argument("--force", action="store_true", help="replace an earlier run in the same directory")
     add_machine(parser)
 

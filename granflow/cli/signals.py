@@ -49,8 +49,11 @@ class StopSignals:
 
     @contextmanager
     def default_action(self) -> Iterator[None]:
-        """Signals end the process without Python. Raises the stop if one is requested already."""
-        if self._stop is not None:
+        """Signals end the process without Python; a stop that some code has swallowed is raised again.
+
+        A run that stops in order goes on: its checkpoint may need a kernel that is not compiled yet.
+        """
+        if self._stop is not None and self.request is None:
             raise self._stop
         for each in self._before:
             signal.signal(each, signal.SIG_DFL)
