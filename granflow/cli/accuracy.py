@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import quantity
-from granflow.cli.messages import show_table, sigterm_as_exception, write_study
+from granflow.cli.messages import show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -13,8 +13,7 @@ def accuracy(options: argparse.Namespace) -> int:
     """`granflow accuracy`: what accuracy costs, in collisions of two bodies or in a scene."""
     if not 0.0 < options.target < 1.0:
         raise GranflowError(f"--target is {options.target:g}, but an error between 0 and 1 is asked, such as 0.01.")
-    with sigterm_as_exception():
-        return _two_bodies(options) if options.scene is None else _scene(options)
+    return _two_bodies(options) if options.scene is None else _scene(options)
 
 
 def _two_bodies(options: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
-from granflow.cli.messages import show_table, sigterm_as_exception
+from granflow.cli.messages import show_table
 from granflow.cli.scenes import make_room
 
 
@@ -22,11 +22,10 @@ def compare(options: argparse.Namespace) -> int:
     from granflow.study.compare.report import PAGE, compare, ends_words, size_words, star_words
     from granflow.study.compare.summary import as_text, heads
 
-    with sigterm_as_exception():
-        found = compare(
-            scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-            lambda words: print(f"{words} ...", flush=True),
-        )  # fmt: skip
+    found = compare(
+        scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
+        lambda words: print(f"{words} ...", flush=True),
+    )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for words in (star_words(found), size_words(found), *ends_words(found)):
         print(words)

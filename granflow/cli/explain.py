@@ -58,6 +58,11 @@ def add_explain(verbs: Any) -> None:
     parser = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
     parser.add_argument("--measure", action="store_true", help="time a step with every feature on and off instead")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="with --measure: run to this time before")
-    parser.add_argument("--threads", metavar="N", type=thread_count, help="with --measure: CPU threads (all)")
+    parser.add_argument(
+        "--threads",
+        metavar="N",
+        type=thread_count,
+        help="with --measure: CPU threads (cores that this process may use)",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="with --measure: write the table as CSV and Markdown")
     add_machine(parser)

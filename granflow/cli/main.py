@@ -18,6 +18,7 @@ from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume
 from granflow.cli.scenes import add_cache, add_run, check, schema
+from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
 from granflow.errors import GranflowError
@@ -31,7 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = build_parser().parse_args(arguments)
     try:
-        return options.verb(options)
+        with stop_signals():
+            return options.verb(options)
     except GranflowError as error:
         return refuse(error)
     except OSError as error:

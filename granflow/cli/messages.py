@@ -1,9 +1,7 @@
 """What a verb says: one sentence on stderr, an exit code, a table."""
 
-import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,20 +50,6 @@ def warn(sentences: Iterable[str]) -> None:
     """Say on stderr what does not keep a scene from running but should be known."""
     for sentence in sentences:
         print(f"granflow: warning: {sentence}", file=sys.stderr)
-
-
-@contextmanager
-def sigterm_as_exception() -> Iterator[None]:
-    """Let SIGTERM end what runs inside as Ctrl-C does, so that files are closed."""
-
-    def terminate(*_: Any) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:

@@ -2,14 +2,14 @@
 
 import argparse
 import logging
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_machine, quantity, thread_count
-from granflow.cli.messages import Terminated, complain, exit_code_of, show_result, sigterm_as_exception, warn
+from granflow.cli.messages import complain, exit_code_of, show_result, warn
+from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
@@ -43,11 +43,10 @@ def resume(options: argparse.Namespace) -> int:
     warn(passed_over)
     scene = scene_to_go_on_with(options, checkpoint)
     warn([] if checkpoint else [f"{out} holds no checkpoint that can be used: the run begins anew."])
-    with sigterm_as_exception():
-        simulation = Simulation(
-            scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-            anyway=options.anyway,
-        )  # fmt: skip
+    simulation = Simulation(
+        scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
+        anyway=options.anyway,
+    )  # fmt: skip
     if not (simulation.rows_are_there or options.anyway):
         raise GranflowError(
             f"{out / 'timeseries.csv'} lacks rows that had been written when the checkpoint was: put the file back, or "
@@ -75,37 +74,24 @@ def scene_to_go_on_with(options: argparse.Namespace, checkpoint: "Checkpoint | N
 def run_to_the_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
     """Run with signals heard, show the numbers and give the exit code."""
     try:
-        with told_to_stop(simulation), warnings_shown():
+        with deferred_to(simulation.ask_to_stop), warnings_shown():
             result = simulation.run(until=until)
     except KeyboardInterrupt as stop:
-        at = f"stopped at {simulation.time:.6g} s"
-        return complain(f"{at}; granflow resume {out} goes on. {out} holds the run up to there.", exit_code_of(stop))
+        return complain(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)
     if scene.expect and not result.expectations:
         print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
 
 
-@contextmanager
-def told_to_stop(simulation: "Simulation") -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the run after its present step, with a checkpoint; the second one ends it at once."""
-
-    def stop(number: int, *_: Any) -> None:
-        error = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
-        for each in before:
-            signal.signal(each, at_once)
-        simulation.ask_to_stop(error)
-
-    def at_once(number: int, *_: Any) -> None:
-        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
-
-    heard = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) != signal.SIG_IGN]
-    before = {each: signal.signal(each, stop) for each in heard}
-    try:
-        yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+def stopped_where(simulation: "Simulation", out: Path) -> str:
+    """Where a run stopped, and from which checkpoint it can be resumed."""
+    at, saved = f"stopped at {simulation.time:.6g} s", simulation.checkpoint_time
+    if saved == simulation.time:
+        return f"{at}; granflow resume {out} goes on. {out} holds the run up to there."
+    if saved is None:
+        return f"{at}, before the first checkpoint."
+    return f"{at}; the last checkpoint is at {saved:.6g} s, and granflow resume {out} continues from there."
 
 
 @contextmanager
@@ -134,6 +120,8 @@ def add_resume(verbs: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
-    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
+    )
     add_machine(parser)
     parser.set_defaults(verb=resume)

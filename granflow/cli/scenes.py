@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
-from granflow.cli.messages import sigterm_as_exception, warn
+from granflow.cli.messages import warn
 from granflow.errors import GranflowError
 
 RESULT_FILES = (
@@ -27,9 +27,8 @@ def run(options: argparse.Namespace) -> int:
     from granflow.simulation import Simulation
     from granflow.study.restitution import warnings as restitution_warnings
 
-    with sigterm_as_exception():
-        simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
-        warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
+    simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
+    warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -97,7 +96,9 @@ def add_run(verbs: Any) -> None:
     parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
-    parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
+    )
     parser.add_argument("--force", action="store_true", help="replace an earlier run in the same directory")
     add_machine(parser)
 

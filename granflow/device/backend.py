@@ -1,6 +1,6 @@
 """The only place that starts Taichi: architecture, precision, threads. Once per process."""
 
-import os
+import logging
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -10,6 +10,8 @@ import taichi as ti
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from granflow.device.cache import usable_folder
+from granflow.device.compilation import guarded
+from granflow.device.cores import worker_count
 from granflow.errors import GranflowError
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
@@ -18,23 +20,22 @@ Precision = Literal["f64", "f32", "mixed"]
 
 @dataclass(frozen=True)
 class Backend:
-    """What was started. `real` is the type of forces and velocities, `position_real` that of positions."""
+    """What was started. `real` is the type of forces and velocities, `position_real` that of positions.
+
+    `threads`: CPU threads requested; `worker_count`: CPU threads that take part in a loop.
+    """
 
     arch: str
     precision: Precision
     threads: int | None
     real: Any
     position_real: Any
+    worker_count: int
 
     @property
     def on_cpu(self) -> bool:
         """True where kernels run on the host's own cores."""
         return self.arch == "cpu"
-
-    @property
-    def worker_count(self) -> int:
-        """CPU threads that take part in a loop."""
-        return self.threads or os.cpu_count() or 1
 
 
 _started: Backend | None = None
@@ -58,16 +59,21 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         )
     real = ti.f64 if precision == "f64" else ti.f32
     position_real = ti.f32 if precision == "f32" else ti.f64
-    options = {"cpu_max_num_threads": threads} if threads else {}
+    workers, warning = worker_count(threads)
+    if warning:
+        logging.getLogger("granflow").warning("granflow: warning: %s", warning)
     folder = usable_folder()
     kept = {"offline_cache_file_path": str(folder)} if folder else {"offline_cache": False}
     ASTTransformerContext.get_pos_info = _position_in_source
+    ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
-        ti.init(arch=wanted, default_fp=real, fast_math=False, log_level=ti.ERROR, **options, **kept)
+        ti.init(
+            arch=wanted, default_fp=real, fast_math=False, log_level=ti.ERROR, cpu_max_num_threads=workers, **kept
+        )  # fmt: skip
     name = _arch_name(arch)
     if position_real == ti.f64 and name in ("metal", "vulkan"):
         raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
-    _started = Backend(name, precision, threads, real, position_real)
+    _started = Backend(name, precision, threads, real, position_real, workers)
     return _started
 
 

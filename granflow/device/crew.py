@@ -1,63 +1,95 @@
-"""How many CPU threads take part in a launch. Results do not depend on it, so it is found while running.
+"""How many CPU workers take part in a launch. Results do not depend on it, so it is chosen during the run.
 
-Threads wait for each other after every phase of a step. Where other work takes their cores away, one of them waits
-for milliseconds, and fewer threads are faster: nobody can know that beforehand.
+Workers wait for each other after every phase of a step. Where other processes use the cores, fewer workers can be
+faster. Trials of twice or half the workers measure that; contention makes a trial of half the workers due at once.
 """
 
-FIRST_TRY, LAST_TRY = 8, 64
-"""Launches from one trial of another size to the next; twice as many after each that was in vain, up to the last."""
+WINDOW = 0.02
+"""Seconds of launches over which a rate is measured, and that a trial takes."""
+
+UP_INTERVAL = 0.7
+"""Seconds of launches between two trials of more workers."""
+
+FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
+"""Seconds of launches until a trial of fewer workers; twice as long after each trial that was not faster."""
+
+CONTENDED_DOWN_INTERVAL = 0.25
+"""Seconds of launches between two trials of fewer workers that contention makes due."""
 
 GAIN = 1.05
-"""How much faster a trial must be than the launch before it."""
+"""A trial is faster if its rate is at least this many times the rate before."""
 
-LEAST_SECONDS = 0.002
-"""Shorter launches say more about launching than about working."""
-
-PATIENCE = 5
-"""A long wait counts two, a launch without one takes one off; above this the crew is halved."""
+CONTENTION_LIMIT = 3
+"""A launch with contention adds 2 to a score, one without subtracts 1. Above this limit half the workers are tried."""
 
 
 class Crew:
-    """Proposes a size for each launch and learns from how fast it was."""
+    """Proposes the number of workers of each launch, from the rate and the contention of the launches before."""
 
     def __init__(self, most: int) -> None:
         self.size = most
         self._most = most
-        self._rate = 0.0
-        self._launches = 0
-        self._next_try = FIRST_TRY
         self._trial = 0
-        self._upwards = False
-        self._annoyance = 0
+        self._rate = 0.0
+        self._contention = 0
+        self._down_interval = FIRST_DOWN_INTERVAL
+        self._since_up = self._since_down = 0.0
+        self._since_contended_down = CONTENDED_DOWN_INTERVAL
+        self._start_window()
 
     @property
     def next_size(self) -> int:
-        """Threads for the coming launch."""
+        """Workers for the next launch."""
         return self._trial or self.size
 
-    def record(self, work: int, seconds: float, waited: bool) -> None:
-        """Tell how much the launch did, in any unit that stays the same, how long it took, and if it waited long."""
-        trial, self._trial = self._trial, 0
-        if trial:
-            self._judge(trial, not waited and seconds >= LEAST_SECONDS and work > GAIN * self._rate * seconds)
+    @property
+    def in_trial(self) -> bool:
+        """Whether the next launch is part of a trial."""
+        return bool(self._trial)
+
+    def record(self, work: float, seconds: float, contended: bool) -> None:
+        """Record a launch: its work in any constant unit, its wall seconds, whether a worker waited too long."""
+        self._work += work
+        self._seconds += seconds
+        self._since_up += seconds
+        self._since_down += seconds
+        self._since_contended_down += seconds
+        if not self._trial:
+            self._contention = max(self._contention + (2 if contended else -1), 0)
+        if self._seconds < WINDOW:
             return
-        self._annoyance = max(self._annoyance + (2 if waited else -1), 0)
-        if self._annoyance > PATIENCE:
-            self.size, self._annoyance = max(self.size // 2, 1), 0
-            self._launches, self._next_try, self._upwards = 0, FIRST_TRY, False
-        elif seconds >= LEAST_SECONDS:
-            self._rate = work / seconds
-        self._launches += 1
-        if self._launches == self._next_try:
-            self._launches, self._trial = 0, self._other_size()
+        rate = self._work / self._seconds
+        self._start_window()
+        if self._trial:
+            self._judge(rate)
+        else:
+            self._rate = rate
+            self._trial = self._next_trial()
 
-    def _judge(self, trial: int, better: bool) -> None:
-        if better:
-            self.size = trial
-        self._next_try = FIRST_TRY if better else min(2 * self._next_try, LAST_TRY)
+    def _start_window(self) -> None:
+        self._work = self._seconds = 0.0
 
-    def _other_size(self) -> int:
-        """Twice or half the size, in turn; 0 where there is neither."""
-        self._upwards = not self._upwards
-        other = min(2 * self.size, self._most) if self._upwards else self.size // 2
-        return 0 if other == self.size else other
+    def _judge(self, rate: float) -> None:
+        """Keep the number of workers of the trial if it is faster."""
+        faster, down, self._trial, trial = rate > GAIN * self._rate, self._trial < self.size, 0, self._trial
+        self._contention = 0
+        if faster:
+            self.size, self._rate = trial, rate
+        if faster or not down:
+            self._down_interval = FIRST_DOWN_INTERVAL if faster else self._down_interval
+        else:
+            self._down_interval = min(2 * self._down_interval, LAST_DOWN_INTERVAL)
+
+    def _next_trial(self) -> int:
+        """Number of workers to try now; 0 if no trial is due."""
+        if self.size > 1 and self._down_is_due():
+            self._since_down = self._since_contended_down = 0.0
+            return self.size // 2
+        if self.size < self._most and self._since_up >= UP_INTERVAL:
+            self._since_up = 0.0
+            return min(2 * self.size, self._most)
+        return 0
+
+    def _down_is_due(self) -> bool:
+        contended = self._contention > CONTENTION_LIMIT and self._since_contended_down >= CONTENDED_DOWN_INTERVAL
+        return contended or self._since_down >= self._down_interval

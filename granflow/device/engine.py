@@ -183,10 +183,10 @@ class Engine:
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
-        """Do `steps` steps; fewer if a guard trips or the time step changes."""
+        """Do `steps` steps; fewer if a guard trips, a stop is requested or the time step changes."""
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
-        while clock.step_count < wanted and self.time_step == before and not self.tripped:
+        while clock.step_count < wanted and self.time_step == before and not (self.tripped or self.stepper.interrupted):
             allowed = wanted - clock.step_count
             if self.plan.pace is None:
                 clock.step_count += self.stepper.advance(allowed, clock.step_count)

@@ -247,8 +247,10 @@ class Control:
     def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
         self.search_due = block.scalar(ti.i32, 1)
         self.search_wanted = block.scalar(ti.i32, 1)
-        self.steps_done, self.running, self.waited = (block.scalar(ti.i32, 1) for _ in range(3))
-        self.next_chunk, self.arrived, self.meetings = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(3))
+        self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
+        self.worker_count, self.patience = (block.scalar(ti.i32, 1) for _ in range(2))
+        self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
+        self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
         self.slots_needed = block.scalar(ti.i32, 1)
         self.guard = block.scalar(ti.i32, 1)
         self.guard_particle = block.scalar(ti.i32, 1)

@@ -12,6 +12,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.device.apart import build_wrap, upload_offsets
+from granflow.device.barrier import build_barrier, seconds_per_look
 from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
 from granflow.device.drive import build_drive, mark_search
@@ -32,11 +33,15 @@ from granflow.plan.slots import slots_to_keep
 GPU_BATCH = 16
 """Steps launched between two looks at the flags on a GPU, where every step is a launch of its own."""
 
-CPU_BATCH = 1_000_000
-"""Particle-steps of one launch on a CPU: a tenth of a second, so that Ctrl-C is heard."""
+LAUNCH_SECONDS = 0.05
+"""Wall seconds of one launch on a CPU. A launch cannot be interrupted: a stop takes effect between two of them."""
 
-LONG_WAIT = 500_000
-"""Looks at a counter, 3 ms at the least: a thread waits so long only for one that has lost its core."""
+FIRST_LAUNCH = 50_000
+"""Particle-steps of the first launch on a CPU, whose rate is not known."""
+
+PATIENCE, PATIENCE_CHUNKS = 3e-4, 4.0
+"""A worker leaves the launch after waiting this many seconds plus the time for this many chunks: longer than chunks of
+different cost explain, and shorter than the time for which an operating system takes a core away."""
 
 ONE_WORKER = 512
 """Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
@@ -79,9 +84,11 @@ class Stepper:
         self.timing = Timing()
         self._on_gone = on_gone
         self.steps_since_search = 0
+        self.interrupted = False
         self._since_sample = 0
         self._crew = Crew(state.backend.worker_count)
         self._pose = WALL_BATCH if state.plan.poses else 0
+        self._step_seconds = self._chunk_seconds = 0.0
         self._build()
 
     def _build(self) -> None:
@@ -103,6 +110,9 @@ class Stepper:
         self._rows(0, 0.0, 0)
         self._set_aside(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
+        if state.backend.on_cpu:
+            self._seconds_per_look = seconds_per_look(state.control)
+            state.control.patience[0] = self._patience = int(PATIENCE / self._seconds_per_look)
         self.timing.compile += clock.perf_counter() - began
 
     def search(self, pose: int = 0) -> None:
@@ -193,11 +203,14 @@ class Stepper:
     def advance(self, steps: int, step: int) -> int:
         """Do `steps` steps after step number `step`; returns those done.
 
-        Fewer if a guard tripped, or after a search where the time step follows the scene: it lists new neighbours.
+        Fewer if a guard tripped, if `interrupted` is set (by a signal handler),
+        or after a search where the time step follows the scene: it lists new neighbours.
         """
         done, searches = 0, self.timing.search_count
         follows = self.state.plan.pace is not None
         while done < steps and not self.guard_code and not (follows and self.timing.search_count > searches):
+            if self.interrupted:
+                break
             done += self._advance_batch(steps - done, step + done)
         return done
 
@@ -241,13 +254,34 @@ class Stepper:
             for _ in range(min(steps, GPU_BATCH)):
                 self._launch_step(1, self._pose, step)
             return int(self.state.control.steps_done[0])
-        began, count = clock.perf_counter(), self.state.count
-        self._launch_step(min(steps, max(CPU_BATCH // max(count, 1), 1)), self._pose, step)
+        began, wanted = clock.perf_counter(), min(steps, self._steps_per_launch)
+        self._launch_step(wanted, self._pose, step)
         done = int(self.state.control.steps_done[0])
-        if count > ONE_WORKER:
-            waited = bool(self.state.control.waited[0])
-            self._crew.record(done * count, clock.perf_counter() - began, waited)
+        if done:
+            self._learn(done, clock.perf_counter() - began)
         return done
+
+    @property
+    def _steps_per_launch(self) -> int:
+        """Steps that take LAUNCH_SECONDS, at the rate of the launch before."""
+        if not self._step_seconds:
+            return max(FIRST_LAUNCH // max(self.state.count, 1), 1)
+        return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
+
+    def _learn(self, done: int, seconds: float) -> None:
+        """Choose length, workers and patience of the next launch from a launch of `done` steps."""
+        self._step_seconds = seconds / done
+        state = self.state
+        if state.count <= ONE_WORKER:
+            return
+        workers = self._crew.next_size
+        contended = int(state.control.worker_count[0]) < workers
+        self._crew.record(done * state.count, seconds, contended)
+        chunk_seconds = workers * self._step_seconds / state.chunk_count
+        self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
+        looks = int((PATIENCE + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_look)
+        if not 0.8 * self._patience < looks < 1.25 * self._patience:
+            state.control.patience[0] = self._patience = looks
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU; one step of either phase alone where the other is 0."""
@@ -312,17 +346,19 @@ def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]
 
 
 def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None]:
-    """Many steps in one launch. Workers take chunk after chunk and meet after every phase; see `meet_others`."""
+    """Many steps in one launch. Workers take chunk after chunk; a barrier separates the phases."""
     control, real, driven = state.control, state.backend.real, state.plan.features.driven_walls
     drive = build_drive(state) if driven else None
+    arrive, release, wait = build_barrier(control)
 
     @ti.func
-    def meet_others(workers, meeting, forced, steps_wanted, chunks, pose, dt):
-        """Wait until every worker is here; the last one settles what comes next before it lets the others go.
+    def barrier(number, forced, steps_wanted, chunks, pose, dt):
+        """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
 
-        Spinning on atomic counters takes a microsecond where waking Taichi's threads for every phase took sixty.
+        Spinning on atomic counters takes a microsecond; waking Taichi's threads for every phase takes sixty.
         """
-        if ti.atomic_add(control.arrived[CACHE_LINE], 1) == meeting * workers - 1:
+        left = 0
+        if arrive(number) == 1:
             control.next_chunk[CACHE_LINE] = 0
             if ti.static(driven):
                 if forced == 0:
@@ -331,50 +367,49 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
                 control.steps_done[0] = control.steps_done[0] + 1
             control.search_due[0] = control.search_wanted[0]
             on = control.steps_done[0] < steps_wanted and control.search_due[0] == 0 and control.guard[0] == 0
-            control.running[0] = ti.cast(on and (forced == 0 or control.waited[0] == 0), ti.i32)
-            ti.atomic_add(control.meetings[CACHE_LINE], 1)
-        looks = 0
-        while ti.atomic_add(control.meetings[CACHE_LINE], 0) < meeting:
-            looks += 1
-        if looks > LONG_WAIT:
-            control.waited[0] = 1
+            control.running[0] = ti.cast(on, ti.i32)
+            release(number)
+        else:
+            left = wait(number)
+        return left
 
     @ti.func
     def next_chunk():
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
-    def work(worker, workers, chunks, count, pose, dt, moving, forcing, steps):
-        meeting = 0
-        while control.running[0] == 1:
+    def work(worker, chunks, count, pose, dt, moving, forcing, steps):
+        barrier_number, left = 0, 0
+        while left == 0 and control.running[0] == 1:
             if moving == 1:
                 chunk = next_chunk()
                 while chunk < chunks:
                     move(chunk, count, dt)
                     chunk = next_chunk()
-                meeting += 1
-                meet_others(workers, meeting, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
-            if forcing == 1 and control.running[0] == 1:
+                barrier_number += 1
+                left = barrier(barrier_number, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
+            if forcing == 1 and left == 0 and control.running[0] == 1:
                 pose_now = pose + control.steps_done[0]
                 chunk = next_chunk()
                 while chunk < chunks:
                     forces(worker, chunk, count, pose_now, dt)
                     chunk = next_chunk()
-                meeting += 1
-                meet_others(workers, meeting, 1, steps, chunks, pose_now, dt)
+                barrier_number += 1
+                left = barrier(barrier_number, 1, steps, chunks, pose_now, dt)
 
     @ti.kernel
     def step_on_cpu(
         steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
         forcing: ti.i32
     ):  # fmt: skip
-        control.waited[0] = 0
+        control.worker_count[0] = workers
         control.next_chunk[CACHE_LINE] = 0
         control.arrived[CACHE_LINE] = 0
-        control.meetings[CACHE_LINE] = 0
+        control.arrived[2 * CACHE_LINE] = 0
+        control.released[CACHE_LINE] = 0
         control.running[0] = ti.cast(steps > 0 and control.search_due[0] == 0 and control.guard[0] == 0, ti.i32)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
-                work(task // CPU_STRIDE, workers, chunks, count, pose, dt, moving, forcing, steps)
+                work(task // CPU_STRIDE, chunks, count, pose, dt, moving, forcing, steps)
 
     return step_on_cpu

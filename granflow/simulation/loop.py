@@ -169,6 +169,13 @@ class Simulation:
     def ask_to_stop(self, error: BaseException) -> None:
         """Have `run` finish its present steps, write a checkpoint and raise `error`; made for signal handlers."""
         self._stop_wanted = error
+        self.engine.stepper.interrupted = True
+
+    @property
+    def checkpoint_time(self) -> float | None:
+        """Simulated time of the last checkpoint [s], at first that of the one resumed; None if there is none."""
+        written = self._writer.last_time if self._writer is not None else None
+        return self._resumed.time if written is None and self._resumed is not None else written
 
     @property
     def rows_are_there(self) -> bool:

@@ -1,41 +1,83 @@
-"""The number of threads follows what is fastest now, told by launches alone."""
+"""The number of workers follows what is fastest now, by rates and contention of launches on a modeled machine."""
+
+import pytest
 
 from granflow.device.crew import Crew
 
+LAUNCH = 0.05
+"""Wall seconds of a launch."""
 
-def work(crew, speed, launches, waits_above=99):
-    """Launches of 0.1 s in which `size` threads do `speed[size]` units; the sizes used."""
-    used = []
-    for _ in range(launches):
+
+def launches(crew, speed, seconds, contended_above=99, launch=LAUNCH):
+    """Launches in which `size` workers do `speed[size]` units per second, for so many seconds; time by size."""
+    used = dict.fromkeys(speed, 0.0)
+    for _ in range(round(seconds / launch)):
         size = crew.next_size
-        used.append(size)
-        crew.record(0.1 * speed[size], 0.1, waited=size > waits_above)
+        used[size] += launch
+        crew.record(launch * speed[size], launch, contended=size > contended_above)
     return used
 
 
-def test_all_threads_stay_where_they_are_faster():
+def mean_rate(used, speed):
+    return sum(speed[size] * seconds for size, seconds in used.items()) / sum(used.values())
+
+
+IDLE = {1: 1.0, 2: 1.9, 4: 3.6}
+
+
+def test_all_workers_stay_where_they_are_faster():
     crew = Crew(4)
-    used = work(crew, {1: 1.0, 2: 1.9, 4: 3.6}, 400)
+    launches(crew, IDLE, 10.0)
+    used = launches(crew, IDLE, 40.0)
     assert crew.size == 4
-    assert used.count(4) > 380, "trials of fewer threads are rare"
+    assert mean_rate(used, IDLE) > 0.98 * IDLE[4], "trials of fewer workers are rare"
 
 
-def test_long_waits_halve_the_crew_at_once_and_it_comes_back_when_they_end():
-    crew, speed = Crew(4), {1: 1.0, 2: 1.9, 4: 3.6}
-    work(crew, {1: 1.0, 2: 0.3, 4: 0.1}, 12, waits_above=1)
+@pytest.mark.parametrize("launch", [0.002, 0.01, 0.05])
+def test_contention_reduces_the_workers_within_a_second(launch):
+    """Two cores, each shared with another process: two workers wait for each other at most barriers."""
+    crew, shared = Crew(2), {1: 1.0, 2: 0.3}
+    launches(crew, {1: 1.0, 2: 1.9}, 30.0, launch=launch)
+    launches(crew, shared, 1.0, contended_above=1, launch=launch)
+    used = launches(crew, shared, 5.0, contended_above=1, launch=launch)
     assert crew.size == 1
-    work(crew, speed, 200)
-    assert crew.size == 4
+    assert mean_rate(used, shared) > 0.9 * shared[1]
 
 
-def test_fewer_threads_are_found_where_more_are_slower():
+def test_four_workers_become_one_within_a_second():
+    crew, shared = Crew(4), {1: 1.0, 2: 0.7, 4: 0.3}
+    launches(crew, IDLE, 30.0)
+    launches(crew, shared, 1.0, contended_above=1)
+    assert crew.size == 1
+
+
+@pytest.mark.parametrize("most", [2, 4])
+def test_workers_return_when_the_contention_ends(most):
+    crew = Crew(most)
+    launches(crew, {1: 1.0, 2: 0.4, 4: 0.2}, 5.0, contended_above=1)
+    assert crew.size == 1
+    launches(crew, IDLE, 2.0)
+    assert crew.size == most
+
+
+def test_fewer_workers_are_found_where_more_are_slower_without_contention():
     crew = Crew(4)
-    work(crew, {1: 1.0, 2: 0.9, 4: 0.5}, 400)
+    launches(crew, {1: 1.0, 2: 0.9, 4: 0.5}, 4.0)
     assert crew.size == 1
 
 
-def test_a_launch_too_short_to_tell_changes_nothing():
+def test_rare_contention_that_costs_less_than_a_worker_brings_keeps_the_workers():
+    crew, speed = Crew(2), {1: 1.0, 2: 1.6}
+    for number in range(2_000):
+        size = crew.next_size
+        crew.record(LAUNCH * speed[size], LAUNCH, contended=size == 2 and number % 3 == 0)
+    assert crew.size == 2
+
+
+def test_short_launches_are_judged_together():
+    """One launch of 1 ms says nothing: its rate scatters by a factor of ten. Twenty launches have the mean rate."""
     crew = Crew(2)
-    for _ in range(100):
-        crew.record(1, 1e-4 if crew.next_size == 1 else 1e-3, waited=False)
+    for number in range(4_000):
+        speed = {1: 1.0, 2: 1.9}[crew.next_size]
+        crew.record(1e-3 * speed * (0.1 if number % 2 else 1.9), 1e-3, contended=False)
     assert crew.size == 2

@@ -1,13 +1,17 @@
 """Same bits on any number of threads and in every run, whatever is left out; rounding only where the order changes."""
 
 import hashlib
+import os
 
 import numpy as np
 import pytest
 from child import in_child
 from trials import balls, box, finished, plane, trial
 
-from granflow.device import stepper
+from granflow.device import backend, stepper
+
+MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
+"""Workers for which Taichi's pool has too few threads."""
 
 ARRAYS = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
 
@@ -36,6 +40,8 @@ def fingerprint(threads, in_parallel, precision="f64"):
     """Digest of what a run leaves behind, how many particles and contacts there are, and how many searches it took."""
     if in_parallel:  # a scene this small would be stepped on one thread
         stepper.ONE_WORKER = 0
+    if threads == MORE_THAN_POOL:
+        backend.worker_count = lambda requested: (requested, "")
     last, simulation = finished(busy_scene(), threads=threads, precision=precision)
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
     digest.update(b"".join(each.tobytes() for each in last.impulses.values()))
@@ -44,12 +50,30 @@ def fingerprint(threads, in_parallel, precision="f64"):
 
 
 def test_bits_do_not_depend_on_threads_nor_on_the_run():
-    one, two, again, few = (in_child(fingerprint, *how) for how in ((1, False), (2, True), (2, True), (2, False)))
+    one, two, few = (in_child(fingerprint, *how) for how in ((1, False), (2, True), (2, False)))
     _, particles, contacts, searches = one
     assert particles == 316.0
     assert contacts > 20
     assert searches > 20
-    assert one == two == again == few
+    assert one == two == few
+
+
+def test_more_workers_than_threads_in_the_pool_give_the_same_bits():
+    """Workers that wait too long leave the launch, so the others get a thread: no worker blocks the launch."""
+    assert in_child(fingerprint, MORE_THAN_POOL, True) == in_child(fingerprint, 1, False)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="affinity of Linux")
+def test_two_workers_on_one_core_give_the_same_bits():
+    one, shared = in_child(fingerprint, 1, False), in_child(fingerprint_on_one_core)
+    assert one == shared
+
+
+def fingerprint_on_one_core():
+    """Two workers that take turns on one core: they leave launches all the time."""
+    backend.worker_count = lambda requested: (requested, "")
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    return fingerprint(2, True)
 
 
 @pytest.mark.parametrize("precision", ["mixed", "f32"])

@@ -1,0 +1,81 @@
+"""A barrier that a worker can leave: no launch blocks on a core that other work has taken.
+
+A worker that waits longer than `control.patience` looks leaves the launch; the others continue without it. The
+operating system then has a free core for the worker that was interrupted. A worker that has left returns with the
+next launch. Because workers can leave, a launch also ends if Taichi's pool has fewer threads than workers.
+"""
+
+import time
+from typing import Any
+
+import taichi as ti
+
+from granflow.device.state import CACHE_LINE, CPU_STRIDE, Control
+
+ARRIVAL_BITS = 16
+LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1
+"""The counter of one barrier holds arrivals in its low bits and leavers above them: one atomic operation decides
+whether a worker leaves before or after the last arrival."""
+
+CALIBRATION_LOOKS = 2_000
+
+
+def build_barrier(control: Control) -> tuple[Any, Any, Any]:
+    """Device functions (barrier number): arrive, which returns 1 for the last worker; release; wait.
+
+    The last worker calls `release`; the others call `wait`, which returns 1 if the worker must leave the launch.
+    Barriers are numbered from 1. Two counters alternate, so that a late attempt to leave never reaches the next one.
+
+    Reads:  patience
+    Writes: arrived, released, worker_count
+    """
+
+    @ti.func
+    def counter(number):
+        return CACHE_LINE * (1 + number % 2)
+
+    @ti.func
+    def arrive(number):
+        before = ti.atomic_add(control.arrived[counter(number)], 1)
+        last = ti.cast((before & ARRIVALS) == control.worker_count[0] - 1, ti.i32)
+        if last == 1:
+            control.worker_count[0] = control.worker_count[0] - (before >> ARRIVAL_BITS)
+            control.arrived[counter(number + 1)] = 0
+        return last
+
+    @ti.func
+    def release(number):
+        ti.atomic_max(control.released[CACHE_LINE], number)
+
+    @ti.func
+    def wait(number):
+        looks, left = 0, 0
+        while left == 0 and ti.atomic_add(control.released[CACHE_LINE], 0) < number:
+            looks += 1
+            if looks == control.patience[0]:
+                before = ti.atomic_add(control.arrived[counter(number)], LEAVE)
+                left = ti.cast((before & ARRIVALS) < control.worker_count[0], ti.i32)
+        return left
+
+    return arrive, release, wait
+
+
+def seconds_per_look(control: Control) -> float:
+    """Wall seconds of one look at the barrier by a worker that waits: the shortest of three measurements."""
+
+    @ti.kernel
+    def look(looks: ti.i32):
+        for task in range(CPU_STRIDE):
+            if task == 0:
+                look_count = 0
+                while look_count < looks and ti.atomic_add(control.released[CACHE_LINE], 0) < looks:
+                    look_count += 1
+
+    control.released[CACHE_LINE] = 0
+    look(0)
+    seconds = []
+    for _ in range(3):
+        began = time.perf_counter()
+        look(CALIBRATION_LOOKS)
+        seconds.append(time.perf_counter() - began)
+    return min(seconds) / CALIBRATION_LOOKS

@@ -1,0 +1,28 @@
+"""Compilation of kernels: C++ code that holds the interpreter lock for seconds, so that no Python signal handler runs.
+
+The command line sets `around` to a context in which signals end the process without Python.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+around: Callable[[], AbstractContextManager[None]] = nullcontext
+
+
+def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Taichi's function (program, configuration, capabilities, kernel), with the first call for a kernel in `around`.
+
+    Taichi calls it at every launch; later calls only look the kernel up.
+    """
+    compiled: set[int] = set()
+
+    def compile_in_context(program: Any, configuration: Any, capabilities: Any, kernel: Any) -> Any:
+        if id(kernel) in compiled:
+            return compile_kernel(program, configuration, capabilities, kernel)
+        with around():
+            done = compile_kernel(program, configuration, capabilities, kernel)
+        compiled.add(id(kernel))
+        return done
+
+    return compile_in_context

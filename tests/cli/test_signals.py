@@ -1,0 +1,94 @@
+"""SIGINT and SIGTERM end every phase of a run within a second: placing particles, compiling kernels, stepping."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+LIMIT = 1.0
+"""Seconds from the signal to the end of the process."""
+
+SCENE = """\
+title: Block of beads
+gravity: [0, 0, -9.81]
+materials: {glass: {young_modulus: 10 MPa, poisson_ratio: 0.23, density: 2500}}
+pairs: {glass-glass: {restitution: 0.8, friction: 0.4, rolling_friction: 0.1}}
+contact: {normal: zhou, tangential: mindlin, rolling: epsd}
+walls: {floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}}
+particles:
+  beads:
+    {material: glass, count: COUNT, diameter: 4 mm,
+    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [0.4, 0.4, 0.4]}}}}
+domain: {min: [-1, -1, -0.1], max: [1.5, 1.5, 1], leaving: delete}
+output: {interval: 10 ms}
+run: {velocity_max: 5 m/s, duration: 1000 s}
+"""
+
+
+def hear_interrupts():
+    """A shell starts background processes with SIGINT ignored; the run must not inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def started(home, count=2000, *arguments):
+    (home / "block.yaml").write_text(SCENE.replace("COUNT", str(count)))
+    command = [sys.executable, "-m", "granflow", "run", "block.yaml", "--out", "out", *arguments]
+    environment = os.environ | {"GRANFLOW_CACHE": str(home / "cache")}
+    return subprocess.Popen(
+        command, cwd=home, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=hear_interrupts
+    )  # fmt: skip
+
+
+def wait_until(ready, running):
+    give_up = time.monotonic() + 120.0
+    while not ready() and running.poll() is None and time.monotonic() < give_up:
+        time.sleep(0.01)
+    assert running.poll() is None, running.stderr.read()
+
+
+def end(running, number):
+    """Send a signal; seconds until the process has ended, its exit code as a shell gives it, and its messages."""
+    began = time.monotonic()
+    running.send_signal(number)
+    _, said = running.communicate(timeout=60)
+    code = running.returncode if running.returncode >= 0 else 128 - running.returncode
+    return time.monotonic() - began, code, said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay", [0.3, 0.8, 2.0])
+def test_stop_while_kernels_compile(tmp_path, number, delay):
+    """The cache is empty: C++ code compiles for several seconds from the moment the directory exists."""
+    running = started(tmp_path)
+    wait_until((tmp_path / "out").exists, running)
+    time.sleep(delay)
+    seconds, code, said = end(running, number)
+    assert seconds < LIMIT
+    assert code == 128 + number
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stop_while_a_large_packing_is_placed(tmp_path, number):
+    running = started(tmp_path, 900_000)
+    time.sleep(2.0)
+    seconds, code, said = end(running, number)
+    assert seconds < LIMIT
+    assert code == 128 + number
+    assert "Traceback" not in said
+
+
+def test_stop_between_launches_writes_a_checkpoint(tmp_path):
+    running = started(tmp_path)
+    wait_until((tmp_path / "out" / "particles_0001.vtu").exists, running)
+    seconds, code, said = end(running, signal.SIGTERM)
+    assert seconds < LIMIT
+    assert code == 143
+    assert "granflow resume out" in said
+    assert len(list((tmp_path / "out").glob("checkpoint_*.npz"))) == 1

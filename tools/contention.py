@@ -1,0 +1,134 @@
+"""Steps per second of one bed while other processes use the cores: one thread, all threads, and the automatic choice.
+
+    python tools/contention.py --bed BED.npz                      0 to 4 competing processes
+    python tools/contention.py --bed BED.npz --root CHECKOUT      the same for another checkout of granflow
+    python tools/contention.py --size 3000                        settle a bed first
+
+`fixed 1` and `fixed 2` keep their number of workers in every launch. `auto` is a run without --threads, `pair` is the
+slower of two such runs at once, `one core` such a run on one core. Each rate is measured for two seconds that begin one
+second after the first step.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+BUSY = "import sys\nwhile True: sum(range(100_000))"
+CHILD = "import json, sys; sys.path[:0] = json.loads(sys.argv[1]); import contention; contention.child(*sys.argv[2:])"
+WARM_UP, MEASURED = 1.0, 2.0  # s
+MODES = ("fixed 1", "fixed 2", "auto")
+
+
+def child(bed: str, mode: str) -> None:
+    """Measure one rate [steps/s] and print it as JSON."""
+    import time
+
+    from benchmark import ours
+    from benchmark.cases import Case
+
+    fixed = int(mode.split()[1]) if mode.startswith("fixed") else 0
+    threads: Any = fixed or None
+    engine = ours.engine_for(Case.load(Path(bed)), "hertz", "f64", threads, "0.2 mm")
+    if fixed:
+        keep_workers(engine.stepper, fixed)
+    engine.advance(1)
+    rates = []
+    for seconds in (WARM_UP, MEASURED):
+        began, before = time.perf_counter(), engine.step_count
+        while time.perf_counter() - began < seconds:
+            engine.advance(5)
+        rates.append((engine.step_count - before) / (time.perf_counter() - began))
+    print("\n" + json.dumps(rates[-1]))
+
+
+def keep_workers(stepper: Any, workers: int) -> None:
+    """Take the choice of the number of workers away from a stepper."""
+
+    class Fixed:
+        size = next_size = workers
+
+        def record(self, *_: Any) -> None:
+            """Learn nothing."""
+
+    stepper._crew = Fixed()
+
+
+def started(bed: Path, mode: str, root: Path, command: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+    """A process that measures one rate with the granflow of a checkout."""
+    paths = json.dumps([str(root), str(HERE)])
+    words = [*command, sys.executable, "-c", CHILD, paths, str(bed), mode]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=root)
+
+
+def rate(process: "subprocess.Popen[str]") -> float:
+    """The rate that a process has measured [steps/s]."""
+    output, _ = process.communicate(timeout=300)
+    if process.returncode:
+        raise SystemExit("A measurement failed; its message is above.")
+    return float(json.loads(output.splitlines()[-1]))
+
+
+def with_competitors(count: int, bed: Path, mode: str, root: Path) -> float:
+    """The rate beside so many processes that never wait [steps/s]."""
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        return rate(started(bed, mode, root))
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def measure(bed: Path, root: Path, counts: list[int], rounds: int) -> dict[str, dict[str, float]]:
+    """Rates [steps/s] by situation and mode: the mean over all rounds."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for _ in range(rounds):
+        for mode in MODES:
+            for count in counts:
+                rates = found.setdefault(f"{count} competitors", {}).setdefault(mode, [])
+                rates.append(with_competitors(count, bed, mode, root))
+            pair = [started(bed, mode, root) for _ in range(2)]
+            found.setdefault("pair", {}).setdefault(mode, []).append(min(rate(each) for each in pair))
+            if hasattr(os, "sched_setaffinity"):
+                alone = rate(started(bed, mode, root, ("taskset", "-c", "0")))
+                found.setdefault("one core", {}).setdefault(mode, []).append(alone)
+    return {where: {mode: sum(r) / len(r) for mode, r in modes.items()} for where, modes in found.items()}
+
+
+def table(found: dict[str, dict[str, float]]) -> str:
+    """The rates as text, with auto over the best fixed number of workers."""
+    lines = [f"{'steps/s':16}" + "".join(f"{mode:>10}" for mode in MODES) + f"{'auto/best':>11}"]
+    for where, rates in found.items():
+        best = max(value for mode, value in rates.items() if mode != "auto")
+        numbers = "".join(f"{rates[mode]:10.0f}" for mode in MODES)
+        lines.append(f"{where:16}{numbers}{rates['auto'] / best:11.2f}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--bed", type=Path, metavar="FILE", help="a settled bed (npz)")
+    add("--size", type=int, default=3_000, help="particles of the bed to settle without --bed (3000)")
+    add("--root", type=Path, default=HERE.parent, help="checkout to measure (this one)")
+    add("--competitors", type=int, nargs="+", default=[0, 1, 2, 3, 4], help="competing processes (0 1 2 3 4)")
+    add("--rounds", type=int, default=1, help="repetitions (1)")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        bed = options.bed or Path(folder) / "bed.npz"
+        if options.bed is None:
+            from benchmark import ours
+
+            ours.settle(options.size, str(bed), len(os.sched_getaffinity(0)))
+        print(table(measure(bed.resolve(), options.root.resolve(), options.competitors, options.rounds)))
+
+
+if __name__ == "__main__":
+    main()
