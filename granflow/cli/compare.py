@@ -18,7 +18,7 @@ def compare(options: argparse.Namespace) -> int:
     scene = load(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
     for key in variant_keys(laws):
-        make_room(out / key, options.force)
+        make_room(out / key, scene, options.force)
     from granflow.study.compare.report import PAGE, compare, ends_words, size_words, star_words
     from granflow.study.compare.summary import as_text, heads
 

@@ -16,10 +16,11 @@ from granflow.cli.measure import add_measure
 from granflow.cli.messages import complain, exit_code_of, refuse
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
-from granflow.cli.resume import add_resume
-from granflow.cli.scenes import add_cache, add_run, check, schema
+from granflow.cli.resume import add_resume, resume
+from granflow.cli.scenes import add_cache, add_run, check, run, schema
 from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
+from granflow.cli.streams import standard_streams
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
 from granflow.errors import GranflowError
 
@@ -28,20 +29,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
-    by a guard; 4 stopped as files could not be written; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
+    by a guard; 4 stopped as files could not be written; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM);
+    141 the reader of stdout closed the pipe, as `head` does. `run` and `resume` continue without it.
     """
-    options = build_parser().parse_args(arguments)
+    try:
+        with standard_streams() as output:
+            options = build_parser().parse_args(arguments)
+            output.needed = options.verb not in (run, resume)
+            return _verb(options)
+    except OSError as error:
+        return _complain_of_file(error)
+
+
+def _verb(options: argparse.Namespace) -> int:
     try:
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:
         return refuse(error)
     except OSError as error:
-        if error.filename is None:
-            raise
-        return complain(f"{error.filename}: {error.strerror}.")
+        return _complain_of_file(error)
     except KeyboardInterrupt as stop:
         return complain("interrupted.", exit_code_of(stop))
+
+
+def _complain_of_file(error: OSError) -> int:
+    if error.filename is None:
+        raise error
+    return complain(f"{error.filename}: {error.strerror}.")
 
 
 def build_parser() -> argparse.ArgumentParser:

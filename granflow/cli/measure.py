@@ -20,6 +20,10 @@ def measure(options: argparse.Namespace) -> int:
     if not scene_path.is_file():
         raise GranflowError(f"{options.directory} is no directory of a run: it has no scene_as_run.yaml.")
     out = options.out or options.directory / "measured"
+    if out.resolve() == options.directory.resolve():
+        raise GranflowError(
+            f"--out {out} is the directory of the run, whose fields would be overwritten: name another."
+        )
     rows = measured(options.directory, load(scene_path, options.overrides), out)
     if rows and len(rows[0]) > len(("time", "stage")):
         step = -(-len(rows) // SHOWN)

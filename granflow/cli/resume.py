@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from granflow.simulation import Simulation
 
 EXIT_UNMET = 1
+RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
+"""Of results that take computing time."""
 SCENE = "scene_as_run.yaml"
 CHANGES = """\
 These may change with --set, or in scene_as_run.yaml; anything else is refused by name:
@@ -35,14 +37,18 @@ def resume(options: argparse.Namespace) -> int:
     out: Path = options.directory
     if not out.is_dir():
         raise GranflowError(f"{out}: there is no such directory; name one that granflow run has written.")
-    from granflow.observe import locked, newest_checkpoint
-    from granflow.simulation import Simulation
+    from granflow.observe import locked
 
     with locked(out):
-        checkpoint, passed_over = newest_checkpoint(out)
-    warn(passed_over)
+        return _resume(options, out)
+
+
+def _resume(options: argparse.Namespace, out: Path) -> int:
+    """Resume in a directory that stays locked: no other process can continue or replace the run meanwhile."""
+    from granflow.simulation import Simulation
+
+    checkpoint = checkpoint_to_resume(out, options.from_start)
     scene = scene_to_go_on_with(options, checkpoint)
-    warn([] if checkpoint else [f"{out} holds no checkpoint that can be used: the run begins anew."])
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
         anyway=options.anyway,
@@ -55,6 +61,30 @@ def resume(options: argparse.Namespace) -> int:
     if checkpoint:
         print(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
     return run_to_the_end(simulation, scene, out, options.until)
+
+
+def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
+    """The newest checkpoint that is whole; None to begin from the start.
+
+    Without `from_start` the run begins from the start only where there are no results yet. Raises GranflowError where
+    there are.
+    """
+    from granflow.observe import newest_checkpoint, restore_previous_run, results_in
+
+    warn(restore_previous_run(out))
+    if from_start:
+        return None
+    checkpoint, passed_over = newest_checkpoint(out)
+    warn(passed_over)
+    results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
+    if checkpoint is None and results and (out / SCENE).exists():
+        raise GranflowError(
+            f"{out} holds no checkpoint that can be used, but {len(results)} files of results: to replace them and "
+            f"run the scene from the start, granflow resume {out} --from-start."
+        )
+    if checkpoint is None and (out / SCENE).exists():
+        warn([f"{out} holds neither a checkpoint nor results: the run begins from the start."])
+    return checkpoint
 
 
 def scene_to_go_on_with(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
@@ -119,6 +149,10 @@ def add_resume(verbs: Any) -> None:
         help="change what may change, such as --set walls.gate.vanishes_at=1.2s; may be repeated",
     )  # fmt: skip
     parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
+    parser.add_argument(
+        "--from-start", action="store_true",
+        help="run the scene from the start, without a checkpoint; the results so far are replaced",
+    )  # fmt: skip
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"

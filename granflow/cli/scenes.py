@@ -3,50 +3,52 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
 from granflow.cli.messages import warn
 from granflow.errors import GranflowError
 
-RESULT_FILES = (
-    *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
-    *("fields_*.pvd", "fields_*.vtu", "measured/fields_*.pvd", "measured/fields_*.vtu", "measured/measured.csv"),
-    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
-    *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
-)
-"""What a run writes into its directory, as patterns: tells an earlier run from other files."""
+if TYPE_CHECKING:
+    from granflow.scene import Scene
 
 
 def run(options: argparse.Namespace) -> int:
     """`granflow run`: simulate a scene into a directory, then show the numbers and the expectations."""
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
-    make_room(out, options.force)
+    make_room(out, scene, options.force)
     from granflow.cli.resume import run_to_the_end
+    from granflow.observe import locked
     from granflow.simulation import Simulation
     from granflow.study.restitution import warnings as restitution_warnings
 
     simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
     warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
-    return run_to_the_end(simulation, scene, out, options.until)
+    with locked(out):
+        make_room(out, scene, options.force)  # another run may have used the directory in the meantime
+        return run_to_the_end(simulation, scene, out, options.until)
 
 
-def make_room(out: Path, force: bool) -> None:
-    """Refuse a directory that holds an earlier run, or with `force` remove that run's files and no others."""
-    from granflow.observe import locked
+def make_room(out: Path, scene: "Scene", force: bool) -> None:
+    """Refuse a directory that holds an earlier run, unless `force` is set and the scene takes nothing from it.
+
+    The new run replaces the earlier one itself, once it has begun.
+    """
+    from granflow.observe import locked, refuse_inputs_inside, restore_previous_run, results_in
 
     if not out.exists():
         return
     with locked(out):
-        earlier = [path for pattern in RESULT_FILES for path in out.glob(pattern)]
-        if earlier and not force:
+        warn(restore_previous_run(out))
+        if not results_in(out):
+            return
+        refuse_inputs_inside(scene, out)
+        if not force:
             raise GranflowError(
                 f"{out} holds an earlier run: name another with --out, replace it with --force, or go on with it: "
                 f"granflow resume {out}."
             )
-        for path in earlier:
-            path.unlink()
 
 
 def check(options: argparse.Namespace) -> int:
@@ -99,7 +101,9 @@ def add_run(verbs: Any) -> None:
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
     )
-    parser.add_argument("--force", action="store_true", help="replace an earlier run in the same directory")
+    parser.add_argument(
+        "--force", action="store_true", help="replace an earlier run in the same directory, once the new run has begun"
+    )
     add_machine(parser)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
 from granflow.cli.messages import show_comparison, show_table, write_study
+from granflow.errors import GranflowError
 
 
 def collide(options: argparse.Namespace) -> int:
@@ -42,12 +43,15 @@ def fit(options: argparse.Namespace) -> int:
     from granflow.study.fit import fit_rows, limit_from_materials, write_fit
     from granflow.study.measurements import read_measurements
 
+    out = options.out or Path("out") / options.data.stem
+    if options.data.resolve() == (out / "fit.csv").resolve():
+        raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: name another --out.")
     data = read_measurements(options.data)
     limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
     found = fitted(data, limit)
     show_table(f"Eq. 12 fitted to {len(data)} rows of {options.data}", ("", "value", "error", "unit"), fit_rows(found))
     print(f"For a pair in a scene:\n  {found.snippet()}")
-    write_study(options.out or Path("out") / options.data.stem, write_fit, data, found)
+    write_study(out, write_fit, data, found)
     return 0
 
 

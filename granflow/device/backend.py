@@ -1,15 +1,18 @@
 """The only place that starts Taichi: architecture, precision, threads. Once per process."""
 
+import atexit
 import logging
+import shutil
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
+from pathlib import Path
 from typing import Any, Literal
 
 import taichi as ti
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
-from granflow.device.cache import usable_folder
+from granflow.device.cache import TEMPORARY, usable_folder
 from granflow.device.compilation import guarded
 from granflow.device.cores import worker_count
 from granflow.errors import GranflowError
@@ -63,7 +66,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     if warning:
         logging.getLogger("granflow").warning("granflow: warning: %s", warning)
     folder = usable_folder()
-    kept = {"offline_cache_file_path": str(folder)} if folder else {"offline_cache": False}
+    if folder.name.startswith(TEMPORARY):
+        atexit.register(_end_in, folder)
+    kept = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
@@ -75,6 +80,12 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
     _started = Backend(name, precision, threads, real, position_real, workers)
     return _started
+
+
+def _end_in(folder: Path) -> None:
+    """End Taichi, which writes its kernels then, and delete them."""
+    ti.reset()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _position_in_source(context: Any, node: Any) -> str:

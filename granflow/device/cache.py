@@ -3,6 +3,7 @@
 import logging
 import os
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 VARIABLE = "GRANFLOW_CACHE"
 KERNELS = "*.tic"
 INDEX, LOCK = "ticache.tcb", "ticache.lock"
+TEMPORARY = "granflow_kernels_"
+"""Prefix of a folder for one process, deleted at its end."""
 STALE_LOCK = 60.0
 """Seconds. Taichi holds its lock for a moment; one that a killed process left would switch the cache off for good."""
 
@@ -36,8 +39,11 @@ def cache_folder() -> Path:
     return home / "granflow" / "kernels"
 
 
-def usable_folder() -> Path | None:
-    """The folder, made if need be; None, and a warning, where nothing can be written into it."""
+def usable_folder() -> Path:
+    """The folder, made if need be; a temporary one, and a warning, where nothing can be written into it.
+
+    Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
+    """
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +55,7 @@ def usable_folder() -> Path | None:
             "granflow: %s cannot be written, so kernels are compiled anew in every run. Set %s to another folder.",
             folder, VARIABLE,
         )  # fmt: skip
-        return None
+        return Path(tempfile.mkdtemp(prefix=TEMPORARY))
     _break_stale_lock(folder / LOCK)
     return folder
 

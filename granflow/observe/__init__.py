@@ -20,6 +20,13 @@ from granflow.observe.lock import locked
 from granflow.observe.log import run_log, versions, write_scene_as_run
 from granflow.observe.meters import FlowMeter
 from granflow.observe.observer import Keepable, Observer
+from granflow.observe.previous import (
+    RESULT_FILES,
+    refuse_inputs_inside,
+    replaced_run,
+    restore_previous_run,
+    results_in,
+)
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.report import Result, closing_table, write_result
 from granflow.observe.resume import Change, CheckpointWriter, accepted_change, decided
@@ -28,6 +35,7 @@ from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
 
 __all__ = [
+    "RESULT_FILES",
     "Change",
     "Checkpoint",
     "CheckpointError",
@@ -58,9 +66,13 @@ __all__ = [
     "observers_for",
     "progress_for",
     "read_checkpoint",
+    "refuse_inputs_inside",
     "remove_after",
     "remove_parts",
+    "replaced_run",
     "replacing",
+    "restore_previous_run",
+    "results_in",
     "run_log",
     "time_series_for",
     "versions",

@@ -34,6 +34,10 @@ class CheckpointError(GranflowError):
     """A checkpoint that cannot be used; the message says which and why."""
 
 
+class DamagedCheckpoint(CheckpointError):
+    """A checkpoint whose bytes are not those that were written: the one before takes its place."""
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """A checkpoint that was read: its file, the version of granflow and the scene it was written with, and the rest.
@@ -68,15 +72,19 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: 
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Read one. Raises CheckpointError if it is damaged, or of another format."""
+    """Read one. Raises DamagedCheckpoint, or CheckpointError for another format and where the system cannot read it."""
     try:
         with open(path, "rb") as file:
             if _checksum(file) != file.read():
-                raise CheckpointError(f"{path} is damaged: it is cut short, or bits of it have changed.")
+                raise DamagedCheckpoint(f"{path} is damaged: it is cut short, or bits of it have changed.")
             with zipfile.ZipFile(file) as archive:
                 return _from_archive(path, archive)
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise CheckpointError(f"{path} cannot be read: {error}.") from None
+    except OSError as error:
+        raise CheckpointError(
+            f"{path} cannot be read: {error.strerror or error}. Make it readable, then try again."
+        ) from error
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise DamagedCheckpoint(f"{path} cannot be read: {error}.") from None
 
 
 def checkpoints(directory: Path) -> list[Path]:
@@ -85,12 +93,15 @@ def checkpoints(directory: Path) -> list[Path]:
 
 
 def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
-    """The newest that can be read, if there is one, and why those after it cannot."""
+    """The newest that is whole, if there is one, and a sentence for each damaged one after it.
+
+    Raises CheckpointError for an intact one that this version or this user cannot read: older ones are no substitute.
+    """
     passed_over: list[str] = []
     for path in checkpoints(directory):
         try:
             return read_checkpoint(path), passed_over
-        except CheckpointError as error:
+        except DamagedCheckpoint as error:
             passed_over.append(str(error))
     return None, passed_over
 
@@ -111,8 +122,10 @@ def keep_last(directory: Path, count: int) -> None:
 def _from_archive(path: Path, archive: zipfile.ZipFile) -> Checkpoint:
     header = json.loads(archive.read(HEADER))
     if header["format"] != FORMAT:
-        found = f"{header['format']} by granflow {header['granflow']}"
-        raise CheckpointError(f"{path} is written in format {found}, but this granflow reads format {FORMAT}.")
+        raise CheckpointError(
+            f"{path} is in format {header['format']}, written by granflow {header['granflow']}; granflow "
+            f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
+        )
     kept = header["kept"]
     for name in archive.namelist():
         if name.endswith(ARRAYS):

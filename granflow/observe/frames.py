@@ -2,13 +2,17 @@
 
 import re
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import meshio
 import numpy as np
 
-from granflow.observe.files import replacing, settle, write_text
+from granflow.observe.files import replacing, settle
+
+HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+TAIL = b"  </Collection>\n</VTKFile>\n"
 
 
 class FrameSeries:
@@ -23,6 +27,7 @@ class FrameSeries:
         self.stem = stem
         self.frames: list[tuple[float, str]] = []
         self.frame_count = 0
+        self._listing_size = 0
         self._unsettled: list[Path] = []
 
     def write(self, mesh: meshio.Mesh, time: float) -> Path:
@@ -32,11 +37,32 @@ class FrameSeries:
             self.cut_back()
         path = self.directory / f"{self.stem}_{self.frame_count:04d}.vtu"
         write_vtu(path, mesh)
-        frames = [*self.frames, (float(time), path.name)]
-        write_text(self.directory / f"{self.stem}.pvd", _pvd(frames))
-        self.frames, self.frame_count = frames, self.frame_count + 1
+        self._list((float(time), path.name))
+        self.frame_count += 1
         self._unsettled.append(path)
         return path
+
+    @property
+    def listing(self) -> Path:
+        """The PVD file."""
+        return self.directory / f"{self.stem}.pvd"
+
+    def _list(self, frame: tuple[float, str]) -> None:
+        """Add a frame to the PVD file in place; write all of it where it is not the file that was written last."""
+        entry = _entry(*frame)
+        size = self.listing.stat().st_size if self.listing.exists() else 0
+        if size and size == self._listing_size:
+            _insert_before_tail(self.listing, size, entry)
+            self._listing_size += len(entry)
+        else:
+            self._write_listing([*self.frames, frame])
+        self.frames.append(frame)
+
+    def _write_listing(self, frames: list[tuple[float, str]]) -> None:
+        listing = HEAD + b"".join(_entry(*frame) for frame in frames) + TAIL
+        with replacing(self.listing) as temporary:
+            temporary.write_bytes(listing)
+        self._listing_size = len(listing)
 
     def settle(self) -> None:
         """Have all frames on the disk; those that somebody has taken away are left out."""
@@ -49,12 +75,11 @@ class FrameSeries:
         """Make the files those of the frames written so far: list those that exist, then remove all others."""
         own = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
         there = {path.name for path in self.directory.iterdir() if own.fullmatch(path.name)}
-        listed = self.directory / f"{self.stem}.pvd"
         self.frames = [frame for frame in self.frames if frame[1] in there]
         if self.frame_count:
-            write_text(listed, _pvd(self.frames))
+            self._write_listing(self.frames)
         else:
-            listed.unlink(missing_ok=True)
+            self.listing.unlink(missing_ok=True)
         for name in there.difference(name for _, name in self.frames):
             (self.directory / name).unlink()
 
@@ -80,7 +105,28 @@ def mesh_of_cells(kind: str, points: np.ndarray, cells: np.ndarray, cell_data: d
     return meshio.Mesh(points, [(kind, cells.astype(np.int64))], cell_data=per_block)
 
 
-def _pvd(frames: list[tuple[float, str]]) -> str:
-    rows = [f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>' for time, name in frames]
-    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-    return "\n".join([*head, *rows, "  </Collection>", "</VTKFile>", ""])
+def _entry(time: float, name: str) -> bytes:
+    return f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>\n'.encode()
+
+
+def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
+    """Overwrite the closing tags of a PVD file of `size` bytes with `entry` and the closing tags, in one write.
+
+    The work per frame does not depend on the number of frames, and the file is complete before and after the write.
+    If the disk is full, the file gets its old closing tags back.
+    """
+    start = size - len(TAIL)
+    with FileIO(path, "r+") as file:
+        try:
+            _write_at(file, start, entry + TAIL)
+        except OSError:
+            _write_at(file, start, TAIL)
+            file.truncate(size)
+            raise
+
+
+def _write_at(file: FileIO, offset: int, data: bytes) -> None:
+    """Write all of `data` from `offset`; the system may take part of it at a time."""
+    file.seek(offset)
+    while data:
+        data = data[file.write(data) :]

@@ -31,6 +31,16 @@ def copy_inputs(directory: Path, scene: Scene) -> None:
             shutil.copyfile(source, temporary)
 
 
+def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
+    """Key in the scene and path of every file that the scene names: meshes and tables of particles."""
+    for name, wall in scene.walls.items():
+        if isinstance(wall, MeshWall):
+            yield f"walls.{name}.file", scene.folder / wall.file
+    for name, group in scene.particles.items():
+        if isinstance(group.place, FromFile):
+            yield f"particles.{name}.place.file", scene.folder / group.place.file
+
+
 def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
     """Files, and the names that the scene gives them; those that a run going on no longer has are left out."""
     for wall in scene.walls.values():

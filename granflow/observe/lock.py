@@ -4,11 +4,14 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from granflow.errors import GranflowError
 
 LOCK = ".lock"
+_HELD: ContextVar[frozenset[Path]] = ContextVar("_HELD", default=frozenset())
+"""Directories that this thread has locked: a verb keeps the lock while it calls what locks the directory itself."""
 if sys.platform == "win32":
     import msvcrt
 
@@ -28,9 +31,14 @@ else:
 def locked(directory: Path) -> Iterator[None]:
     """Hold the directory, made if need be, against other runs. Raises GranflowError where one is at work in it.
 
-    The file `.lock` stays when the lock is gone: removing it could take it from a run that has just locked it.
+    Inside, the same thread may lock it again. The file `.lock` stays when the lock is gone: removing it could take it
+    from a run that has just locked it.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    path = directory.resolve()
+    if path in _HELD.get():
+        yield
+        return
     descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:
@@ -39,6 +47,10 @@ def locked(directory: Path) -> Iterator[None]:
             raise GranflowError(
                 f"Another run is writing into {directory}: wait for it, stop it, or name another directory with --out."
             ) from None
-        yield
+        token = _HELD.set(_HELD.get() | {path})
+        try:
+            yield
+        finally:
+            _HELD.reset(token)
     finally:
         os.close(descriptor)

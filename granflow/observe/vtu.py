@@ -61,7 +61,7 @@ class Frames:
         """The frames written so far, which are brought to the disk first."""
         series = self.series
         series.settle()
-        return {"last_time": self._schedule.last_time, "frames": series.frames, "frame_count": series.frame_count}
+        return {"last_time": self._schedule.last_time, "frames": list(series.frames), "frame_count": series.frame_count}
 
     def put_back(self, kept: dict[str, Any]) -> None:
         """Go on after those frames."""

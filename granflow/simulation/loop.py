@@ -2,7 +2,7 @@
 
 import logging
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from math import inf, isfinite
 from pathlib import Path
@@ -30,8 +30,10 @@ from granflow.observe import (
     locked,
     observers_for,
     progress_for,
+    refuse_inputs_inside,
     remove_after,
     remove_parts,
+    replaced_run,
     run_log,
     time_series_for,
     write_result,
@@ -85,6 +87,8 @@ class Simulation:
         self.out = None if out is None else Path(out)
         self._wall_clock = WallClock()
         backend = start(arch, scene.run.precision, threads)
+        if self.out is not None and resume is None:
+            refuse_inputs_inside(scene, self.out, only_results=True)
         self.plan: Plan = plan_for(scene, on_gpu=not backend.on_cpu)
         refuse_too_many(self.plan)
         if backend.on_cpu:
@@ -104,6 +108,7 @@ class Simulation:
         self._stop_wanted: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
+        self._begun: Callable[[], None] = lambda: None
         if grains is not None:
             self.engine.insert(grains)
         if resume is not None and change is not None:
@@ -130,6 +135,8 @@ class Simulation:
             with ExitStack() as stack:
                 if self.out is not None:
                     stack.enter_context(locked(self.out))
+                    if self._resumed is None:
+                        self._begun = stack.enter_context(replaced_run(self.out))
                     self._tidy(self.out)
                     stack.enter_context(run_log(self.out, go_on=self._resumed is not None))
                 stack.callback(self._finish_observers)
@@ -245,6 +252,7 @@ class Simulation:
         self.engine.refresh()
         if first:
             self._show_to(self._observers)
+            self._begun()
 
     def _reached(self, time: float) -> bool:
         return self.engine.reached(time)

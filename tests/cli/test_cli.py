@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import threading
 import types
 from pathlib import Path
 
@@ -11,9 +12,11 @@ import pytest
 import granflow.scene
 from granflow.cli.main import build_parser, main
 from granflow.cli.messages import Terminated, show_comparison
-from granflow.cli.scenes import RESULT_FILES, make_room
+from granflow.cli.scenes import make_room
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.observe import Judgement, Result
+from granflow.observe import RESULT_FILES, Judgement, Result, locked
+from granflow.scene.places import FromFile
+from granflow.scene.schema import MeshWall
 
 
 @pytest.fixture
@@ -38,7 +41,9 @@ def stand_ins(monkeypatch, tmp_path):
         calls.overrides = overrides
         if isinstance(calls.raises, SceneError):
             raise calls.raises
-        return types.SimpleNamespace(path=Path(path), title="Two [spheres]", expect=("one",))
+        return types.SimpleNamespace(
+            **vars(empty_scene()) | dict(path=Path(path), title="Two [spheres]", expect=("one",))
+        )
 
     def collide(**options):
         calls.collide = options
@@ -174,25 +179,79 @@ def test_our_own_mistakes_keep_their_traceback(stand_ins):
 # ---------------------------------------------------------------- earlier runs
 
 
-def test_earlier_run_is_refused_and_replaced_only_by_force(stand_ins, capsys):
+def test_earlier_run_is_refused_without_force_and_left_to_the_new_run_with_it(stand_ins, capsys):
+    """The verb deletes nothing: the stand-in for Simulation never begins, so every file is still there."""
     out = Path("out/a")
     out.mkdir(parents=True)
-    for name in ("particles_0000.vtu", "timeseries.csv", "notes.txt"):
-        (out / name).touch()
+    names = {"particles_0000.vtu", "timeseries.csv", "notes.txt"}
+    for name in names:
+        (out / name).write_text(name)
     assert main(["run", "a.yaml"]) == 2
     assert "out/a holds an earlier run" in capsys.readouterr().err.replace("\\", "/")
     assert main(["run", "a.yaml", "--force"]) == 0
-    assert {path.name for path in out.iterdir()} == {".lock", "notes.txt"}
+    stand_ins.raises = GranflowError("This machine has no cuda device.")
+    assert main(["run", "a.yaml", "--force"]) == 2
+    assert {path.name: path.read_text() for path in out.iterdir()} == {name: name for name in names} | {".lock": ""}
 
 
 @pytest.mark.parametrize("pattern", RESULT_FILES)
 def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
-    make_room(tmp_path, force=False)
+    make_room(tmp_path, empty_scene(), force=False)
     path = tmp_path / pattern.replace("*", "0003")
     path.parent.mkdir(exist_ok=True)
     path.touch()
     with pytest.raises(GranflowError, match="--force"):
-        make_room(tmp_path, force=False)
+        make_room(tmp_path, empty_scene(), force=False)
+
+
+def empty_scene(folder=".", start_from=None, walls=(), particles=()):
+    """What `make_room` reads of a scene."""
+    return types.SimpleNamespace(
+        folder=Path(folder), start_from=start_from, walls=dict(walls), particles=dict(particles)
+    )
+
+
+@pytest.mark.parametrize("inside", ["start_from", "walls.bowl.file", "particles.beads.place.file"])
+def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
+    """Also through a symbolic link; a scene whose inputs lie elsewhere replaces the run."""
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("timeseries.csv", "bowl.stl", "particles_0007.vtu"):
+        (out / name).touch()
+    (tmp_path / "link").symlink_to(out)
+    bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
+    beads = types.SimpleNamespace(place=FromFile.model_construct(kind="file", file="link/particles_0007.vtu"))
+    given = {
+        "start_from": empty_scene(start_from=str(tmp_path / "link")),
+        "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
+        "particles.beads.place.file": empty_scene(tmp_path, particles={"beads": beads}),
+    }[inside]
+    with pytest.raises(GranflowError, match=rf"^{inside} is .*, which lies in the output directory .*--out\.$"):
+        make_room(out, given, force=True)
+    make_room(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), force=True)
+
+
+def test_the_directory_stays_locked_while_the_run_is_made(stand_ins, monkeypatch):
+    """No second process writes into it between the checks and the last file."""
+    seen = []
+
+    def lock_from_another_thread():
+        try:
+            with locked(Path("out/a")):
+                seen.append("free")
+        except GranflowError:
+            seen.append("locked")
+
+    def run(self, until=None):
+        other = threading.Thread(target=lock_from_another_thread)
+        other.start()
+        other.join()
+        return Result({"time_step": 1.25e-6}, {"forces": 3.0}, {"particle_count": 2.0})
+
+    monkeypatch.setattr(sys.modules["granflow.simulation"].Simulation, "run", run)
+    assert main(["run", "a.yaml"]) == 0
+    lock_from_another_thread()
+    assert seen == ["locked", "free"]
 
 
 # ---------------------------------------------------------------- collide

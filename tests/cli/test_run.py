@@ -165,6 +165,25 @@ def test_a_step_that_is_not_stable_is_refused(home, verb):
     assert not (home / "no").exists()
 
 
+def test_a_run_needs_neither_a_reader_nor_a_home_and_its_paths_may_hold_newlines(home, done):
+    """stdout and stderr go to a pipe that is closed at once, as by `2>&1 | true`; HOME is no directory."""
+    (home / "be\nads.yaml").write_text(SCENE)
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "granflow", "run", "be\nads.yaml", "--out", "o\nut"]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "GRANFLOW_"))}
+    try:
+        code = subprocess.call(
+            command, cwd=home, stdout=writing, stderr=writing, env=environment | {"HOME": "/dev/null"}, timeout=200
+        )
+    finally:
+        os.close(writing)
+    assert code == 0
+    first, second = (json.loads((home / name / "result.json").read_text()) for name in ("out/beads", "o\nut"))
+    assert first["totals"] == second["totals"]
+    assert frames(home / "o\nut") == frames(home / "out" / "beads")
+
+
 def test_check_finds_that_there_is_too_little_room(home):
     refused = granflow(home, "check", "beads.yaml", "--set", "particles.beads.count=1000")
     assert refused.returncode == 2

@@ -1,6 +1,8 @@
 """Frames hold the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
 
+import errno
 import xml.etree.ElementTree as ElementTree
+from io import FileIO
 
 import meshio
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from observe.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.observe import ContactFrames, ParticleFrames, WallFrames
+from granflow.observe.frames import TAIL, FrameSeries, mesh_of_points
 from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 
 SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
@@ -99,6 +102,85 @@ def test_a_frame_that_cannot_be_written_leaves_the_series_as_it_was(tmp_path, mo
     with pytest.raises(OSError, match="disk full"):
         frames.observe(snapshot_of(time=0.1))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+POINT = mesh_of_points(np.zeros((1, 3)), {})
+
+
+def bytes_written_per_frame(directory, monkeypatch, frame_count):
+    """Bytes that each frame adds to, or changes in, the PVD file; the frames themselves are not written."""
+    monkeypatch.setattr("granflow.observe.frames.write_vtu", lambda path, mesh: path.touch())
+    written, series = [], FrameSeries(directory, "particles")
+
+    class Counted(FileIO):
+        def write(self, data):
+            written.append(len(data))
+            return super().write(data)
+
+    monkeypatch.setattr("granflow.observe.frames.FileIO", Counted)
+    for index in range(frame_count):
+        series.write(POINT, 0.1 * index)
+        assert listed(series.listing) == series.frames, "the file is valid after every frame"
+    return written, series
+
+
+def test_a_frame_costs_the_pvd_file_one_write_of_constant_size(tmp_path, monkeypatch):
+    written, series = bytes_written_per_frame(tmp_path, monkeypatch, 300)
+    inode = series.listing.stat().st_ino
+    series.write(POINT, 30.0)
+    assert series.listing.stat().st_ino == inode, "the file is not replaced"
+    assert len(written) == 300 and max(written) < 150, "one write of an entry and the closing tags per frame"
+    assert len(listed(series.listing)) == 301
+
+
+def test_a_pvd_file_cut_back_and_continued_is_that_of_a_run_never_stopped(tmp_path):
+    whole, stopped = FrameSeries(tmp_path / "whole", "walls"), FrameSeries(tmp_path / "stopped", "walls")
+    for series, times in ((whole, range(6)), (stopped, range(5))):
+        for time in times:
+            series.write(POINT, time / 3)
+    resumed = FrameSeries(tmp_path / "stopped", "walls")
+    resumed.frames, resumed.frame_count = stopped.frames[:3], 3
+    resumed.cut_back()
+    assert listed(resumed.listing) == stopped.frames[:3]
+    for time in range(3, 6):
+        resumed.write(POINT, time / 3)
+    assert resumed.listing.read_bytes() == whole.listing.read_bytes()
+
+
+@pytest.mark.parametrize("damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None])
+def test_a_pvd_file_that_is_not_the_one_written_last_is_written_again(tmp_path, damage):
+    series = FrameSeries(tmp_path, "particles")
+    for time in range(4):
+        series.write(POINT, time)
+        damage(series.listing)
+    series.write(POINT, 4)
+    assert listed(series.listing) == series.frames and len(series.frames) == 5
+
+
+@pytest.mark.parametrize("room", [0, 1, 40, 80])
+def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, room):
+    """The disk takes `room` bytes of an entry and its closing tags, then no more; a frame later it has room again."""
+    series = FrameSeries(tmp_path, "particles")
+    series.write(POINT, 0.0)
+    before = series.listing.read_bytes()
+
+    class Full(FileIO):
+        left = room
+
+        def write(self, data):
+            if self.tell() < len(before) - len(TAIL) + Full.left:
+                return super().write(data[: Full.left])
+            if data == TAIL:
+                return super().write(data)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("granflow.observe.frames.FileIO", Full)
+    with pytest.raises(OSError, match="No space left"):
+        series.write(POINT, 1e300)
+    assert series.listing.read_bytes() == before
+    monkeypatch.setattr("granflow.observe.frames.FileIO", FileIO)
+    series.write(POINT, 2.0)
+    assert [time for time, _ in listed(series.listing)] == [0.0, 2.0]
 
 
 @pytest.mark.parametrize(

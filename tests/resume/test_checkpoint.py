@@ -82,7 +82,7 @@ def test_another_format_is_refused_by_number(tmp_path, monkeypatch):
     monkeypatch.setattr(format_of, "FORMAT", 99)
     path = written(tmp_path)
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="written in format 99 by granflow .*, but this granflow reads format 2"):
+    with pytest.raises(CheckpointError, match="is in format 99, written by granflow .* reads format 2"):
         read_checkpoint(path)
 
 

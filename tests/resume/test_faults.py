@@ -65,7 +65,7 @@ def test_no_room_for_files_of_a_size(home, reference, share):
     full = granflow(home, "run", "beads.yaml", "--out", out.name, preexec_fn=largest_file(int(share * size)))
     assert full.returncode == 4, full.stderr
     assert any("File too large" in sentence for sentence in sentences(full))
-    gone_on_with(home, out)
+    gone_on_with(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
     assert_whole(out, reference)
 
 
@@ -81,7 +81,7 @@ def test_a_full_disk(home, reference, room):
         assert full.returncode == 4, full.stderr
         assert any("No space left on device" in sentence for sentence in sentences(full))
         subprocess.run(["mount", "-o", "remount,size=50m", str(out)], check=True)
-        gone_on_with(home, out)
+        gone_on_with(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
         assert_whole(out, reference)
     finally:
         subprocess.run(["umount", str(out)], check=True)
@@ -140,9 +140,23 @@ def test_all_checkpoints_damaged(home, reference):
     out = stopped_half_way(home, "ruined")
     for path in out.glob("checkpoint_*.npz"):
         path.write_bytes(b"nonsense")
-    said = gone_on_with(home, out)
-    assert "holds no checkpoint that can be used: the run begins anew" in said.stderr
+    frames = {path.name: path.read_bytes() for path in out.glob("*.vtu")}
+    refused = granflow(home, "resume", out.name)
+    assert refused.returncode == 2 and "granflow resume ruined --from-start" in refused.stderr
+    assert frames == {path.name: path.read_bytes() for path in out.glob("*.vtu")}
+    gone_on_with(home, out, "--from-start")
     assert_whole(out, reference)
+
+
+def test_a_forced_run_that_finds_no_room_leaves_the_previous_run(home, reference):
+    """No file may exceed 100 bytes, so that the first frame of the new run cannot be written."""
+    out = home / "replaced"
+    shutil.copytree(reference, out)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    full = granflow(home, "run", "beads.yaml", "--out", out.name, "--force", preexec_fn=largest_file(100))
+    assert full.returncode == 4, full.stderr
+    assert any("File too large" in sentence for sentence in sentences(full))
+    assert before == {path.name: path.read_bytes() for path in out.iterdir()}
 
 
 def test_two_runs_at_once(home, reference):

@@ -28,7 +28,8 @@ def killed_again_and_again(home, out, times, seconds, seed):
     rng, killed = random.Random(seed), 0
     for _ in range(times):
         begun = (out / "scene_as_run.yaml").exists()
-        verb = ["resume", out.name] if begun else ["run", "beads.yaml", "--out", out.name]
+        started_over = [] if any(out.glob("checkpoint_*.npz")) else ["--from-start"]
+        verb = ["resume", out.name, *started_over] if begun else ["run", "beads.yaml", "--out", out.name]
         log = out / "run.log"
         size = log.stat().st_size if log.exists() else 0
         running = started(home, *verb)
@@ -42,7 +43,9 @@ def killed_again_and_again(home, out, times, seconds, seed):
 
 
 def gone_on_with(home, out):
-    done = granflow(home, "resume", out.name)
+    """Resume; a run killed after its first frame and before its first checkpoint takes a flag."""
+    again = any(out.glob("*.vtu")) and not any(out.glob("checkpoint_*.npz"))
+    done = granflow(home, "resume", out.name, *["--from-start"] * again)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     return done

@@ -4,7 +4,8 @@
     python victim.py count - VERB ...     print to stderr how many writes there are
     python victim.py clock - VERB ...     the computer's time jumps to and fro by hours at every look
 
-Writes are: a file brought to the disk, a file given its name, a file removed or cut, a piece of the time series.
+Writes are: a file brought to the disk, a file given its name, a file removed or cut, a piece of the time series or of a
+PVD file.
 """
 
 import itertools
@@ -14,7 +15,7 @@ import signal
 import sys
 import time
 
-from granflow.observe import timeseries
+from granflow.observe import frames, timeseries
 
 count = itertools.count(1)
 done = 0
@@ -42,7 +43,7 @@ def watch_writes(last):
         def write(self, data):
             return counted(super().write, last)(data[: max(len(data) // 2, 1)])
 
-    timeseries.FileIO = Halves
+    timeseries.FileIO = frames.FileIO = Halves
 
 
 def set_clock():

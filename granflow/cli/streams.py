@@ -1,0 +1,96 @@
+"""stdout and stderr whose reader may leave: `granflow explain SCENE | head`."""
+
+import errno
+import io
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+EXIT_PIPE = 141
+"""128 + SIGPIPE: the code that shells report for a command whose reader closed the pipe."""
+
+
+class Output:
+    """What happens when a standard stream of this process cannot be written.
+
+    With `needed` the command ends: quietly with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
+    Without, the command continues and its output is dropped: a simulation is worth more than its progress lines.
+    """
+
+    needed = True
+
+    def failed(self, error: OSError, name: str) -> None:
+        """React to the first write to the stream `name` that failed."""
+        if not self.needed:
+            return
+        if error.errno == errno.EPIPE:
+            raise SystemExit(EXIT_PIPE)
+        error.filename = name
+        raise error
+
+
+class _Stream(io.FileIO):
+    """A standard stream that drops what is written after a write has failed."""
+
+    def __init__(self, stream: TextIO, output: Output) -> None:
+        super().__init__(stream.fileno(), "w", closefd=False)
+        self._shown_name, self._output, self._lost = stream.name, output, False
+
+    def write(self, data: Any, /) -> int:
+        """Write to the stream, or drop `data` once the stream is lost."""
+        if not self._lost:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self._lost = True
+                self._output.failed(error, self._shown_name)
+        return memoryview(data).nbytes
+
+
+@contextmanager
+def standard_streams() -> Iterator[Output]:
+    """Let failed writes to stdout and stderr end in `Output.failed`; inside, its `needed` may be set."""
+    output = Output()
+    names = [name for name in ("stdout", "stderr") if _is_ours(name)]
+    before = {name: getattr(sys, name) for name in names}
+    for name, stream in before.items():
+        _replace(name, _wrapped(stream, output))
+    try:
+        yield output
+        _flush(names)
+    except SystemExit:
+        _flush(names)
+        raise
+    finally:
+        output.needed = False
+        _flush(names)
+        for name, stream in before.items():
+            _replace(name, stream)
+
+
+def _is_ours(name: str) -> bool:
+    """Whether a stream is that of the process: not one of a notebook or test, nor the console of Windows."""
+    stream = getattr(sys, name)
+    console = sys.platform == "win32" and stream is not None and stream.isatty()
+    return stream is not None and stream is getattr(sys, f"__{name}__") and not console
+
+
+def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
+    stream.flush()
+    buffer = io.BufferedWriter(_Stream(stream, output))
+    return io.TextIOWrapper(
+        buffer, stream.encoding, stream.errors, line_buffering=getattr(stream, "line_buffering", False),
+        write_through=getattr(stream, "write_through", False),
+    )  # fmt: skip
+
+
+def _replace(name: str, stream: TextIO) -> None:
+    """Set both names of a stream: Taichi takes a process in which they differ for a notebook."""
+    setattr(sys, name, stream)
+    setattr(sys, f"__{name}__", stream)
+
+
+def _flush(names: list[str]) -> None:
+    for name in names:
+        getattr(sys, name).flush()

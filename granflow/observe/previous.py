@@ -1,0 +1,103 @@
+"""The previous run in an output directory: a new run replaces it only once the new run has begun.
+
+The results move to `previous_run/` inside the directory (the same file system, whatever is mounted there) and are
+deleted after the first frame of the new run. An error before that moves them back. A killed process leaves one of the
+states below, each of which `restore_previous_run` recognizes:
+
+    .previous_run.part/   some results moved, the others in place; no new file exists
+    previous_run/         all results moved; new files may exist
+    .discarded_run/       the new run has begun; deletion is incomplete
+"""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from granflow.errors import GranflowError
+from granflow.observe.inputs import input_files
+from granflow.scene import Scene
+
+RESULT_FILES = (
+    *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
+    *("fields_*.pvd", "fields_*.vtu", "measured/fields_*.pvd", "measured/fields_*.vtu", "measured/measured.csv"),
+    *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
+    *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
+)
+"""What a run writes into its directory, as patterns: tells an earlier run from other files."""
+
+PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
+
+
+def results_in(directory: Path) -> list[Path]:
+    """The files of a run in its directory."""
+    return [path for pattern in RESULT_FILES for path in directory.glob(pattern)]
+
+
+def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = False) -> None:
+    """Raise GranflowError if `start_from` or an input file of the scene lies in the directory.
+
+    With `only_results`, only if the new run would delete it: results of a run, and the directory itself.
+    """
+    folder = directory.resolve()
+    lost = {folder, *(path.resolve() for path in results_in(directory))}
+    start = [] if scene.start_from is None else [("start_from", Path(scene.start_from))]
+    for key, path in ((key, path.resolve()) for key, path in [*start, *input_files(scene)]):
+        if path in lost or (path.is_relative_to(folder) and not only_results):
+            raise GranflowError(
+                f"{key} is {path}, which lies in the output directory {directory} of the run to be replaced: "
+                "name another directory with --out."
+            )
+
+
+def restore_previous_run(directory: Path) -> list[str]:
+    """Move the results of a replaced run back if the run that was to replace it has not begun; a sentence if so.
+
+    Call it with the directory locked. It may be interrupted at any point and called again.
+    """
+    previous, moving = directory / PREVIOUS, directory / MOVING
+    shutil.rmtree(directory / DISCARDED, ignore_errors=True)
+    if previous.is_dir():
+        for path in results_in(directory):
+            path.unlink()
+        os.replace(previous, moving)
+    if not moving.is_dir():
+        return []
+    for path in [path for path in moving.rglob("*") if not path.is_dir()]:
+        _move(path, directory / path.relative_to(moving))
+    shutil.rmtree(moving)
+    return [f"{directory} holds the previous run again: the run that was to replace it was killed before it began."]
+
+
+@contextmanager
+def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
+    """Move the results in the directory aside; yields the function to call when the new run has begun.
+
+    That function deletes them. If the block raises before it was called, the results move back and those of the new
+    run are deleted.
+    """
+    restore_previous_run(directory)
+    results = results_in(directory)
+    for path in results:
+        _move(path, directory / MOVING / path.relative_to(directory))
+    if results:
+        os.replace(directory / MOVING, directory / PREVIOUS)
+
+    def begun() -> None:
+        if (directory / PREVIOUS).is_dir():
+            os.replace(directory / PREVIOUS, directory / DISCARDED)
+            shutil.rmtree(directory / DISCARDED, ignore_errors=True)
+
+    try:
+        yield begun
+    except BaseException:
+        with suppress(OSError):
+            restore_previous_run(directory)
+        raise
+    begun()
+
+
+def _move(path: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(path, target)
