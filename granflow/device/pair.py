@@ -9,7 +9,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.laws.mindlin import carried_displacement, elastic_plastic_spring, spring_loss
-from granflow.laws.rolling import directional_torque
+from granflow.laws.rolling import directional_torque, torque_loss
 from granflow.laws.whole import whole_force
 from granflow.plan import Plan
 
@@ -123,8 +123,11 @@ def build_respond(plan: Plan, prepared: bool) -> Any:
 
 
 def _build_roll(plan: Plan) -> Any:
-    """Device function: rolling torque on the first [N m], angle of the rolling spring kept, energy lost [J]."""
-    epsd, ledger = plan.features.rolling == "epsd", plan.features.ledger
+    """Device function: rolling torque on the first [N m], rolling history, energy lost [J].
+
+    The history (`angle`) is the rolling displacement of EPSD, or for the energy ledger of CDT the torque one step ago.
+    """
+    epsd, ledger, longest_step = plan.features.rolling == "epsd", plan.features.ledger, plan.longest_time_step
 
     @ti.func
     def roll(stiffness, share, mu, normal_force, radius_eff, inertia_eff, normal, middle, rate, angle, dt):
@@ -139,8 +142,10 @@ def _build_roll(plan: Plan) -> Any:
             if ti.static(ledger):
                 lost = spring_loss(spring, share, carried, dt * across, torque, angle_now)
         else:
-            torque = directional_torque(radius_eff, mu, normal_force, across, inertia_eff, dt)
-            lost = -dt * torque.dot(across)
+            torque = directional_torque(radius_eff, mu, normal_force, across, inertia_eff, longest_step)
+            if ti.static(ledger):
+                lost = torque_loss(angle, torque, rate, dt)
+                angle_now = torque
         return torque, angle_now, lost
 
     return roll

@@ -95,7 +95,7 @@ def build_energies(state: State) -> Any:
             if ti.static("lateral" in contacts.history):
                 slide = contacts.history["lateral"][slot]
                 elastic += 0.5 * stiffness * slide.dot(slide)
-            if ti.static("rolling" in contacts.history):
+            if ti.static(plan.features.rolling == "epsd"):
                 angle = contacts.history["rolling"][slot]
                 elastic += 0.5 * stiffness * radius_eff * radius_eff * angle.dot(angle)
         return elastic, plastic

@@ -123,7 +123,8 @@ def _memory_rows(plan: Plan, memory: Memory) -> Iterator[Row]:
 
 
 def _remembered(plan: Plan) -> str:
-    names = {"normal": ", ".join(plan.law.history_names), "lateral": "tangential spring", "rolling": "rolling spring"}
+    rolling = "rolling spring" if plan.features.rolling == "epsd" else "rolling torque"
+    names = {"normal": ", ".join(plan.law.history_names), "lateral": "tangential spring", "rolling": rolling}
     return ", ".join(names[name] for name in plan.history) or "nothing but its partner"
 
 

@@ -119,7 +119,8 @@ class Plan:
     def history(self) -> dict[str, int]:
         """What a contact remembers: name of the field -> numbers in it."""
         sizes = {"normal": self.law.history_count, "lateral": 3 * self.features.friction}
-        sizes["rolling"] = 3 * (self.features.rolling == "epsd")
+        remembered = ("epsd", "cdt") if self.features.ledger else ("epsd",)
+        sizes["rolling"] = 3 * (self.features.rolling in remembered)
         return {name: size for name, size in sizes.items() if size}
 
     @property

@@ -1,10 +1,11 @@
 """The tangential and rolling slots by themselves: device against twin, the cap, and that no spring makes energy."""
 
 import numpy as np
+import pytest
 import taichi as ti
 
 from granflow.laws import mindlin
-from granflow.laws.rolling import directional_torque
+from granflow.laws.rolling import STOPPED_SHARE, directional_torque
 
 VECTORS = ti.types.ndarray(ti.f64, 2)
 NUMBERS = ti.types.ndarray(ti.f64, 1)
@@ -135,6 +136,23 @@ def test_directional_torque_opposes_rolling_and_never_reverses_it(taichi_f64):
     np.testing.assert_allclose(np.cross(torque, rate), 0.0, atol=1e-18)
     assert np.all(np.sum(after * rate, axis=1)[1:] > 0.0)
     full = friction * radius * normal_force
-    half_stop = 0.5 * inertia * np.linalg.norm(rate, axis=1) / dt
-    np.testing.assert_allclose(size, np.minimum(full, half_stop), rtol=1e-13)
-    assert 50 < np.count_nonzero(full < half_stop) < 450
+    share_of_stop = STOPPED_SHARE * inertia * np.linalg.norm(rate, axis=1) / dt
+    np.testing.assert_allclose(size, np.minimum(full, share_of_stop), rtol=1e-13)
+    assert 50 < np.count_nonzero(full < share_of_stop) < 450
+
+
+def test_no_set_of_neighbors_reverses_a_rotation_in_one_step():
+    """Neighbor j removes the share I_j / (I_i + I_j) = 1 / (1 + x^-5), x = R_j / R_i, of `STOPPED_SHARE`.
+
+    n spheres that touch sphere i and not each other are seen from it at angles of at least t: x / (1 + x) = sin(t / 2).
+    The largest t for n points on a sphere: problem of Tammes (Musin & Tarasov 2015, Exp. Math. 24:460).
+    """
+    angles = {
+        3: 120.0, 4: 109.4712, 5: 90.0, 6: 90.0, 7: 77.8695, 8: 74.8585, 9: 70.5288, 10: 66.1468, 11: 63.4349,
+        12: 63.4349, 13: 57.1367, 14: 55.6706
+    }  # fmt: skip
+    count, sine = np.array(list(angles)), np.sin(0.5 * np.radians(list(angles.values())))
+    ratio = sine / (1.0 - sine)
+    total = count / (1.0 + ratio**-5)
+    assert total.max() == pytest.approx(7.51, abs=0.01)
+    assert STOPPED_SHARE * total.max() < 1.0
