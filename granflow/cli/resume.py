@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_machine, quantity, thread_count
-from granflow.cli.messages import Terminated, complain, exit_code_of, show_result, sigterm_as_exception, warn
+from granflow.cli.messages import Terminated, complain, exit_code_of, say, show_result, sigterm_as_exception, warn
 from granflow.errors import GranflowError
+from granflow.visible_text import VisibleFormatter
 
 if TYPE_CHECKING:
     from granflow.observe import Checkpoint
@@ -54,7 +55,7 @@ def resume(options: argparse.Namespace) -> int:
             "go on with what is left of it with --anyway."
         )
     if checkpoint:
-        print(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
+        say(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -82,7 +83,7 @@ def run_to_the_end(simulation: "Simulation", scene: "Scene", out: Path, until: f
         return complain(f"{at}; granflow resume {out} goes on. {out} holds the run up to there.", exit_code_of(stop))
     show_result(scene.title, result, out)
     if scene.expect and not result.expectations:
-        print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
+        say(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
 
 
@@ -112,7 +113,7 @@ def told_to_stop(simulation: "Simulation") -> Iterator[None]:
 def warnings_shown() -> Iterator[None]:
     """Show on stderr what the log says of checkpoints that could not be written."""
     logger, handler = logging.getLogger("granflow.checkpoint"), logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("granflow: warning: %(message)s"))
+    handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
     logger.addHandler(handler)
     try:
         yield

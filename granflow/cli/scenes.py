@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
-from granflow.cli.messages import sigterm_as_exception, warn
+from granflow.cli.messages import say, sigterm_as_exception, warn
 from granflow.errors import GranflowError
 
 RESULT_FILES = (
@@ -63,13 +63,13 @@ def check(options: argparse.Namespace) -> int:
     warn([*plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:
         if not note.warning:
-            print(f"walls.{note.wall}: {note.sentence}.")
+            say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
-        print(f"{options.scene}: no problems found, but placing the particles was not tried.")
+        say(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
     initial_grains(scene, earlier_grains(scene))
     streams(scene)
-    print(f"{options.scene}: no problems found.")
+    say(f"{options.scene}: no problems found.")
     return 0
 
 
@@ -77,7 +77,7 @@ def schema(options: argparse.Namespace) -> int:
     """`granflow schema`: the JSON Schema of scene files, for editors."""
     from granflow.scene import json_schema
 
-    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
     return 0
 
 
@@ -87,8 +87,8 @@ def cache(options: argparse.Namespace) -> int:
 
     held = clear() if options.clear else contents()
     done = "deleted" if options.clear else "kept"
-    print(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
-    print(f"{VARIABLE} names another folder.")
+    say(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    say(f"{VARIABLE} names another folder.")
     return 0
 
 
