@@ -76,7 +76,7 @@ def _check_plain(part: Part, template: Any) -> None:
     elif isinstance(template, int):
         part.whole(-(2**53) if part.key.endswith("/count") else 0)
     elif isinstance(template, float):
-        part.number()
+        part.plain()
     else:
         part.text()
 
