@@ -13,6 +13,8 @@ LAYERS = (
     "errors",
     "quantities",
     "snapshot",
+    "regular_files",
+    "visible_text",
     "laws",
     "walls",
     "scene",

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import quantity
-from granflow.cli.messages import show_table, write_study
+from granflow.cli.messages import say, show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -25,9 +25,9 @@ def _two_bodies(options: argparse.Namespace) -> int:
 
     study = measure_two_bodies(options.target, options.full, _say)
     show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
-    print(default_sentence(study.lines, options.target))
+    say(default_sentence(study.lines, options.target))
     write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
-    print(study.recommendation)
+    say(study.recommendation)
     return 0
 
 
@@ -39,17 +39,17 @@ def _scene(options: argparse.Namespace) -> int:
     task = Task(options.scene, tuple(options.overrides), options.until)
     fewer = [] if options.whole else cut_down(task.scene())
     if fewer:
-        print(f"A smaller scene, to be done in minutes: {', '.join(fewer)}; --whole runs it as it is.")
+        say(f"A smaller scene, to be done in minutes: {', '.join(fewer)}; --whole runs it as it is.")
     study = measure_scene(task.with_overrides(*fewer), options.target, options.full, _say)
     show_table(study.title, scene_heads(study), scene_rows(study))
-    print(noise_sentence(study))
+    say(noise_sentence(study))
     write_study(options.out or Path("out") / f"accuracy_{options.scene.stem}", write_scene, study)
-    print(scene_recommendation(study))
+    say(scene_recommendation(study))
     return 0
 
 
 def _say(words: str) -> None:
-    print(f"{words} ...", flush=True)
+    say(f"{words} ...", flush=True)
 
 
 def add_accuracy(verbs: Any) -> None:

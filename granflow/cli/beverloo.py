@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import quantity
-from granflow.cli.messages import show_table
+from granflow.cli.messages import say, show_table
 
 
 def beverloo(options: argparse.Namespace) -> int:
@@ -18,7 +18,7 @@ def beverloo(options: argparse.Namespace) -> int:
     if len(set(data.opening)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))
         heads.append("exponent free")
-    print("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
+    say("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
     show_table(f"{len(data.opening)} flows", ("", *heads), beverloo_rows(fits))
     return 0
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
-from granflow.cli.messages import show_table
+from granflow.cli.messages import say, show_table
 from granflow.cli.scenes import make_room
 
 
@@ -24,14 +24,14 @@ def compare(options: argparse.Namespace) -> int:
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        lambda words: print(f"{words} ...", flush=True),
+        lambda words: say(f"{words} ...", flush=True),
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for words in (star_words(found), size_words(found), *ends_words(found)):
-        print(words)
+        say(words)
     for judged in found.judgements:
-        print(f"{judged.part}: {judged.verdict}. {judged.why}")
-    print(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
+        say(f"{judged.part}: {judged.verdict}. {judged.why}")
+    say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 
 

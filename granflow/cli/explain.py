@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
-from granflow.cli.messages import show_table
+from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
 
@@ -23,8 +23,8 @@ def explain(options: argparse.Namespace) -> int:
     from granflow.plan import explain as explained
     from granflow.plan import plan_for
 
-    print(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
-    print(f"\nWhat each feature costs: granflow explain --measure {options.scene}")
+    say(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
+    say(f"\nWhat each feature costs: granflow explain --measure {options.scene}")
     return 0
 
 
@@ -33,14 +33,12 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
     forget_kernels()
     from granflow.study.leaving_out import HEADS, remarks, saving_rows, savings, write_savings
 
-    found = savings(
-        scene, options.arch, options.threads, options.until, lambda words: print(f"{words} ...", flush=True)
-    )
+    found = savings(scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True))
     show_table(f"{scene.title}: a step as it stands, and with one feature off or on", HEADS, saving_rows(found))
-    print(*remarks(found), sep="\n")
+    say(*remarks(found), sep="\n")
     if options.out is not None:
         write_savings(options.out, found, scene.title)
-        print(f"Written to {options.out}")
+        say(f"Written to {options.out}")
     return 0
 
 

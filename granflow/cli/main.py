@@ -13,7 +13,7 @@ from granflow.cli.beverloo import add_beverloo
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.measure import add_measure
-from granflow.cli.messages import complain, exit_code_of, refuse
+from granflow.cli.messages import complain, exit_code_of, refuse, say
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume, resume
@@ -23,6 +23,7 @@ from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
 from granflow.errors import GranflowError
+from granflow.visible_text import visible
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,7 +62,7 @@ def _complain_of_file(error: OSError) -> int:
 
 def build_parser() -> argparse.ArgumentParser:
     """All verbs and their arguments."""
-    parser = argparse.ArgumentParser(prog="granflow", description="Discrete element simulation of granular flow.")
+    parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and leave")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     add_run(verbs)
@@ -84,11 +85,18 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser, and those of the verbs, whose messages may quote any text of the command line."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(visible(message), file)
+
+
 class ShowVersion(argparse.Action):
     """Looks the version up only when asked, as that reads files."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import granflow
 
-        print(f"granflow {granflow.__version__}")
+        say(f"granflow {granflow.__version__}")
         parser.exit()

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.messages import show_table
+from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
 SHOWN = 20
@@ -29,7 +29,7 @@ def measure(options: argparse.Namespace) -> int:
         step = -(-len(rows) // SHOWN)
         cells = [[value if isinstance(value, str) else f"{value:.4g}" for value in row.values()] for row in rows]
         show_table(f"{options.directory}, {len(rows)} frames", list(rows[0]), cells[::-1][::step][::-1])
-    print(f"Written to {out}")
+    say(f"Written to {out}")
     return 0
 
 

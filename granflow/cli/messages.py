@@ -3,9 +3,10 @@
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.errors import FileError, GranflowError
+from granflow.visible_text import visible
 
 if TYPE_CHECKING:
     from granflow.observe import Result
@@ -29,27 +30,32 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM came: ends a run in the same orderly way as Ctrl-C."""
 
 
+def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
+    """Print text that may hold titles, names or headers of files from elsewhere; the only `print` of the commands."""
+    print(visible(sep.join(map(str, parts))), file=file, flush=flush)
+
+
 def refuse(error: GranflowError) -> int:
     """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
     problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return complain(str(error), error.exit_code)
     for problem in problems:
-        print(problem, file=sys.stderr)
-    print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
+        say(problem, file=sys.stderr)
+    say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
     return error.exit_code
 
 
 def complain(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
     """Say one sentence on stderr and give the exit code."""
-    print(f"granflow: {sentence}", file=sys.stderr)
+    say(f"granflow: {sentence}", file=sys.stderr)
     return exit_code
 
 
 def warn(sentences: Iterable[str]) -> None:
     """Say on stderr what does not keep a scene from running but should be known."""
     for sentence in sentences:
-        print(f"granflow: warning: {sentence}", file=sys.stderr)
+        say(f"granflow: warning: {sentence}", file=sys.stderr)
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:
@@ -62,8 +68,8 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
     try:
         write(out, *numbers)
     except GranflowError as error:
-        print(error)
-    print(f"Written to {out}")
+        say(error)
+    say(f"Written to {out}")
 
 
 def show_result(title: str, result: "Result", out: Path) -> None:
@@ -72,16 +78,16 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
     from granflow.observe import closing_table
 
-    Console().print(closing_table(result, title))
+    Console().print(closing_table(result, visible(title)))
     for sentence, met in result.expectations:
-        print(sentence if met else f"NOT AS EXPECTED: {sentence}")
+        say(sentence if met else f"NOT AS EXPECTED: {sentence}")
     for group, numbers in result.feeds.items():
         if numbers["missing_count"]:
-            print(f"{numbers['missing_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
+            say(f"{numbers['missing_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
-        print(f"For ParaView: {', '.join(series)}")
-    print(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
+        say(f"For ParaView: {', '.join(series)}")
+    say(f"Numbers: {out / 'timeseries.csv'}, {out / 'result.json'}")
 
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:
@@ -108,11 +114,11 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
+    table = Table(title=Text(visible(title)), title_justify="left", show_header=any(heads), box=None, pad_edge=False)
     for column, head in enumerate(heads):
-        table.add_column(head, justify="left" if column == 0 else "right", no_wrap=column > 0)
+        table.add_column(visible(head), justify="left" if column == 0 else "right", no_wrap=column > 0)
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(visible(cell)) for cell in row))
     Console(width=None if sys.stdout.isatty() else WIDE).print(table)
 
 

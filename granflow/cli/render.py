@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.messages import complain
+from granflow.cli.messages import complain, say
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def render(options: argparse.Namespace) -> int:
     if options.out is not None and len(wanted) > 1:
         raise GranflowError(f"--out names one file, but --frame {options.frame} asks for {len(wanted)} pictures.")
     for path in write_pictures(options.directory, wanted, look, options.out):
-        print(path)
+        say(path)
     return 0
 
 
@@ -40,12 +40,12 @@ def film(options: argparse.Namespace, frames: "list[Frame]", look: "Look") -> in
     missing = missing_for_film()
     if missing:
         paths = write_pictures(options.directory, frames, look)
-        print(f"{len(paths)} pictures from {paths[0]} to {paths[-1]}")
+        say(f"{len(paths)} pictures from {paths[0]} to {paths[-1]}")
         return complain(f"A film needs {missing}, which is not installed: pip install granflow[plot]")
     path = options.out or options.directory / "pictures" / f"{name_of(look).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_film(path, pictures(options.directory, frames, look), options.fps)
-    print(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s")
+    say(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s")
     return 0
 
 

@@ -4,13 +4,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from granflow.cli.messages import say
+
 
 def report(options: argparse.Namespace) -> int:
     """`granflow report`: everything about a run on one page, with plots to hover over and pictures."""
     from granflow.study.report import write_report
 
     path = write_report(options.directory, options.out, not options.no_pictures)
-    print(f"Open {path} in a browser.")
+    say(f"Open {path} in a browser.")
     return 0
 
 

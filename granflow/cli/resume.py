@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_machine, quantity, thread_count
-from granflow.cli.messages import complain, exit_code_of, show_result, warn
+from granflow.cli.messages import complain, exit_code_of, say, show_result, warn
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
+from granflow.visible_text import VisibleFormatter
 
 if TYPE_CHECKING:
     from granflow.observe import Checkpoint
@@ -59,7 +60,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
             "go on with what is left of it with --anyway."
         )
     if checkpoint:
-        print(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
+        say(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
     return run_to_the_end(simulation, scene, out, options.until)
 
 
@@ -110,7 +111,7 @@ def run_to_the_end(simulation: "Simulation", scene: "Scene", out: Path, until: f
         return complain(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)
     if scene.expect and not result.expectations:
-        print(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
+        say(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
 
 
@@ -128,7 +129,7 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
 def warnings_shown() -> Iterator[None]:
     """Show on stderr what the log says of checkpoints that could not be written."""
     logger, handler = logging.getLogger("granflow.checkpoint"), logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("granflow: warning: %(message)s"))
+    handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
     logger.addHandler(handler)
     try:
         yield

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
-from granflow.cli.messages import warn
+from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
@@ -64,13 +64,13 @@ def check(options: argparse.Namespace) -> int:
     warn([*plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:
         if not note.warning:
-            print(f"walls.{note.wall}: {note.sentence}.")
+            say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
-        print(f"{options.scene}: no problems found, but placing the particles was not tried.")
+        say(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
     initial_grains(scene, earlier_grains(scene))
     streams(scene)
-    print(f"{options.scene}: no problems found.")
+    say(f"{options.scene}: no problems found.")
     return 0
 
 
@@ -78,7 +78,7 @@ def schema(options: argparse.Namespace) -> int:
     """`granflow schema`: the JSON Schema of scene files, for editors."""
     from granflow.scene import json_schema
 
-    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
     return 0
 
 
@@ -88,8 +88,8 @@ def cache(options: argparse.Namespace) -> int:
 
     held = clear() if options.clear else contents()
     done = "deleted" if options.clear else "kept"
-    print(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
-    print(f"{VARIABLE} names another folder.")
+    say(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    say(f"{VARIABLE} names another folder.")
     return 0
 
 

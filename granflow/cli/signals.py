@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from granflow.cli.messages import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated
+from granflow.cli.messages import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, say
 
 GRACE = 0.7
 """Seconds after a signal until the process ends without an orderly stop, or reports what the stop waits for."""
@@ -78,7 +78,7 @@ class StopSignals:
 
     def _overdue(self, number: int, deferred: bool) -> None:
         """In a thread of its own, GRACE after a signal: the main thread has not ended the verb yet."""
-        print(DEFERRED if deferred else AT_ONCE, file=sys.stderr, flush=True)
+        say(DEFERRED if deferred else AT_ONCE, file=sys.stderr, flush=True)
         if not deferred:
             os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.messages import show_table
+from granflow.cli.messages import say, show_table
 
 
 def stability(options: argparse.Namespace) -> int:
@@ -13,15 +13,15 @@ def stability(options: argparse.Namespace) -> int:
     from granflow.study.stability.report import stability as study
 
     outcomes, missing = study(
-        options.out, options.full, lambda each: print(f"{each.row}, {each.column}: {each.verdict}", flush=True)
+        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.verdict}", flush=True)
     )
     show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
-    print(headline(outcomes))
+    say(headline(outcomes))
     found = defects(outcomes)
     for line in (*found, missing):
         if line:
-            print(line)
-    print(f"Open {options.out / PAGE} in a browser; every case is a row of stability.csv beside it.")
+            say(line)
+    say(f"Open {options.out / PAGE} in a browser; every case is a row of stability.csv beside it.")
     return 1 if found else 0
 
 

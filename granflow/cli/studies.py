@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
-from granflow.cli.messages import show_comparison, show_table, write_study
+from granflow.cli.messages import say, show_comparison, show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -18,7 +18,7 @@ def collide(options: argparse.Namespace) -> int:
     numerics = ("settings", "steps_per_contact", "precision", "arch")
     numbers = collide_once(**{name: getattr(options, name) for name in (*names, *numerics)})
     if options.json:
-        print(json.dumps(numbers, indent=2))
+        say(json.dumps(numbers, indent=2))
     else:
         show_comparison(numbers)
     return 0
@@ -32,7 +32,7 @@ def restitution(options: argparse.Namespace) -> int:
     found, step = measure(scene, options.arch)
     heads = ("pair of materials", "velocity m/s", "asked", "reached", "difference %")
     show_table(scene.title, heads, restitution_rows(found))
-    print(f"With steps of {step:.4g} s in {scene.run.precision}; * differs by more than 1 %.")
+    say(f"With steps of {step:.4g} s in {scene.run.precision}; * differs by more than 1 %.")
     write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
     return 0
 
@@ -50,7 +50,7 @@ def fit(options: argparse.Namespace) -> int:
     limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
     found = fitted(data, limit)
     show_table(f"Eq. 12 fitted to {len(data)} rows of {options.data}", ("", "value", "error", "unit"), fit_rows(found))
-    print(f"For a pair in a scene:\n  {found.snippet()}")
+    say(f"For a pair in a scene:\n  {found.snippet()}")
     write_study(out, write_fit, data, found)
     return 0
 
@@ -59,8 +59,8 @@ def paper(options: argparse.Namespace) -> int:
     """`granflow paper`: the figures and tables of Zhou (2011) from simulated collisions, and all laws compared."""
     from granflow.study.paper import write_paper
 
-    page = write_paper(options.out, lambda words: print(f"{words} ...", flush=True))
-    print(f"Open {page} in a browser; the figures lie beside it as PNG and CSV.")
+    page = write_paper(options.out, lambda words: say(f"{words} ...", flush=True))
+    say(f"Open {page} in a browser; the figures lie beside it as PNG and CSV.")
     return 0
 
 

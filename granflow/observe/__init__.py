@@ -10,6 +10,7 @@ from granflow.observe.checkpoint import (
     remove_after,
     write_checkpoint,
 )
+from granflow.observe.checkpoint_observers import check_observers, check_streams
 from granflow.observe.earlier import earlier_grains
 from granflow.observe.every import Every, every
 from granflow.observe.expect import Judgement, judge
@@ -54,6 +55,8 @@ __all__ = [
     "TimeSeries",
     "WallFrames",
     "accepted_change",
+    "check_observers",
+    "check_streams",
     "closing_table",
     "copy_inputs",
     "decided",

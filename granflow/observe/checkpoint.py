@@ -11,20 +11,22 @@ import hashlib
 import json
 import zipfile
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.observe.checkpoint_archive import ARRAYS, HEADER, ArchiveError, read_archive
 from granflow.observe.files import replacing
 from granflow.observe.log import version_of
+from granflow.regular_files import open_regular
 
 FORMAT = 2
 """Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
 
 PATTERN = "checkpoint_*.npz"
-HEADER, ARRAYS = "header.json", ".npy"
 PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
 PIECE = 2**20
 """Bytes that are read at a time to take the checksum."""
@@ -74,17 +76,16 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: 
 def read_checkpoint(path: Path) -> Checkpoint:
     """Read one. Raises DamagedCheckpoint, or CheckpointError for another format and where the system cannot read it."""
     try:
-        with open(path, "rb") as file:
-            if _checksum(file) != file.read():
+        with open_regular(path) as file:
+            if _checksum(file) != file.read(len(PLACEHOLDER) + 1):
                 raise DamagedCheckpoint(f"{path} is damaged: it is cut short, or bits of it have changed.")
-            with zipfile.ZipFile(file) as archive:
-                return _from_archive(path, archive)
+            return _from_archive(path, *read_archive(file))
+    except ArchiveError as error:
+        raise DamagedCheckpoint(f"{path} {error}. Remove it to use the checkpoint before it.") from None
     except OSError as error:
         raise CheckpointError(
             f"{path} cannot be read: {error.strerror or error}. Make it readable, then try again."
         ) from error
-    except (zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise DamagedCheckpoint(f"{path} cannot be read: {error}.") from None
 
 
 def checkpoints(directory: Path) -> list[Path]:
@@ -119,19 +120,22 @@ def keep_last(directory: Path, count: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def _from_archive(path: Path, archive: zipfile.ZipFile) -> Checkpoint:
-    header = json.loads(archive.read(HEADER))
-    if header["format"] != FORMAT:
+def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
+    """The checkpoint, its arrays back in their places. Raises ArchiveError where the header has other keys or types."""
+    version, scene, time = header.get("granflow"), header.get("scene"), header.get("time")
+    if header.get("format") != FORMAT:
         raise CheckpointError(
-            f"{path} is in format {header['format']}, written by granflow {header['granflow']}; granflow "
+            f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; granflow "
             f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
         )
-    kept = header["kept"]
-    for name in archive.namelist():
-        if name.endswith(ARRAYS):
-            with archive.open(name) as member:
-                _put(kept, name.removesuffix(ARRAYS), np.lib.format.read_array(member, allow_pickle=False))
-    return Checkpoint(path, header["granflow"], header["scene"], header["time"], kept)
+    kept = header.get("kept")
+    if not (isinstance(version, str) and isinstance(scene, str) and isinstance(kept, dict)):
+        raise ArchiveError("lacks the version, the scene or the state of the run")
+    if not (isinstance(time, int | float) and isfinite(time)):
+        raise ArchiveError("lacks the time of the run")
+    for name, array in arrays.items():
+        _put(kept, name, array)
+    return Checkpoint(path, version, scene, time, kept)
 
 
 def _checksum(file: BinaryIO) -> bytes:
@@ -162,5 +166,9 @@ def _parted(kept: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[
 def _put(kept: dict[str, Any], path: str, array: np.ndarray) -> None:
     *around, key = path.split("/")
     for name in around:
-        kept = kept[name]
+        kept = kept.get(name)  # type: ignore[assignment]
+        if not isinstance(kept, dict):
+            raise ArchiveError(f"has the unexpected entry {path[:80]}")
+    if key in kept:
+        raise ArchiveError(f"has two values for {path[:80]}")
     kept[key] = array

@@ -7,6 +7,7 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.observe.checkpoint import Checkpoint, newest_checkpoint
+from granflow.observe.checkpoint_validation import check_particles_alone
 from granflow.plan.sizes import diameter_range
 from granflow.scene import Scene
 from granflow.scene.generate import Grains
@@ -30,7 +31,9 @@ def earlier_grains(scene: Scene) -> dict[str, Grains]:
     if checkpoint is None:
         why = f": {passed_over[0]}" if passed_over else "; name the directory of a run that has ended."
         raise SceneError(f"{place} it holds no checkpoint that can be used{why}")
-    names = list(scene_of(checkpoint.scene, str(checkpoint.path)).particles)
+    before = scene_of(checkpoint.scene, str(checkpoint.path))
+    check_particles_alone(checkpoint, before)
+    names = list(before.particles)
     shared = [name for name in scene.particles if name in names]
     if not shared:
         raise SceneError(f"{place} its groups are {', '.join(names)}; name those to go on with alike under particles.")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from granflow.observe.files import replacing
 from granflow.plan.meshes import mesh_path
+from granflow.regular_files import resolved
 from granflow.scene import Scene
 from granflow.scene.schema import FromFile, MeshWall
 
@@ -22,7 +23,7 @@ def copy_inputs(directory: Path, scene: Scene) -> None:
     """
     for source, name in _inputs(scene):
         target = Path(directory) / name
-        if target.exists() and (source == target.resolve() or cmp(source, target, shallow=False)):
+        if target.exists() and (source == resolved(target) or cmp(source, target, shallow=False)):
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists():
@@ -48,6 +49,6 @@ def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
             yield mesh_path(scene, wall), wall.file
     for place in (group.place for group in scene.particles.values()):
         if isinstance(place, FromFile) and not RESULTS.fullmatch(place.file):
-            path = (scene.folder / place.file).resolve()
+            path = resolved(scene.folder / place.file)
             if path.exists():
                 yield path, place.file

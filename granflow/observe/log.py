@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from granflow.observe.files import write_text
+from granflow.visible_text import VisibleFormatter
 
 
 class HasText(Protocol):
@@ -73,5 +74,5 @@ class _LogFile(logging.FileHandler):
 def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
     directory.mkdir(parents=True, exist_ok=True)
     handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler

@@ -13,6 +13,7 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.observe.checkpoint import Checkpoint, keep_last, write_checkpoint
+from granflow.observe.checkpoint_validation import check_engine, check_run
 from granflow.observe.schedule import Schedule
 from granflow.plan import Plan
 from granflow.plan.walls import StageTimes, wall_motions
@@ -73,6 +74,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, anyway: bool) -> Change:
     """
     kept = checkpoint.kept
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
+    check_run(checkpoint, before, decided(plan))
     stages_over = [stage.name for stage in before.schedule].index(kept["course"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not anyway:
@@ -80,6 +82,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, anyway: bool) -> Change:
         raise GranflowError(f"{named}\nRun the scene anew, or go on all the same with --anyway.")
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, kept["course"]["stage_times"], checkpoint.time)
+    check_engine(checkpoint, plan, before)
     return Change(differences(before, now))
 
 

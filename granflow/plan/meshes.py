@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.plan.sizes import diameter_range
+from granflow.regular_files import resolved
 from granflow.scene import Scene
 from granflow.scene.fields import Vector3
 from granflow.scene.schema import MeshWall, Wall
@@ -18,6 +20,9 @@ from granflow.walls.shape import unit
 
 FAR_TOO_LARGE, TOO_LARGE = 100.0, 5.0
 """Size of a mesh over that of the domain from which on it is refused, or warned of: the wrong unit of length."""
+
+FAR_TOO_SMALL = 1e-3
+"""Size of a mesh over the diameter of the smallest particle below which it is refused: the wrong unit of length."""
 
 MILLIMETRES = 1000.0
 
@@ -52,8 +57,11 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
 
 def mesh_path(scene: Scene, wall: MeshWall) -> Path:
     """The file of a mesh. Raises MeshFileError where it lies outside the scene's folder, be it by a symbolic link."""
-    folder = scene.folder.resolve()
-    path = (folder / wall.file).resolve()
+    try:
+        folder = resolved(scene.folder)
+        path = resolved(folder / wall.file)
+    except OSError as error:
+        raise MeshFileError(f"cannot be read: {error.strerror}") from None
     if not path.is_relative_to(folder):
         raise MeshFileError("leads out of the scene's folder by a symbolic link; put the file itself there")
     return path
@@ -82,6 +90,11 @@ def _mesh_once(
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     share = _size(mesh) / _domain_size(scene)
+    smallest = min(diameter_range(group)[0] for group in scene.particles.values())
+    if _size(mesh) < FAR_TOO_SMALL * smallest:
+        share = _size(mesh) / smallest
+        what = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+        raise MeshFileError(f"{what}: increase scale, which is {wall.scale:g} now")
     if share > FAR_TOO_LARGE:
         raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 

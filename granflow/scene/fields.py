@@ -16,6 +16,7 @@ from pydantic import (
 
 from granflow.scene.document import KeyPath
 from granflow.scene.numbers import Number, but
+from granflow.visible_text import visible
 
 _NAME = r"[a-z][a-z0-9_]*"
 
@@ -58,6 +59,13 @@ def _text(value: Any) -> Any:
     if not isinstance(value, str):
         raise but("text is asked here; put it in quotes")
     return value
+
+
+def _file_name(value: Any) -> Any:
+    text = _text(value)
+    if "\n" in text or "\t" in text or visible(text) != text:
+        raise but("a name of a file holds no control, zero-width or bidirectional characters; rename the file")
+    return text
 
 
 def _flag(value: Any) -> Any:
@@ -186,6 +194,7 @@ def _flag_or_names(value: Any) -> Any:
 
 
 Text = Annotated[str, BeforeValidator(_text)]
+FileName = Annotated[str, BeforeValidator(_file_name)]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
 Name = Annotated[str, AfterValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]

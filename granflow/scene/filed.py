@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.regular_files import resolved
 from granflow.scene.grains import Grains, grains_of
 from granflow.scene.places import FromFile
 from granflow.scene.schema import Scene
@@ -16,8 +17,11 @@ def table_of(scene: Scene, name: str) -> Table:
     place = scene.particles[name].place
     if not isinstance(place, FromFile):
         raise ValueError(f"{name} is not read from a file.")
-    folder = scene.folder.resolve()
-    path = (folder / place.file).resolve()
+    try:
+        folder = resolved(scene.folder)
+        path = resolved(folder / place.file)
+    except OSError as error:
+        raise SceneError(f"{scene.folder / place.file}: the file cannot be read: {error.strerror}.") from None
     if not path.is_relative_to(folder):
         where = scene.place("particles", name, "place", "file")
         raise SceneError(f"{where}: {place.file} leads out of the scene's folder; put the file itself there.")

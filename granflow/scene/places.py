@@ -10,6 +10,7 @@ from granflow.scene.fields import (
     AnySpeed,
     Direction,
     Fault,
+    FileName,
     GrainCount,
     KeptLength,
     MassFlow,
@@ -20,7 +21,6 @@ from granflow.scene.fields import (
     PositiveTime,
     Rate,
     Share,
-    Text,
     Time,
     choice,
     chosen,
@@ -194,7 +194,7 @@ class FromFile(Model):
     """Particles from a table: CSV, or a VTU frame."""
 
     kind: Literal["file"] = Field(description="way of placing the particles")
-    file: Text = Field(description="CSV, text or VTU file in the scene's folder or below it: its path from there")
+    file: FileName = Field(description="CSV, text or VTU file in the scene's folder or below it: its path from there")
     found: Found | None = Field(None, description="what the file holds; filled in when it is read")
 
     def faults(self) -> Iterator[Fault]:

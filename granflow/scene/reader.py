@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from granflow.errors import SceneError
+from granflow.regular_files import resolved
 from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
@@ -33,8 +34,17 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     scene._path = Path(path)
     scene = settled(scene, read=True)
     if scene.start_from is not None:
-        scene = scene.model_copy(update={"start_from": str((Path(path).parent / scene.start_from).resolve())})
+        scene = scene.model_copy(update={"start_from": str(_earlier(path, scene))})
     return scene
+
+
+def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
+    """The directory that start_from names, its path counted from the file."""
+    try:
+        return resolved(Path(path).parent / str(scene.start_from))
+    except OSError as error:
+        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
+        raise SceneError(f"{scene.place('start_from')}: {reason}.") from None
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:

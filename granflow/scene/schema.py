@@ -21,6 +21,7 @@ from granflow.scene.fields import (
     Direction,
     Energy,
     Fault,
+    FileName,
     Flag,
     FlagOrNames,
     Model,
@@ -339,7 +340,7 @@ class Scene(Model):
     contact: Contact = Field(description="the laws of contact, {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
-    start_from: Text | None = Field(
+    start_from: FileName | None = Field(
         None, description="directory of an earlier run, whose last particles stand in for those of groups named alike"
     )
     outlets: dict[Name, Outlet] = Field({}, description="where particles are deleted and counted, by name")

@@ -14,6 +14,7 @@ from granflow.scene.fields import (
     Damping,
     Direction,
     Fault,
+    FileName,
     Force,
     Frequency,
     KeptLength,
@@ -275,7 +276,7 @@ class MeshWall(Wall):
     """Triangles from a file, touched from both sides: scaled, then turned, then shifted."""
 
     shape: Literal["mesh"] = Field(description="shape of the wall")
-    file: Text = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
+    file: FileName = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
     scale: MeshScale = Field(1.0, description="factor from the file's units to metres: 0.001 for millimetres")
     rotate: Annotated[tuple[Turn, ...], listing(one=True), AlsoWritten()] = Field(
         (), description="how the mesh is turned about the origin: one turn or a list of them, one after the other"

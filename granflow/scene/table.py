@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.regular_files import read_regular_text
 from granflow.scene.units import UnitError, to_si
+from granflow.walls.vtu_file import VtuError, read_vtu
 
 LARGEST_FILE = 2**30
 """Bytes; some ten million particles."""
@@ -102,17 +104,18 @@ def _faults(table: Table) -> Iterator[Problem]:
 
 def _frame(path: Path) -> tuple[Table, list[Problem]]:
     """Points of a VTU file with `radius` or `diameter`; `velocity`, `spin` and `material` if they are there."""
-    import meshio
-
     try:
-        mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot
-    except Exception as error:  # meshio raises whatever its parsers do
-        raise SceneError(f"{path}: this is no VTU file that can be read: {error}.") from None
+        mesh = read_vtu(path, LARGEST_FILE)
+    except VtuError as error:
+        raise SceneError(f"{path}: this file {error}.") from None
     data = mesh.point_data
     known = [name for name in ("radius", "diameter") if name in data]
     if not known:
         raise SceneError(f"{path}: its points have no array radius; they have {', '.join(data) or 'none'}.")
     count = len(mesh.points)
+    for name in (known[0], *WORDS):
+        if name in data and data[name].size != count * (3 if name in WORDS else 1):
+            raise SceneError(f"{path}: the array {name} has {data[name].size // max(count, 1)} numbers for each point.")
     radius = np.asarray(data[known[0]], float).reshape(count) * (0.5 if known[0] == "diameter" else 1.0)
     vectors = {name: np.asarray(data[name], float).reshape(count, 3) if name in data else None for name in WORDS}
     material = np.asarray(data["material"]).astype(str) if "material" in data else None
@@ -137,7 +140,7 @@ class _Heading:
 
 
 def _text(path: Path) -> tuple[Table, list[Problem]]:
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    lines = read_regular_text(path, LARGEST_FILE).splitlines()
     heading, first = _heading(path, lines)
     numbered = [(n, line) for n, line in enumerate(lines[first:], first + 1) if line.strip() and line.strip()[0] != "#"]
     rows = [(n, heading.cells(line)) for n, line in numbered]

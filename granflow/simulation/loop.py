@@ -24,6 +24,8 @@ from granflow.observe import (
     Result,
     TimeSeries,
     accepted_change,
+    check_observers,
+    check_streams,
     copy_inputs,
     decided,
     earlier_grains,
@@ -352,6 +354,9 @@ class Simulation:
     def _put_back(self, checkpoint: Checkpoint, change: Change) -> None:
         """Stand where the checkpoint stood, and let changes of the scene come into force."""
         kept = checkpoint.kept
+        check_observers(checkpoint, {name: observer.keep() for name, observer in self._keepable()})
+        counts = {name: group.count for name, group in self.scene.particles.items()}
+        check_streams(checkpoint, self._feeds.keep(), counts)
         reopened = change.of_stage(len(kept["course"]["stage_times"]) - 1)
         self._course.put_back(kept["course"], reopened, same_scene=not change.differences)
         self._keeper.put_back(kept["engine"], wall_motions(self.scene, self._course.stage_times))

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.regular_files import read_regular_text
 from granflow.scene.units import UnitError, to_si
 
 EXPONENT = 2.5
@@ -130,7 +131,10 @@ def _of_run(place: Path) -> list[tuple[float, float]]:
     path = place / "result.json"
     if not path.exists():
         raise GranflowError(f"{place} has no result.json; name a run that has ended.")
-    numbers = json.loads(path.read_text(encoding="utf-8"))["meters"]
+    try:
+        numbers = json.loads(read_regular_text(path))["meters"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}): name a run that has ended.") from None
     meters = load(place / "scene_as_run.yaml").output.meters
     found = [
         (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
@@ -143,19 +147,21 @@ def _of_run(place: Path) -> list[tuple[float, float]]:
 
 
 def _of_table(place: Path) -> list[tuple[float, float]]:
-    with open(place, newline="", encoding="utf-8-sig") as file:
-        reader = csv.DictReader(file)
+    reader = csv.DictReader(read_regular_text(place).splitlines())
+    try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
             raise GranflowError(f"{place} has no column {missing[0]}; the columns are opening and mass_flow.")
         found = []
         for row in reader:
             try:
-                opening, flow = (to_si(row[name], dimension) for name, dimension in COLUMNS.items())
+                opening, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
                 found.append((opening, flow))
             except UnitError as error:
                 raise GranflowError(f"{place}:{reader.line_num}: {error}.") from None
         return found
+    except csv.Error as error:
+        raise GranflowError(f"{place}:{reader.line_num}: this row cannot be read: {error}.") from None
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:

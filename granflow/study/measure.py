@@ -14,6 +14,7 @@ from granflow.observe.indices.build import index_meters
 from granflow.observe.indices.meter import IndexMeter
 from granflow.observe.observer import CONTACTS
 from granflow.quantities import CONTACT_QUANTITIES, INDEX_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.regular_files import read_regular_text
 from granflow.scene import Scene
 from granflow.snapshot import Snapshot
 from granflow.study.render.frames import Frame, frames_of, is_empty, read_grains, read_mesh
@@ -77,8 +78,11 @@ def _stages(path: Path, scene: Scene) -> "_StageAt":
     """Stage at a time [s]: that of the last row of the time series until then."""
     if not path.exists():
         return _StageAt([0.0], [scene.schedule[0].name])
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = [(float(row["time [s]"]), row["stage"]) for row in csv.DictReader(file)]
+    try:
+        lines = read_regular_text(path).splitlines()
+        rows = [(float(row["time [s]"]), row["stage"]) for row in csv.DictReader(lines)]
+    except (csv.Error, ValueError, TypeError, KeyError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
     return _StageAt([time for time, _ in rows], [stage for _, stage in rows])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, GranflowError
+from granflow.regular_files import read_regular
 from granflow.scene.units import UnitError, to_si
 
 HEADINGS = {
@@ -20,6 +21,9 @@ HEADINGS = {
 """What a column may be called; the first name is the one to use."""
 
 DIMENSION = {"velocity": "velocity", "restitution": "number", "deviation": "number", "weight": "number"}
+LARGEST_FILE = 2**26
+"""Bytes; more than a million measurements."""
+
 SEPARATORS = (";", "\t", ",")
 
 
@@ -70,7 +74,7 @@ def _spread(table: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise GranflowError(f"{path} is not UTF-8 text: save it as CSV in UTF-8.") from None
 
@@ -82,7 +86,10 @@ def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
         return
     separator = next((mark for mark in SEPARATORS if mark in kept[0][1]), ",")
     for number, line in kept:
-        cells = next(csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True))
+        try:
+            cells = next(csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True))
+        except csv.Error as error:
+            raise FileError(f"{path}:{number}: this row cannot be read: {error}.") from None
         yield number, [cell.strip() for cell in cells]
 
 

@@ -1,12 +1,14 @@
 """One HTML page from text, tables, figures and plots: everything inside the file, nothing from the network."""
 
+import html
 import json
 from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from granflow.visible_text import visible
 
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 
@@ -102,6 +104,11 @@ class Page:
     sections: Sequence[Section]
     script: str = ""
     """The JavaScript of plotly, for pages with plots."""
+
+
+def escape(text: str) -> str:
+    """Text as HTML; what would not be seen becomes an escape."""
+    return html.escape(visible(text))
 
 
 DRAW_PLOTS = """

@@ -1,4 +1,4 @@
-"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK and VTU, by meshio but for binary STL."""
+"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK, VTU; meshio reads text STL, PLY, VTK."""
 
 import io
 import warnings
@@ -9,6 +9,10 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+
+from granflow.regular_files import read_regular
+from granflow.walls.obj_file import ObjError, read_obj
+from granflow.walls.vtu_file import VtuError, read_vtu
 
 LARGEST_FILE = 256 * 2**20
 """Bytes of a mesh file; reading that takes seconds."""
@@ -45,22 +49,29 @@ def read_triangles(path: Path) -> Soup:
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise MeshFileError(f"is no kind of file that is read here; the kinds are {', '.join(FORMATS)}")
-    soup = _binary_stl(raw) if kind == "stl" and not _is_text_stl(raw) else _by_meshio(path, kind)
-    return _sound(soup)
+    return _sound(_soup(path, kind, raw))
+
+
+def _soup(path: Path, kind: str, raw: bytes) -> Soup:
+    try:
+        if kind == "obj":
+            return Soup(*read_obj(raw))
+        if kind == "vtu":
+            return _soup_of(read_vtu(path, LARGEST_FILE))
+    except (ObjError, VtuError) as error:
+        raise MeshFileError(str(error)) from None
+    if kind == "stl" and not _is_text_stl(raw):
+        return _binary_stl(raw)
+    return _soup_of(_by_meshio(path, kind))
 
 
 def _bytes(path: Path) -> bytes:
     try:
-        if not path.exists():
-            raise MeshFileError("does not exist")
-        if not path.is_file():
-            raise MeshFileError("is not a regular file")
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
+        raw = read_regular(path, LARGEST_FILE)
+    except FileNotFoundError:
+        raise MeshFileError("does not exist") from None
     except OSError as error:
         raise MeshFileError(f"cannot be read: {error.strerror or error}") from None
-    if len(raw) > LARGEST_FILE:
-        raise MeshFileError(f"is larger than {LARGEST_FILE // 2**20} MiB, too large for a mesh")
     if not raw:
         raise MeshFileError("is empty")
     return raw
@@ -88,17 +99,20 @@ def _binary_stl(raw: bytes) -> Soup:
     return Soup(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _by_meshio(path: Path, kind: str) -> Soup:
+def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
     """Whatever is wrong with a file, meshio says it in some exception of its own or of Python's."""
     read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            mesh = read(path)
+            return read(path)
     except (Exception, SystemExit) as error:
         why = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:LONGEST_WHY]
         why = why or "it is damaged, or of another kind"
         raise MeshFileError(f"cannot be read as {kind.upper()}: {why}") from None
+
+
+def _soup_of(mesh: meshio.Mesh) -> Soup:
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))

@@ -81,7 +81,7 @@ def test_files_that_are_none(tmp_path, monkeypatch):
         with pytest.raises(SceneError, match=why):
             read_table(path)
     broken = written(tmp_path, "<VTKFile", "broken.vtu")
-    with pytest.raises(SceneError, match="this is no VTU file that can be read"):
+    with pytest.raises(SceneError, match="this file cannot be read as VTU"):
         read_table(broken)
     monkeypatch.setattr("granflow.scene.table.LARGEST_FILE", 10)
     with pytest.raises(SceneError, match="too large for a table"):

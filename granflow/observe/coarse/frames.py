@@ -7,6 +7,7 @@ from typing import Any
 import meshio
 import numpy as np
 
+from granflow.observe.checkpoint import CheckpointError
 from granflow.observe.coarse.grid import Grid
 from granflow.observe.coarse.kernel import Kernel
 from granflow.observe.coarse.sums import OF_CONTACTS, Sums, fields_of, sums_of
@@ -71,6 +72,8 @@ class FieldFrames(Frames):
     def put_back(self, kept: dict[str, Any]) -> None:
         """Go on after those frames."""
         super().put_back(kept)
+        if any(len(sums) != self.grid.cell_count for sums in kept["total"].values()):
+            raise CheckpointError(f"The checkpoint holds {self.stem} on a grid of other cells; remove it.")
         self._total = Sums(dict(kept["total"])) if kept["total"] else None
         self._count = kept["count"]
 

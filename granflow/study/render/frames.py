@@ -9,13 +9,19 @@ import meshio
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.regular_files import open_regular
 from granflow.scene.units import UnitError, to_si
+from granflow.walls.vtu_file import read_vtu
 
 SAME_TIME = 1e-9
 """Largest difference of times, relative, at which frames of grains, walls and contacts belong together."""
 
 HEAD, EMPTY = 1000, b'NumberOfCells="0"'
 """What stands near the beginning of a VTU file that holds nothing."""
+
+
+LARGEST_FRAME = 2**32
+"""Bytes of all arrays of one frame."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +174,7 @@ def read_chains(frame: Frame) -> Chains | None:
 
 def is_empty(path: Path) -> bool:
     """Whether a VTU file holds nothing."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return EMPTY in file.read(HEAD)
 
 
@@ -177,6 +183,6 @@ def read_mesh(path: Path) -> meshio.Mesh:
     try:
         if is_empty(path):  # which meshio cannot read
             return meshio.Mesh(np.zeros((0, 3)), [])
-        return meshio.read(path)
+        return read_vtu(path, LARGEST_FRAME)
     except (Exception, SystemExit) as error:  # a file that is cut short has many ways to fail, meshio's exit is one
         raise GranflowError(f"{path} cannot be read ({error}): take this frame away, or run again.") from None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from granflow.errors import GranflowError
+from granflow.regular_files import read_regular_text
 
 ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
 """Time, level, logger, and words of an entry, as granflow.observe.log writes them."""
@@ -41,7 +42,7 @@ class Session:
 def read_log(path: Path) -> list[Entry]:
     """The entries of a log; none where there is no file. Raises GranflowError where it cannot be read."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_regular_text(path).splitlines()
     except FileNotFoundError:
         return []
     except OSError as error:

@@ -7,6 +7,7 @@ from typing import Any
 
 from granflow.errors import GranflowError
 from granflow.observe import locked
+from granflow.regular_files import read_regular_text, resolved
 from granflow.scene import Scene, load
 from granflow.study.report.log import Entry, Session, read_log, sessions
 from granflow.study.report.series import Series, read_series
@@ -36,7 +37,7 @@ class Record:
     @property
     def title(self) -> str:
         """The scene's, or the name of the directory."""
-        return self.scene.title if self.scene is not None else self.directory.resolve().name
+        return self.scene.title if self.scene is not None else resolved(self.directory).name
 
     @property
     def sessions(self) -> list[Session]:
@@ -65,7 +66,7 @@ def read_record(directory: Path) -> Record:
         directory,
         scene,
         problem,
-        path.read_text(encoding="utf-8", errors="replace") if path.exists() else "",
+        read_regular_text(path) if path.exists() else "",
         read_log(directory / "run.log"),
         read_series(directory / "timeseries.csv"),
         _result(directory / "result.json"),
@@ -84,8 +85,8 @@ def _result(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
+        found = json.loads(read_regular_text(path))
+    except (ValueError, RecursionError, OSError) as error:
         raise GranflowError(f"{path} cannot be read ({error}): take it away, or run again.") from None
     return found if isinstance(found, dict) else {}
 

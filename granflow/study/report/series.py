@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow.errors import GranflowError
+from granflow.regular_files import read_regular_text
+
 TIME, STAGE = "time", "stage"
 MOST_POINTS = 800
 """Of a curve in a plot: more cannot be told apart on a screen."""
@@ -50,8 +53,11 @@ def read_series(path: Path) -> Series | None:
     """The columns of a time series, but for a last line that a killed run left unfinished; none without rows."""
     if not path.exists():
         return None
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        heads, *rows = list(csv.reader(file)) or [[]]
+    try:
+        lines = read_regular_text(path).splitlines()
+        heads, *rows = list(csv.reader(lines)) or [[]]
+    except csv.Error as error:
+        raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
     rows = [row for row in rows if len(row) == len(heads)]
     labels = [_split(head) for head in heads]
     names = [name for name, _ in labels]

@@ -1,0 +1,91 @@
+"""Reads the zip archive of a checkpoint. No size, count or name written in the file is trusted.
+
+granflow stores the entries without compression, so all of them together are never longer than the file: a reader that
+refuses compressed entries allocates no more memory than the file has bytes.
+"""
+
+import json
+import math
+import struct
+import tokenize
+import zipfile
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import numpy as np
+
+HEADER, ARRAYS = "header.json", ".npy"
+
+MOST_ENTRIES = 100_000
+LARGEST_HEADER = 2**28
+"""Bytes of the JSON header: the histories of all flow meters, one line for each row of the time series."""
+
+MOST_AXES = 3
+LARGEST_ITEM = 8
+"""Bytes of one number."""
+
+
+class ArchiveError(Exception):
+    """An archive that granflow has not written; the message follows the name of the file."""
+
+
+def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The JSON header and the arrays by name. Raises ArchiveError, or OSError where the file cannot be read."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = _entries(archive, file.seek(0, 2))
+            header = json.loads(archive.read(entries.pop(HEADER)))
+            arrays = {name: _array(archive, entry) for name, entry in entries.items()}
+    except OSError:
+        raise
+    except RecursionError:
+        raise ArchiveError("has a header that is nested too deeply") from None
+    except (zipfile.BadZipFile, struct.error, KeyError, ValueError, ArithmeticError) as error:
+        raise ArchiveError(f"is not a checkpoint: {error}") from None
+    except (RuntimeError, EOFError, MemoryError, SyntaxError, TypeError, tokenize.TokenError) as error:
+        raise ArchiveError(f"is not a checkpoint: {error}") from None
+    if not isinstance(header, dict):
+        raise ArchiveError("has a header that is not a mapping")
+    return header, arrays
+
+
+def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipInfo]:
+    """The entries by name, ".npy" left out."""
+    found: dict[str, zipfile.ZipInfo] = {}
+    for problem in _problems(archive.infolist(), file_size):
+        raise ArchiveError(problem)
+    for entry in archive.infolist():
+        name = entry.filename if entry.filename == HEADER else entry.filename.removesuffix(ARRAYS)
+        if name in found or (name == entry.filename) != (name == HEADER):
+            raise ArchiveError(f"has the unexpected entry {entry.filename[:80]}")
+        found[name] = entry
+    return found
+
+
+def _problems(entries: list[zipfile.ZipInfo], file_size: int) -> Iterator[str]:
+    if len(entries) > MOST_ENTRIES:
+        yield f"has {len(entries)} entries, more than {MOST_ENTRIES}"
+    for entry in entries:
+        if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
+            yield f"has the compressed entry {entry.filename[:80]}, but checkpoints are written without compression"
+        if entry.filename == HEADER and entry.file_size > LARGEST_HEADER:
+            yield f"has a header of {entry.file_size} bytes, more than {LARGEST_HEADER}"
+    total = sum(entry.file_size for entry in entries)
+    if total > file_size:
+        yield f"has entries of {total} bytes, but only {file_size} bytes"
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
+    """One array of plain numbers, whose entry must be exactly as long as its type and shape need."""
+    with archive.open(entry) as member:
+        version = np.lib.format.read_magic(member)
+        if version != (1, 0):
+            raise ArchiveError(f"has the entry {entry.filename[:80]} in npy version {version}, not (1, 0)")
+        shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
+        numbers = dtype.kind in "bif" and dtype.itemsize <= LARGEST_ITEM and dtype.isnative and dtype.shape == ()
+        if not numbers or len(shape) > MOST_AXES or by_column or min(shape, default=0) < 0:
+            raise ArchiveError(f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}")
+        size = math.prod(shape) * dtype.itemsize
+        if size != entry.file_size - member.tell():
+            raise ArchiveError(f"has the entry {entry.filename[:80]} of another length than its shape {shape} needs")
+        return np.frombuffer(bytearray(member.read()), dtype).reshape(shape)

@@ -1,0 +1,102 @@
+"""Checks what observers and particle streams get back from a checkpoint against the state that new ones would keep."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from granflow.observe.checkpoint import Checkpoint
+from granflow.observe.checkpoint_parts import LARGEST_REAL, Part
+
+ROWS: dict[str, tuple[str, ...]] = {
+    "frames": ("number", "text"), "history": ("number", "text", "number"), "columns": ("text",),
+}  # fmt: skip
+"""Lists that grow during a run, by key, and what each of their entries holds."""
+
+LOOK = ("id", "mass", "position", "distance", "kind")
+"""Arrays of the last look of a flow meter."""
+
+
+def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
+    """Check the state of every observer that is there; `fresh`: states of new ones by name. Raises CheckpointError."""
+    observers = Part.of(checkpoint)["observers"]
+    for name, template in fresh.items():
+        if name in observers.mapping():
+            _check_like(observers[name], template)
+
+
+def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
+    """Check the state of every stream by group; `counts`: particles of each group. Raises CheckpointError."""
+    feeds = Part.of(checkpoint)["feeds"]
+    feeds.mapping(fresh)
+    for name, template in fresh.items():
+        feeds[name].mapping(template)
+        due = feeds[name]["due_count"].whole(0, counts[name])
+        waiting = feeds[name]["waiting"]
+        size = waiting.value.size if isinstance(waiting.value, np.ndarray) else 0
+        waiting.distinct(size, high=due - 1)
+        feeds[name]["pour_count"].whole()
+        feeds[name]["next_time"].number(0.0)
+
+
+def _check_like(part: Part, template: Any) -> None:
+    """The same keys and types as in `template`; what is empty or None there may have grown."""
+    key = part.key.rsplit("/", 1)[-1]
+    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LOOK):
+        _check_look(part)
+    elif key == "total":
+        _check_sums(part)
+    elif isinstance(template, dict) and template:
+        for each in part.parts(template):
+            _check_like(each, template[each.key.rsplit("/", 1)[-1]])
+    elif isinstance(template, dict):
+        for each in part.parts():
+            each.plain()
+    elif isinstance(template, list):
+        for row in part.items():
+            _check_row(row, ROWS.get(key, ()))
+    elif isinstance(template, np.ndarray):
+        part.reals(*template.shape)
+    elif template is None:
+        part.plain()
+    else:
+        _check_plain(part, template)
+
+
+def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
+    cells = [row] if len(kinds) == 1 else row.items(len(kinds))
+    for cell, kind in zip(cells, kinds, strict=True):
+        check: Callable[[], object] = cell.number if kind == "number" else cell.text
+        check()
+
+
+def _check_plain(part: Part, template: Any) -> None:
+    if isinstance(template, bool):
+        part.flag()
+    elif isinstance(template, int):
+        part.whole(-(2**53) if part.key.endswith("/count") else 0)
+    elif isinstance(template, float):
+        part.plain()
+    else:
+        part.text()
+
+
+def _check_look(part: Part) -> None:
+    part.mapping(LOOK)
+    ids = part["id"].value
+    count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
+    part["id"].distinct(count)
+    part["kind"].wholes(count)
+    for name in ("mass", "distance"):
+        part[name].reals(count)
+    part["position"].reals(count, 3)
+
+
+def _check_sums(part: Part) -> None:
+    """Sums of fields: one row for each cell of one grid."""
+    lengths = {
+        len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1 for each in part.parts()
+    }
+    for each in part.parts():
+        width = each.value.shape[-1] if isinstance(each.value, np.ndarray) and each.value.ndim else 0
+        each.reals(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)

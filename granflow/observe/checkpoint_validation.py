@@ -1,0 +1,201 @@
+"""Checks a checkpoint against the plan of the run before the device gets any of it; see `checkpoint_parts`."""
+
+from math import pi
+
+import numpy as np
+
+from granflow.observe.checkpoint import Checkpoint
+from granflow.observe.checkpoint_contacts import check_contacts
+from granflow.observe.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
+from granflow.plan import Plan
+from granflow.scene import Scene
+
+ROUNDING = 1e-5
+"""Relative tolerance of radii and masses: single precision, and the sizes of an earlier run."""
+
+LOSS_KINDS, IMPULSE_SIZE = 5, 7
+"""Energies that the ledger adds up, and numbers of a wall load, as on the device."""
+
+COUNTS = ("inserted_count", "deleted_count")
+MASSES = ("deleted_mass", "brought_energy", "removed_energy", "removed_kinetic_energy")
+SECONDS = ("search", "advance", "sampled_forces", "sampled_motion")
+TALLIES = ("search_count", "step_count", "particle_steps")
+KEYS = ("course", "wall_clock", "plan", "earlier", "feeds", "observers", "engine")
+
+
+def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
+    """Check what does not depend on the present scene: stages, clocks, the names in the plan's numbers.
+
+    `before`: the scene of the checkpoint. `decided`: the present plan's numbers. Raises CheckpointError.
+    """
+    part = Part.of(checkpoint)
+    part.mapping(KEYS)
+    _check_course(part["course"], [stage.name for stage in before.schedule])
+    for each in part["wall_clock"].parts(("output_seconds", "wall_clock")):
+        each.number(0.0)
+    for each in part["plan"].parts(decided):
+        if not isinstance(each.value, bool | int | float | str):
+            raise each.unlike("a number or a text")
+    for name in part["earlier"].items():
+        name.text(list(before.particles))
+    for key in ("feeds", "observers", "engine"):
+        part[key].mapping()
+    clock = part["engine"]["clock"]
+    _check_clock(clock, checkpoint.time)
+
+
+def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
+    """Check everything that goes to the device: counts, types, shapes, ranges, indices. Raises CheckpointError."""
+    engine = Part.of(checkpoint)["engine"]
+    count = engine["particle_count"].whole(0, plan.particle_capacity)
+    steps = engine["clock"]["step_count"].whole()
+    for name in ("steps_since_look", "steps_since_search"):
+        engine[name].whole(0, steps)
+    for wall in engine["walls_present"].items(len(plan.walls)):
+        wall.flag()
+    _check_books(engine["books"], count, plan)
+    _check_timing(engine["clocks"])
+    _check_particles(engine["particles"], engine["books"], plan, before)
+    check_contacts(engine["contacts"], count, plan)
+    _check_drive(engine["drive"], plan)
+    _check_ledger(engine["ledger"], plan)
+
+
+def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
+    """Check what another run takes over with `start_from`: particles and their groups. Raises CheckpointError."""
+    engine = Part.of(checkpoint)["engine"]
+    count = engine["particle_count"].whole(0, 2**31 - 1)
+    inserted = len(group) if isinstance(group := engine["books"]["group"].value, np.ndarray) else 0
+    engine["books"]["group"].wholes(inserted, high=len(before.particles) - 1)
+    engine["clock"]["time_step"].number(0.0, LARGEST_REAL)
+    particles = engine["particles"]
+    for name in ("position", "velocity", "force", *(("spin", "torque") if "spin" in particles.mapping() else ())):
+        particles[name].reals(count, 3)
+    for name in ("radius", "mass"):
+        particles[name].reals(count, low=float(np.finfo(np.float32).tiny))
+    particles["id"].distinct(count, high=inserted - 1)
+    for array in particles.parts():
+        if not isinstance(array.value, np.ndarray) or len(array.value) != count:
+            raise array.unlike(f"an array of {count} particles")
+
+
+def _check_course(course: Part, stages: list[str]) -> None:
+    course.mapping(("stage", "stage_times", "look", "target", "arrived", "changes"))
+    present = course["stage"].text(stages)
+    times = course["stage_times"]
+    if list(times.mapping()) != stages[: stages.index(present) + 1]:
+        raise times.wrong("has other stages than those up to the present one")
+    for each in times.parts():
+        began, ended = each.items(2)
+        ended.number(began.number(0.0, LARGEST_REAL))
+    course["look"].number()
+    course["arrived"].flag()
+    if course["target"].value is not None:
+        course["target"].number(0.0, LARGEST_REAL)
+    for change in course["changes"].items():
+        change.number(0.0)
+
+
+def _check_clock(clock: Part, time: float) -> None:
+    clock.mapping(("time_step", "step_count", "since_step", "since_time"))
+    step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
+    count = clock["step_count"].whole()
+    since = clock["since_step"].whole(0, count)
+    now = clock["since_time"].number(0.0, LARGEST_REAL) + (count - since) * step
+    if not abs(now - time) <= 0.5 * step:
+        raise clock.wrong(f"gives the time {now:.6g} s, but the header {time:.6g} s")
+
+
+def _check_books(books: Part, count: int, plan: Plan) -> None:
+    books.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
+    inserted = books["inserted_count"].whole(count, plan.particle_capacity)
+    books["deleted_count"].whole(inserted - count, inserted - count)
+    for name in MASSES:
+        books[name].number(-LARGEST_REAL, LARGEST_REAL)
+    for outlet in books["outlets"].parts(plan.scene.outlets):
+        for each in outlet.items(2):
+            each.number(0.0, LARGEST_REAL)
+    books["material"].wholes(inserted, high=len(plan.scene.materials) - 1)
+    books["group"].wholes(inserted, high=len(plan.scene.particles) - 1)
+
+
+def _check_timing(clocks: Part) -> None:
+    clocks.mapping((*SECONDS, *TALLIES))
+    for name in SECONDS:
+        clocks[name].number(0.0, LARGEST_REAL)
+    for name in TALLIES:
+        clocks[name].whole(0, MOST_STEPS)
+
+
+def particle_arrays(plan: Plan) -> dict[str, int]:
+    """Names of the arrays of particles in a checkpoint of this plan, each with the numbers for one particle."""
+    features = plan.features
+    vectors = ["position", "velocity", "force", "position_at_search"]
+    vectors += ["spin", "torque"] * features.rotation + ["velocity_now"] * features.rate_dependent
+    whole = ["id"] + ["material"] * (not features.one_material) + ["fixed"] * features.fixed_grains
+    return dict.fromkeys(vectors, 3) | dict.fromkeys((*whole, "radius", "mass"), 1)
+
+
+def _check_particles(particles: Part, books: Part, plan: Plan, before: Scene) -> None:
+    inserted = books["inserted_count"].whole()
+    count = inserted - books["deleted_count"].whole()
+    arrays = particle_arrays(plan)
+    particles.mapping(arrays)
+    for name in (name for name, width in arrays.items() if width == 3):
+        particles[name].reals(count, 3)
+    ids = particles["id"].distinct(count, high=inserted - 1)
+    sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
+    radius = particles["radius"].reals(count, low=sizes[0], high=sizes[1]).astype(float)
+    materials = list(before.materials.values())
+    number = books["material"].wholes(inserted, high=len(materials) - 1)[ids]
+    mass = 4.0 / 3.0 * pi * radius**3 * np.array([material.density for material in materials])[number]
+    if np.any(np.abs(particles["mass"].reals(count) - mass) > ROUNDING * mass):
+        raise particles["mass"].wrong("differs from density times volume")
+    if "fixed" in arrays:
+        particles["fixed"].wholes(count, high=1)
+    if "material" in arrays:
+        known = {name: index for index, name in enumerate(plan.materials)}
+        expected = np.array([known.get(name, 0) for name in before.materials])[number]
+        if np.any(particles["material"].wholes(count, high=plan.material_count - 1) != expected):
+            raise particles["material"].wrong("differs from the materials in books")
+    _check_places(particles, count, plan)
+
+
+def _check_places(particles: Part, count: int, plan: Plan) -> None:
+    """Particles were inside the domain at the last search, and have gone no farther than the skin since."""
+    place = particles["position"].reals(count, 3).astype(float)
+    there = particles["position_at_search"].reals(count, 3).astype(float)
+    rounding = np.abs(there).max(initial=0.0) * float(np.finfo(np.float32).eps)
+    if np.any(np.linalg.norm(place - there, axis=1) > 2.0 * plan.skin + rounding):
+        raise particles["position"].wrong("is farther from position_at_search than the skin allows")
+    low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
+    if plan.scene.domain.leaving != "grow" and np.any((there < low) | (there > high)):
+        raise particles["position_at_search"].wrong("is outside the domain")
+
+
+def _check_drive(drive: Part, plan: Plan) -> None:
+    """Driven walls, unless they are others: that has a message of its own."""
+    if [each.text() for each in drive["drives"].items()] != [each.key for each in plan.drives]:
+        return
+    count = len(plan.drives)
+    names = ("offset", "offset_at_search", "velocity", "given", "work", "push", "was_on") if count else ()
+    drive.mapping(("drives", *names))
+    for name in names:
+        if name == "was_on":
+            drive[name].wholes(count, high=1)
+        else:
+            drive[name].reals(*((plan.chunk_capacity, count) if name == "push" else (count,)))
+
+
+def _check_ledger(ledger: Part, plan: Plan) -> None:
+    features, chunks, loaded = plan.features, plan.chunk_capacity, len(plan.scene.loaded_walls)
+    shapes: dict[str, tuple[int, ...]] = {}
+    if features.ledger:
+        shapes["losses"] = (chunks, LOSS_KINDS)
+    if features.ledger and features.periodic != "none":
+        shapes["border_work"] = (chunks,)
+    if loaded:
+        shapes["impulses"] = (chunks, loaded, IMPULSE_SIZE)
+    ledger.mapping(shapes)
+    for name, shape in shapes.items():
+        ledger[name].reals(*shape)

@@ -1,0 +1,220 @@
+"""Crafted checkpoints with a valid checksum: one sentence, before the device gets anything."""
+
+import hashlib
+import json
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+from trials import balls, plane, trial
+
+from granflow import Simulation
+from granflow.observe import CheckpointError, accepted_change, newest_checkpoint, read_checkpoint, write_checkpoint
+from granflow.observe.checkpoint import PLACEHOLDER
+from granflow.observe.checkpoint_validation import particle_arrays
+from granflow.plan import plan_for
+
+
+def scene():
+    """Eight particles with friction on a floor, in chunks of four; each touches the next and the floor."""
+    places = [[0.0049 * k + 0.01, 0.02, 0.00249] for k in range(8)]
+    return trial(
+        {"row": balls(places, 0.005)},
+        walls={"floor": plane([0, 0, 0], [0, 0, 1])},
+        pair={"friction": 0.3, "restitution": 0.5},
+        gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": 4, "overlap_limit": 0.3},
+        domain={"min": [-0.01, -0.01, -0.01], "max": [0.08, 0.05, 0.05], "leaving": "error"},
+        run={"duration": 2e-4, "time_step": 1e-5},
+        output={"interval": 1e-4, "energy": True},
+    )
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    out = tmp_path_factory.mktemp("run")
+    Simulation(scene(), out=out).run()
+    checkpoint, _ = newest_checkpoint(out)
+    return checkpoint
+
+
+def crafted(original, directory, change):
+    """The checkpoint with its state changed, written with a valid checksum, and checked against the plan."""
+    kept = read_checkpoint(original.path).kept
+    change(kept)
+    path = write_checkpoint(directory, original.scene, original.time, 20, kept)
+    return accepted_change(read_checkpoint(path), plan_for(scene()), anyway=False)
+
+
+def test_the_original_is_accepted(original, tmp_path):
+    assert not crafted(original, tmp_path, lambda kept: None).differences
+
+
+def put(*keys, value=None, entry=None):
+    """A change: the value at these keys, or one entry of the array there."""
+
+    def change(kept):
+        *around, last = keys
+        for key in around:
+            kept = kept[key]
+        if entry is None:
+            kept[last] = value
+        else:
+            kept[last] = kept[last].copy()
+            kept[last][entry] = value
+
+    return change
+
+
+CONTACTS, PARTICLES, BOOKS = ("engine", "contacts"), ("engine", "particles"), ("engine", "books")
+CHANGES = {
+    "partner that does not exist": (put(*CONTACTS, "partner", entry=1, value=10**8), "partner holds 100000000"),
+    "triangle that does not exist": (put(*CONTACTS, "partner", entry=0, value=-1000), "partner holds -1000"),
+    "huge count": (put("engine", "particle_count", value=10**9), "particle_count is 1000000000"),
+    "negative count": (put("engine", "particle_count", value=-1), "particle_count is -1"),
+    "count that is a text": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
+    "row length": (put(*CONTACTS, "row_length", entry=0, value=0), "row_length adds up to"),
+    "negative row length": (put(*CONTACTS, "row_length", entry=0, value=-5), "row_length holds -5"),
+    "walls of a row": (put(*CONTACTS, "row_walls", entry=0, value=3), "row_walls|partner"),
+    "state of a contact": (put(*CONTACTS, "touching", entry=0, value=7), "touching holds 7"),
+    "infinite displacement": (put(*CONTACTS, "lateral", entry=0, value=np.inf), "lateral holds inf"),
+    "id twice": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
+    "id above all": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
+    "position that is no number": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
+    "position far away": (put(*PARTICLES, "position", entry=0, value=1e30), "position is farther"),
+    "radius": (put(*PARTICLES, "radius", entry=0, value=1.0), "radius holds 1"),
+    "mass": (put(*PARTICLES, "mass", entry=0, value=1.0), "mass differs from density"),
+    "whole numbers as reals": (put(*PARTICLES, "id", value=np.zeros(8)), "must be an array .8,. of whole numbers"),
+    "shape": (put(*PARTICLES, "velocity", value=np.zeros((8, 2))), "must be an array .8, 3."),
+    "group": (put(*BOOKS, "group", entry=0, value=5), "group holds 5"),
+    "material": (put(*BOOKS, "material", entry=0, value=-1), "material holds -1"),
+    "books without an entry": (put(*BOOKS, value={}), "books has the keys none"),
+    "particles that are a number": (put(*PARTICLES, value=3), "must be a mapping"),
+    "step count": (put("engine", "clock", "step_count", value=-5), "step_count is -5"),
+    "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
+    "time": (put("engine", "clock", "since_time", value=1e9), "gives the time"),
+    "walls": (put("engine", "walls_present", value=[True] * 50), "must be a list of 1"),
+    "ledger": (put("engine", "ledger", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
+    "stage": (put("course", "stage", value="\x1b[2J"), "stage is "),
+    "stage times": (put("course", "stage_times", value={}), "stage_times has other stages"),
+    "plan": (put("plan", value={}), "plan has the keys none"),
+    "plan's value": (put("plan", "time_step", value=[]), "must be a number or a text"),
+    "groups of an earlier run": (put("earlier", value=[3]), "earlier/0 is 3"),
+    "no engine": (put("engine", value=None), "must be a mapping"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_crafted_state_is_refused_with_its_key(original, tmp_path, name):
+    change, message = CHANGES[name]
+    with pytest.raises(CheckpointError, match=message) as error:
+        crafted(original, tmp_path, change)
+    assert str(tmp_path) in str(error.value) and "\n" not in str(error.value)
+    assert "Remove it to use the checkpoint before it." in str(error.value)
+
+
+def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
+    """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
+
+    def change(kept):
+        contacts = kept["engine"]["contacts"]
+        owner = np.repeat(np.arange(8), contacts["row_length"])
+        partner = contacts["partner"].copy()
+        across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
+        assert len(across) >= 2
+        slot = across[0]
+        row = set(partner[owner == owner[slot]].tolist()) | {int(owner[slot])}
+        partner[slot] = next(k for k in range(8) if k // 4 != owner[slot] // 4 and k not in row)
+        contacts["partner"] = partner
+
+    with pytest.raises(CheckpointError, match="lists a pair of two chunks in one row only"):
+        crafted(original, tmp_path, change)
+
+
+def test_observers_are_checked_before_the_device_gets_anything(original, tmp_path):
+    kept = read_checkpoint(original.path).kept
+    name = next(name for name in kept["observers"] if name.startswith("TimeSeries"))
+    kept["observers"][name]["size"] = "x"
+    path = write_checkpoint(tmp_path, original.scene, original.time, 20, kept)
+    with pytest.raises(CheckpointError, match=r"TimeSeries 0/size is 'x'"):
+        Simulation(scene(), out=tmp_path, resume=read_checkpoint(path))
+    assert {each.name for each in tmp_path.iterdir()} == {path.name}, "nothing else is written"
+
+
+def test_the_arrays_of_a_plan_are_those_of_a_checkpoint(original):
+    assert set(particle_arrays(plan_for(scene()))) == set(original.kept["engine"]["particles"])
+
+
+def sealed(path, data):
+    """Write an archive whose last bytes are the checksum of those before."""
+    data = data[: -len(PLACEHOLDER)]
+    path.write_bytes(data + hashlib.sha256(data).hexdigest().encode())
+
+
+def archive(path, entries, compression=zipfile.ZIP_STORED):
+    """A checkpoint file of raw entries, with a valid checksum."""
+    with zipfile.ZipFile(path, "w", compression) as file:
+        file.comment = PLACEHOLDER
+        for name, data in entries:
+            file.writestr(name, data)
+    sealed(path, path.read_bytes())
+    return path
+
+
+HEADER = {"format": 2, "granflow": "0", "scene": "", "time": 0.0, "kept": {}}
+
+
+def npy(shape, dtype="<f8", data=b""):
+    """An npy entry with any header."""
+    head = f"{{'descr': {dtype!r}, 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + data
+
+
+ARCHIVES = {
+    "compressed entries": ([("header.json", "0" * 10**7)], "compressed entry"),
+    "a billion numbers": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(1000000000,)"))], "another length"),
+    "negative shape": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(-1,)"))], "unexpected type"),
+    "objects": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(1,)", "|O", b"12345678"))], "unexpected type"),
+    "nested header": ([("header.json", "[" * 100_000)], "nested too deeply"),
+    "list as header": ([("header.json", "[]")], "not a mapping"),
+    "no header": ([("x.npy", npy("()"))], "header.json"),
+    "empty header": ([("header.json", "{}")], "format None"),
+    "no state": ([("header.json", json.dumps(HEADER | {"kept": None}))], "lacks the version"),
+    "text as time": ([("header.json", json.dumps(HEADER | {"time": "x"}))], "lacks the time"),
+    "array nowhere": (
+        [("header.json", json.dumps(HEADER)), ("a/b.npy", npy("(1,)", data=b"12345678"))],
+        "unexpected entry a/b",
+    ),
+    "another file": ([("header.json", json.dumps(HEADER)), ("evil.py", "")], "unexpected entry evil.py"),
+    "npy syntax": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("((((((((((("))], "not a checkpoint"),
+}
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_a_crafted_archive_is_refused(tmp_path, name):
+    entries, message = ARCHIVES[name]
+    compression = zipfile.ZIP_DEFLATED if name == "compressed entries" else zipfile.ZIP_STORED
+    path = archive(tmp_path / "checkpoint_000000000001.npz", entries, compression)
+    with pytest.raises(CheckpointError, match=message):
+        read_checkpoint(path)
+
+
+@pytest.mark.slow
+def test_flipped_bytes_give_a_sentence_or_the_same_run(original, tmp_path):
+    """With a checksum that fits, 60 files with one to three wrong bytes: never another exception."""
+    whole, random = original.path.read_bytes(), np.random.default_rng(3)
+    path, refused = tmp_path / original.path.name, 0
+    for _ in range(60):
+        data = bytearray(whole)
+        for place in random.integers(0, len(whole) - len(PLACEHOLDER), random.integers(1, 4)):
+            data[place] = random.integers(256)
+        sealed(path, bytes(data))
+        try:
+            accepted_change(read_checkpoint(path), plan_for(scene()), anyway=False)
+        except Exception as error:
+            refused += 1
+            from granflow.errors import GranflowError
+
+            assert isinstance(error, GranflowError), repr(error)
+    assert refused > 15

@@ -1,0 +1,243 @@
+"""Mesh files, tables and paths that come from elsewhere: bounded memory and time, one sentence, no traceback."""
+
+import base64
+import os
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+
+import meshio
+import numpy as np
+import pytest
+
+from granflow.cli.main import main
+from granflow.cli.messages import say
+from granflow.errors import SceneError
+from granflow.regular_files import open_regular, read_regular, resolved
+from granflow.scene.table import read_table
+from granflow.visible_text import visible
+from granflow.walls.mesh_file import MeshFileError, read_triangles
+from granflow.walls.vtu_file import read_vtu
+
+POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+
+
+def array(name, kind, data, components=1, blocks=None, block_size=None):
+    """A compressed DataArray; `blocks`: the compressed bytes instead of those of `data`."""
+    packed = [zlib.compress(data)] if blocks is None else blocks
+    sizes = [len(each) for each in packed]
+    head = struct.pack(f"<{3 + len(packed)}I", len(packed), block_size or len(data), 0, *sizes)
+    text = (base64.b64encode(head) + base64.b64encode(b"".join(packed))).decode()
+    return (
+        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="binary">{text}</DataArray>'
+    )
+
+
+def vtu(point_count=4, points=None, radius="", before=""):
+    points = array("Points", "Float64", POINTS.tobytes(), 3) if points is None else points
+    cells = (
+        array("connectivity", "Int64", np.array([0, 1, 2, 1, 3, 2]).tobytes())
+        + array("offsets", "Int64", np.array([3, 6]).tobytes())
+        + array("types", "UInt8", bytes([5, 5]))
+    )
+    return (
+        f'<?xml version="1.0"?>{before}<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
+        f'header_type="UInt32" compressor="vtkZLibDataCompressor"><UnstructuredGrid>'
+        f'<Piece NumberOfPoints="{point_count}" NumberOfCells="2"><Points>{points}</Points><Cells>{cells}</Cells>'
+        f"<PointData>{radius}</PointData></Piece></UnstructuredGrid></VTKFile>"
+    )
+
+
+def test_the_mesh_of_a_file_is_that_which_meshio_reads(tmp_path):
+    random = np.random.default_rng(0)
+    cells = [("triangle", random.integers(0, 500, (700, 3))), ("quad", random.integers(0, 500, (10, 4)))]
+    data = {"radius": random.random(500), "velocity": random.normal(size=(500, 3))}
+    mesh = meshio.Mesh(random.normal(size=(500, 3)), cells, data, {"wall": [np.arange(700), np.arange(10)]})
+    for binary, compression in ((True, "zlib"), (True, "lzma"), (True, None), (False, None)):
+        meshio.vtu.write(tmp_path / "a.vtu", mesh, binary=binary, compression=compression)
+        mine, theirs = read_vtu(tmp_path / "a.vtu", 2**20), meshio.vtu.read(tmp_path / "a.vtu")
+        np.testing.assert_array_equal(mine.points, theirs.points)
+        assert [block.type for block in mine.cells] == [block.type for block in theirs.cells]
+        for first, second in zip(mine.cells, theirs.cells, strict=True):
+            np.testing.assert_array_equal(first.data, second.data)
+        for name in data:
+            np.testing.assert_array_equal(mine.point_data[name], theirs.point_data[name])
+        np.testing.assert_array_equal(mine.cell_data["wall"][1], theirs.cell_data["wall"][1])
+
+
+def bomb(size):
+    """Bytes that expand to `size` zeros."""
+    packer, piece = zlib.compressobj(9), bytes(2**20)
+    return b"".join(packer.compress(piece) for _ in range(size // len(piece))) + packer.flush()
+
+
+ENTITIES = '<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">]>'
+VTUS = {
+    "more than it declares": (
+        vtu(radius=array("radius", "Float64", b"", blocks=[bomb(2**27)])),
+        "more than the 32 bytes",
+    ),
+    "many points declared": (vtu(10**9, points=array("Points", "Float64", b"", 3, [bomb(2**27)])), "MiB"),
+    "fewer points": (vtu(5), "fewer than the 120 bytes"),
+    "negative points": (vtu(-1), "negative number of points"),
+    "entities": (vtu(before=ENTITIES), "document type"),
+    "billion blocks": (vtu().replace(vtu().split('format="binary">')[1][:8], "////////", 1), "compressed blocks"),
+    "nested": ("<a>" * 100_000, "nested elements"),
+    "no XML": ("solid", "not XML"),
+    "another grid": ('<VTKFile type="ImageData"/>', "no UnstructuredGrid"),
+}
+
+
+@pytest.mark.parametrize("name", VTUS)
+def test_a_crafted_vtu_is_refused_within_256_mib(tmp_path, name):
+    text, message = VTUS[name]
+    (tmp_path / "a.vtu").write_text(text)
+    with limited_memory(2**28), pytest.raises(MeshFileError, match=message):
+        read_triangles(tmp_path / "a.vtu")
+    with pytest.raises(SceneError, match=message):
+        read_table(tmp_path / "a.vtu")
+
+
+class limited_memory:
+    """Lets this process allocate so many bytes more and no more."""
+
+    def __init__(self, more):
+        self._more = more
+
+    def __enter__(self):
+        with open("/proc/self/statm") as file:
+            used = int(file.read().split()[0]) * resource.getpagesize()
+        self._before = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (used + self._more, self._before[1]))
+
+    def __exit__(self, *_):
+        resource.setrlimit(resource.RLIMIT_AS, self._before)
+
+
+def test_the_points_of_the_valid_file_are_read(tmp_path):
+    (tmp_path / "a.vtu").write_text(vtu())
+    assert len(read_triangles(tmp_path / "a.vtu").corners) == 2
+
+
+def test_relative_indices_of_obj_count_back_from_the_last_vertex_above(tmp_path):
+    """In the OBJ format -1 is the vertex read last: here the second face uses vertices 2, 3 and 4."""
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 1 1 0\nf -3//-1 -1/1 -2\nf 1 2 4 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    soup = read_triangles(tmp_path / "a.obj")
+    assert soup.corners.tolist() == [[0, 1, 2], [1, 3, 2], [0, 1, 3], [0, 3, 2]]
+    assert soup.quad_count == 1
+
+
+@pytest.mark.parametrize(
+    ("face", "message"),
+    [
+        ("f -4 -1 -2", "does not hold in line 4"),
+        ("f 1 2 0", "does not hold in line 4"),
+        ("f 1 2 9", "does not hold"),
+        ("f 1 2 x", "line 4 has the corner 'x'"),
+        ("f 1 2", "face of 2 corners in line 4"),
+        ("f 1 2 3 1 2", "face of 5 corners in line 4"),
+        ("v 1 2", "line 4 needs three coordinates"),
+    ],
+)
+def test_wrong_lines_of_obj_are_named(tmp_path, face, message):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
+    with pytest.raises(MeshFileError, match=message):
+        read_triangles(tmp_path / "a.obj")
+
+
+def test_only_regular_files_are_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe.stl")
+    for path in (tmp_path / "pipe.stl", "/dev/zero"):
+        with pytest.raises(OSError, match="not a regular file"):
+            open_regular(path)
+    with pytest.raises(OSError, match="directory"):
+        open_regular(tmp_path)
+    with pytest.raises(OSError, match="null"):
+        open_regular("a\0b")
+    (tmp_path / "long").write_bytes(bytes(100))
+    with pytest.raises(OSError, match="larger"):
+        read_regular(tmp_path / "long", 99)
+
+
+def test_links_in_a_circle_are_one_sentence(tmp_path, capsys):
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(OSError, match="symbolic links"):
+        resolved(loop)
+    beverloo = ("beverloo", "--grain", "1mm", "--bulk-density", "1500")
+    for command in (("check",), ("run",), ("measure",), ("report",), ("render",), ("resume",), beverloo):
+        assert main([*command, str(loop)]) == 2
+        assert "Traceback" not in capsys.readouterr().err
+    for suffix in ("stl", "obj", "vtu", "ply", "vtk"):
+        (tmp_path / f"loop.{suffix}").symlink_to(tmp_path / f"loop.{suffix}")
+        with pytest.raises(MeshFileError, match="cannot be read"):
+            read_triangles(tmp_path / f"loop.{suffix}")
+
+
+ACTING = "a\x00b\x1b[2Jc\u202ed\u200be\x9bf\u2066g\ufeff"
+
+
+def test_characters_that_act_on_the_display_become_visible(capsys):
+    assert visible(ACTING) == "a\\x00b\\x1b[2Jc\\u202ed\\u200be\\x9bf\\u2066g\\ufeff"
+    assert visible("Schüttgut 砂 μm²\tä\n") == "Schüttgut 砂 μm²\tä\n"
+    say(ACTING)
+    assert capsys.readouterr().out == visible(ACTING) + "\n"
+
+
+def test_no_command_prints_by_itself():
+    """`say` is the one way to the terminal."""
+    from pathlib import Path
+
+    import granflow.cli
+
+    folder = Path(granflow.cli.__file__).parent
+    found = [(path.name, path.read_text().count(" print(")) for path in folder.glob("*.py")]
+    assert [each for each in found if each[1]] == [("messages.py", 1)]
+
+
+def test_messages_about_names_show_escapes(tmp_path, capsys):
+    assert main(["check", str(tmp_path / "a\x1b[2J\u202e.yaml")]) == 2
+    error = capsys.readouterr().err
+    assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e.yaml" in error
+
+
+FUZZ = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
+from granflow.errors import GranflowError
+from granflow.scene.table import read_table
+from granflow.walls.mesh_file import MeshFileError, read_triangles
+random, folder = np.random.default_rng(5), Path(sys.argv[1])
+for path in sorted(folder.iterdir()):
+    whole = path.read_bytes()
+    for _ in range(40):
+        data = bytearray(whole)
+        for place in random.integers(0, len(whole), random.integers(1, 5)):
+            data[place] = random.integers(256)
+        target = folder / ("flipped" + path.suffix)
+        target.write_bytes(bytes(data))
+        try:
+            read_table(target) if path.stem == "table" else read_triangles(target)
+        except (GranflowError, MeshFileError):
+            pass
+        target.unlink()
+print("done")
+"""
+
+
+@pytest.mark.slow
+def test_flipped_bytes_never_give_a_traceback(tmp_path):
+    mesh = meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))])
+    for name, options in (("stl", {"binary": True}), ("ply", {"binary": True}), ("vtk", {}), ("vtu", {}), ("obj", {})):
+        meshio.write(tmp_path / f"mesh.{name}", mesh, **options)
+    meshio.write(tmp_path / "ascii.stl", mesh, binary=False)
+    meshio.write(tmp_path / "ascii.ply", mesh, binary=False)
+    (tmp_path / "table.csv").write_text("x,y,z,r\n0,0,0,1\n3,0,0,1\n")
+    meshio.write(tmp_path / "table.vtu", meshio.Mesh(POINTS, [], point_data={"radius": np.ones(4)}))
+    run = subprocess.run([sys.executable, "-c", FUZZ, str(tmp_path)], capture_output=True, text=True, timeout=240)
+    assert (run.returncode, run.stdout[-5:]) == (0, "done\n"), run.stderr[-2000:]
