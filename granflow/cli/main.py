@@ -37,9 +37,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             raise
-        return complain(f"{error.filename}: {error.strerror}.")
+        return complain(f"{error.filename}: {reason_of(error)}.")
     except KeyboardInterrupt as stop:
         return complain("interrupted.", exit_code_of(stop))
+
+
+def reason_of(error: OSError) -> str:
+    """Why a path cannot be used."""
+    if isinstance(error, FileExistsError):
+        return "this is a file, but a directory is needed; name another path"
+    return error.strerror or str(error)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, quantity, thread_count
+from granflow.cli.arguments import add_machine, simulated_time, thread_count
 from granflow.cli.messages import Terminated, complain, exit_code_of, show_result, sigterm_as_exception, warn
 from granflow.errors import GranflowError
 
@@ -133,7 +133,7 @@ def add_resume(verbs: Any) -> None:
         help="change what may change, such as --set walls.gate.vanishes_at=1.2s; may be repeated",
     )  # fmt: skip
     parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
     add_machine(parser)
     parser.set_defaults(verb=resume)
