@@ -39,7 +39,7 @@ class Case:
     verify: Callable[[Sandbox, Done], None] | None = None
     verified: str = ""
     blur: str = ""
-    seconds: float = 180.0
+    seconds: float = 600.0
     megabytes: float = MEGABYTES
     quick: bool = False
     killed: bool = False

@@ -127,7 +127,7 @@ def tables() -> list[Case]:
             "100 000 bad rows: twenty are shown",
             "x,y,z,r\n" + "a,b,c,d\n" * 100_000,
             "more rows have problems",
-            seconds=90,
+            seconds=200,
         ),
         table(
             "no_file",
@@ -156,7 +156,7 @@ def tables() -> list[Case]:
             "a named pipe without a writer",
             "",
             "regular file",
-            seconds=30,
+            seconds=300,
             prepare=lambda s: (
                 s.write("beads.yaml", FROM_TABLE.replace("FILE", "beads.csv")),
                 os.mkfifo(s.path("beads.csv")),
@@ -171,7 +171,7 @@ def tables() -> list[Case]:
             "large|expand|size|MB|GB",
             file="beads.vtu",
             megabytes=1500,
-            seconds=120,
+            seconds=300,
         ),
     ]
 
@@ -251,7 +251,7 @@ def meshes() -> list[Case]:
             "m.stl",
             lambda path: path.write_bytes(as_stl(*sheet(1000))),
             "1[ ,_]?000[ ,_]?000|triangles",
-            seconds=90,
+            seconds=200,
         ),
         mesh("gone", "no such file", "m.stl", lambda path: None, "does not exist|no such"),
         mesh("link_loop", "a loop of symbolic links", "m.stl", b"", "m.stl", prepare=loop("m.stl", WITH_MESH)),
@@ -263,7 +263,7 @@ def meshes() -> list[Case]:
             "ply\nformat ascii 1.0\nelement vertex 1000000000000\nproperty float x\nproperty float y\n"
             "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n",
             "m.ply",
-            seconds=60,
+            seconds=200,
         ),
         mesh("vtk_text", "a VTK file that is text", "m.vtk", "hello\n", "m.vtk"),
         mesh(
@@ -272,7 +272,7 @@ def meshes() -> list[Case]:
             "m.vtu",
             vtu(250_000_000),
             "large|expand|size|MB|GB",
-            seconds=120,
+            seconds=300,
         ),
         mesh("open", "a cube without its top (a mesh with a hole)", "m.stl", holes, "no problems", code=0),
         mesh(

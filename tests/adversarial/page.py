@@ -2,19 +2,25 @@
 
 from collections.abc import Mapping
 
-from adversarial import cases_commands, cases_faults, cases_input, cases_long, cases_physics, cases_scene
+from adversarial import (
+    cases_commands,
+    cases_faults,
+    cases_input,
+    cases_long,
+    cases_physics,
+    cases_resume,
+    cases_scene,
+    cases_values,
+)
 from adversarial.case import Case, Outcome, plain
 from adversarial.sandbox import ROOT
 
 PAGE = ROOT / "docs" / "adversarial.md"
-CASES: list[Case] = [
-    *cases_scene.CASES,
-    *cases_commands.CASES,
-    *cases_input.CASES,
-    *cases_physics.CASES,
-    *cases_faults.CASES,
-    *cases_long.CASES,
-]
+MODULES = (
+    *(cases_scene, cases_commands, cases_input, cases_values),
+    *(cases_physics, cases_faults, cases_resume, cases_long),
+)
+CASES: list[Case] = [case for module in MODULES for case in module.CASES]
 INTRODUCTION = """\
 # Invalid inputs and faults
 

@@ -54,7 +54,7 @@ class Sandbox:
     """The directory of one case and everything that ran in it."""
 
     home: Path
-    seconds: float = 180.0
+    seconds: float = 600.0
     history: list[Done] = field(default_factory=list)
 
     def path(self, name: str) -> Path:
