@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shutil
+import subprocess
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
@@ -72,7 +73,11 @@ def outcome_of(case: Case) -> Outcome:
 def _judged(case: Case, sandbox: Sandbox) -> Outcome:
     if case.prepare is not None:
         case.prepare(sandbox)
-    done = case.act(sandbox) if case.act is not None else _in_order(case, sandbox)
+    try:
+        done = case.act(sandbox) if case.act is not None else _in_order(case, sandbox)
+    except (AssertionError, OSError, subprocess.SubprocessError) as error:
+        done = sandbox.history[-1] if sandbox.history else Done("", None, "", "")
+        return Outcome(case, _result_text(case, done, False), (f"{type(error).__name__}: {error}",))
     faults = [*_faults_of_result(case, done), *_faults_of_processes(case, sandbox)]
     if not case.killed:
         faults += [f"{folder.name}: {damage}" for folder in run_folders(sandbox.home) for damage in damages(folder)]

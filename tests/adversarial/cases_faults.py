@@ -207,11 +207,11 @@ def read_only_out(sandbox: Sandbox) -> Done:
 def unreadable(sandbox: Sandbox) -> Done:
     """A scene that the user may not read."""
     sandbox.path("beads.yaml").chmod(0)
-    probe = subprocess.run(
-        [sys.executable, "-c", "import granflow"], preexec_fn=as_nobody, cwd="/", capture_output=True
-    )
-    if probe.returncode:
-        raise Skip("the user nobody cannot start granflow here")
+    probe = [sys.executable, "-c", "import granflow"]
+    try:
+        subprocess.run(probe, preexec_fn=as_nobody, cwd="/", capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        raise Skip("the user nobody cannot start granflow here") from None
     return sandbox.run("check beads.yaml", preexec_fn=as_nobody)
 
 

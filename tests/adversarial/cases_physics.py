@@ -319,7 +319,7 @@ def physics() -> list[Case]:
             ("run beads.yaml --out out",),
             3,
             prepare=lambda s: s.write("beads.yaml", speed_of_light().text()),
-            says=("limit|overlap|fast|speed|moved",),
+            says=("limit|overlap|fast|speed|moved|outside",),
             verify=abort_files,
             verified="no NaN in any file",
         ),
