@@ -79,11 +79,11 @@ def vtu(points: int) -> bytes:
     return (
         '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
         'compressor="vtkZLibDataCompressor"><UnstructuredGrid>'
-        f'<Piece NumberOfPoints="{points}" NumberOfCells="0"><Points><DataArray type="Float64" Name="Points" '
+        f'<Piece NumberOfPoints="{points}" NumberOfCells="1"><Points><DataArray type="Float64" Name="Points" '
         f'NumberOfComponents="3" format="binary">{text}</DataArray></Points><Cells>'
-        '<DataArray type="Int64" Name="connectivity" format="ascii">\n</DataArray>'
-        '<DataArray type="Int64" Name="offsets" format="ascii">\n</DataArray>'
-        '<DataArray type="UInt8" Name="types" format="ascii">\n</DataArray></Cells></Piece>'
+        '<DataArray type="Int64" Name="connectivity" format="ascii">0</DataArray>'
+        '<DataArray type="Int64" Name="offsets" format="ascii">1</DataArray>'
+        '<DataArray type="UInt8" Name="types" format="ascii">1</DataArray></Cells></Piece>'
         "</UnstructuredGrid></VTKFile>\n"
     ).encode()
 
