@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import quantity
+from granflow.cli.arguments import simulated_time
 from granflow.cli.messages import say, show_table, write_study
 from granflow.errors import GranflowError
 
@@ -61,7 +61,7 @@ def add_accuracy(verbs: Any) -> None:
     parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="relative error aimed at (0.01)")
     parser.add_argument("--full", action="store_true", help="more steps, more repeats, more seeds, a finer reference")
     parser.add_argument("--whole", action="store_true", help="all particles of the scene, which may take hours")
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop the scene at this simulated time")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
     parser.add_argument(
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
         help="put a value in place of the scene's; may be repeated",

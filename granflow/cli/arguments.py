@@ -52,6 +52,14 @@ def quantity(dimension: str) -> Callable[[str], float]:
     return read
 
 
+def simulated_time(text: str) -> float:
+    """A reader of --until, for argparse: a simulated time [s], at least 0."""
+    value = quantity("time")(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is given, but a time must be at least 0, such as 0.2s")
+    return value
+
+
 def thread_count(text: str) -> int:
     """A reader of --threads, for argparse."""
     if not text.isdecimal() or int(text) < 1:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
+from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, simulated_time
 from granflow.cli.messages import say, show_table
 from granflow.cli.scenes import make_room
 
@@ -48,7 +48,7 @@ def add_compare(verbs: Any) -> None:
         type=quantity("velocity"),
         help="approach velocity of the one linear spring (a tenth of the fastest expected)",
     )
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop each run at this simulated time")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
     parser.add_argument("--full", action="store_true", help="all particles, even if they are more than 4000")
     parser.add_argument("--force", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

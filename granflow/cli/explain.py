@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
+from granflow.cli.arguments import add_machine, add_scene_verb, load, simulated_time, thread_count
 from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
@@ -55,7 +55,7 @@ def add_explain(verbs: Any) -> None:
     """`granflow explain` and its arguments."""
     parser = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
     parser.add_argument("--measure", action="store_true", help="time a step with every feature on and off instead")
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="with --measure: run to this time before")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="with --measure: run to this time before")
     parser.add_argument(
         "--threads",
         metavar="N",

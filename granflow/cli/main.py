@@ -57,7 +57,14 @@ def _verb(options: argparse.Namespace) -> int:
 def _complain_of_file(error: OSError) -> int:
     if error.filename is None:
         raise error
-    return complain(f"{error.filename}: {error.strerror}.")
+    return complain(f"{error.filename}: {_reason_of(error)}.")
+
+
+def _reason_of(error: OSError) -> str:
+    """Why a path cannot be used."""
+    if isinstance(error, FileExistsError):
+        return "this is a file, but a directory is needed; name another path"
+    return error.strerror or str(error)
 
 
 def build_parser() -> argparse.ArgumentParser:

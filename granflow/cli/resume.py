@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, quantity, thread_count
+from granflow.cli.arguments import add_machine, simulated_time, thread_count
 from granflow.cli.messages import complain, exit_code_of, say, show_result, warn
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
@@ -154,7 +154,7 @@ def add_resume(verbs: Any) -> None:
         "--from-start", action="store_true",
         help="run the scene from the start, without a checkpoint; the results so far are replaced",
     )  # fmt: skip
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
     )

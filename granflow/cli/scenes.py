@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, thread_count
+from granflow.cli.arguments import add_machine, add_scene_verb, load, simulated_time, thread_count
 from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
@@ -97,7 +97,7 @@ def add_run(verbs: Any) -> None:
     """`granflow run` and its arguments."""
     parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
-    parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
     )

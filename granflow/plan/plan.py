@@ -23,6 +23,7 @@ from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_wal
 from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
 from granflow.plan.meshes import MeshNote, notes_on
+from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
 from granflow.plan.sizes import diameter_range, size_classes
@@ -242,6 +243,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
+    refuse_fast_motion(scene, step.value)
     speed = wall_speed(scene, walls)
     skin = _skin(scene, radius_min, velocity, step.value)
     refuse_narrow(scene, radius_max, 2.0 * skin if features.shear else skin)

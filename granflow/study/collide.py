@@ -76,6 +76,7 @@ def collide(
     scene = _read(described, settings)
     impact = _impact(scene, sizes, velocity, wall)
     expected = _expected(build_law(scene, velocity), impact)
+    _refuse_deep(sizes, velocity, expected["overlap_max_theory"])
     if steps_per_contact is not None:
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
     described["run"]["precision"] = backend.precision
@@ -104,6 +105,14 @@ def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_co
     for name, value in (("diameter", min(sizes)), ("velocity", velocity), ("steps_per_contact", steps_per_contact)):
         if value is not None and not value > 0.0:
             raise GranflowError(f"{name} is {value:g}, but must be above 0.")
+
+
+def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float) -> None:
+    """Refuse an impact whose overlap [m] exceeds a radius: the spheres would pass through each other."""
+    radius = 0.5 * min(sizes)
+    if not overlap_max < radius:
+        reached = f"the overlap would reach {overlap_max:.3g} m, more than the radius of {radius:.3g} m"
+        raise GranflowError(f"velocity is {velocity:g} m/s, but {reached}: lower the velocity.")
 
 
 def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:

@@ -29,6 +29,7 @@ def test_collision_reaches_the_closed_forms_of_the_law(taichi_f64, law):
         ("hertz", {}, "needs a number as restitution"),
         ("luding", {"restitution": 0.0}, "reaches any restitution above 0, but not 0 itself"),
         ("zhou", {"restitution": 1.5}, r"restitution is 1.5, but lies in \[0, 1\]"),
+        ("zhou", {"velocity": 1e30}, "velocity is 1e[+]30 m/s, but the overlap would reach .* m, more than the radius"),
         ("thornton", {"settings": ["yield_ratio=-1"]}, "yield_ratio is -1, but a ratio must be above 0"),
         ("thornton", {"settings": ["yeld_ratio=1"]}, "is not known here. Did you mean yield_ratio?"),
     ],

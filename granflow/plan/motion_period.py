@@ -1,0 +1,37 @@
+"""Wall motions that repeat: their period must be resolved by the time step."""
+
+import math
+
+from granflow.errors import SceneError
+from granflow.scene import Scene
+from granflow.scene.schema import Rotation, Vibration
+
+STEPS_PER_PERIOD = 10
+"""Fewest time steps per period. With fewer, the wall velocities at the steps do not represent the motion (aliasing)."""
+
+
+def refuse_fast_motion(scene: Scene, time_step: float) -> None:
+    """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s]."""
+    problems = []
+    for name, wall in scene.walls.items():
+        for index, motion in enumerate(wall.motion):
+            period = _period(motion, scene) if isinstance(motion, Vibration | Rotation) else math.inf
+            if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
+                key = f"walls.{name}.motion.{index}"
+                problems.append(
+                    f"{scene.place('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter than "
+                    f"{STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set run.time_step "
+                    f"to {period / STEPS_PER_PERIOD:.2g} s or less."
+                )
+    if problems:
+        raise SceneError(problems)
+
+
+def _period(motion: Vibration | Rotation, scene: Scene) -> float:
+    """Duration of one cycle or turn [s]; infinite where nothing moves."""
+    if isinstance(motion, Rotation):
+        rate = abs(motion.angular_velocity)
+    else:
+        amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
+        rate = rate if amplitude else 0.0
+    return 2.0 * math.pi / rate if rate else math.inf

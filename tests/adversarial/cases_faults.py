@@ -1,0 +1,502 @@
+"""Faults of the machine, signals, threads, pipes and simultaneous processes."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from adversarial.beads import beads
+from adversarial.case import Case
+from adversarial.runs import SAME, as_undisturbed, case, half_way, rain, reference, stopped
+from adversarial.sandbox import Done, Sandbox, Skip, as_nobody, hear_interrupts, limited
+from resume.faults import assert_whole
+
+RESTARTS = 3
+"""Times a run is killed before it is resumed to its end."""
+
+# ---------------------------------------------------------------- processes and signals
+
+
+def signalled(number: int, wait: float = 0.0):
+    """A signal after half of the frames; the process must end within a second of it."""
+
+    def act(sandbox: Sandbox) -> Done:
+        running = half_way(sandbox, preexec_fn=hear_interrupts)
+        time.sleep(wait)
+        running.send_signal(number)
+        began = time.monotonic()
+        done = sandbox.finish(running, "run beads.yaml --out out")
+        taken = time.monotonic() - began
+        assert taken < 10.0, f"{taken:.1f} s from the signal to the end"
+        return done
+
+    return act
+
+
+def resumes(sandbox: Sandbox, done: Done) -> None:
+    """The run resumes to the files of an undisturbed one."""
+    again = sandbox.run("resume out")
+    assert again.code == 0, again.err
+    as_undisturbed(sandbox)
+
+
+def early_signal(sandbox: Sandbox) -> Done:
+    """SIGTERM while the program still imports and compiles."""
+    running = sandbox.start("run beads.yaml --out out", env={"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items())
+    time.sleep(4.0)
+    running.send_signal(signal.SIGTERM)
+    began = time.monotonic()
+    done = sandbox.finish(running, "run beads.yaml --out out")
+    assert time.monotonic() - began < 20.0, "the signal takes effect too late"
+    return done
+
+
+def killed_at_random(sandbox: Sandbox) -> Done:
+    """SIGKILL at random moments, each time resumed, then to the end."""
+    dice = random.Random(7)
+    command = "run beads.yaml --out out"
+    for _ in range(RESTARTS):
+        running = sandbox.start(command)
+        log = sandbox.path("out/run.log")
+        size = log.stat().st_size if log.exists() else 0
+        while running.poll() is None and (log.stat().st_size if log.exists() else 0) <= size:
+            time.sleep(0.01)
+        time.sleep(dice.uniform(0.0, 0.5))
+        if running.poll() is None:
+            running.send_signal(signal.SIGKILL)
+            running.wait()
+        command = "resume out"
+    return sandbox.run("resume out")
+
+
+def paused(sandbox: Sandbox) -> Done:
+    """SIGSTOP for two seconds in the middle of the run, then SIGCONT."""
+    running = half_way(sandbox)
+    running.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)
+    running.send_signal(signal.SIGCONT)
+    return sandbox.finish(running, "run beads.yaml --out out")
+
+
+def pair_of(*commands: str, env=()):
+    """Two processes at once; the judged one is the one that ends with the larger exit code."""
+
+    def act(sandbox: Sandbox) -> Done:
+        running = [sandbox.start(command, env=env(sandbox) if callable(env) else env) for command in commands]
+        done = [sandbox.finish(each, command) for each, command in zip(running, commands, strict=True)]
+        return max(done, key=lambda each: 999 if each.code is None else each.code)
+
+    return act
+
+
+def cold_cache(sandbox: Sandbox):
+    return {"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items()
+
+
+def both_equal(sandbox: Sandbox, done: Done) -> None:
+    """Both runs of the scene end with the same files."""
+    assert_whole(sandbox.path("out"), reference())
+    assert_whole(sandbox.path("other"), reference())
+
+
+def two_resumes(sandbox: Sandbox) -> Done:
+    """One resume holds the directory; the second one starts while it runs."""
+    stopped(sandbox)
+    first = sandbox.start("resume out --set stages.1.duration=2s --set output.interval=1s")
+    size = sandbox.path("out/run.log").stat().st_size
+    while first.poll() is None and sandbox.path("out/run.log").stat().st_size <= size:
+        time.sleep(0.01)
+    second = sandbox.run("resume out")
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    return second
+
+
+def many_threads(sandbox: Sandbox) -> Done:
+    """More threads than cores, with enough particles that all of them are used."""
+    return sandbox.run(f"run beads.yaml --out out --threads {4 * (os.cpu_count() or 1)} --until 5ms")
+
+
+MANY = (
+    ("count: 10", "count: 1200"),
+    ("max: [2 cm, 2 cm, 1 cm]", "max: [6 cm, 6 cm, 8 cm]"),
+    ("max: [3 cm, 3 cm, 3 cm]", "max: [7 cm, 7 cm, 9 cm]"),
+)
+
+
+def piped(command: str, reader: list[str]):
+    """Output into a pipe whose reader closes early."""
+
+    def act(sandbox: Sandbox) -> Done:
+        run = sandbox.start(command, stdout=subprocess.PIPE)
+        head = subprocess.Popen(reader, stdin=run.stdout, stdout=subprocess.DEVNULL)
+        run.stdout.close()
+        done = sandbox.finish(run, command)
+        head.wait()
+        return done
+
+    return act
+
+
+# ---------------------------------------------------------------- the machine
+
+
+def needs_root() -> None:
+    if os.name != "posix" or os.geteuid() != 0:
+        raise Skip("mounting needs root")
+
+
+def mounted(sandbox: Sandbox, name: str, options: str) -> Path:
+    """A tmpfs below the directory of the case."""
+    needs_root()
+    path = sandbox.path(name)
+    path.mkdir(exist_ok=True)
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(path)], stderr=subprocess.DEVNULL
+    ).returncode:
+        raise Skip("no tmpfs can be mounted here")
+    return path
+
+
+def full_disk(sandbox: Sandbox) -> Done:
+    """A disk of 200 kB that fills up; then it is enlarged and the run resumed."""
+    disk = mounted(sandbox, "out", "size=200k")
+    try:
+        full = sandbox.run("run beads.yaml --out out")
+        subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
+        again = sandbox.run("resume out")
+        assert again.code == 0, again.err
+        as_undisturbed(sandbox)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+    return full
+
+
+def file_limit(sandbox: Sandbox) -> Done:
+    """A quota on the size of a file that the checkpoint exceeds; then resumed without the quota."""
+    size = max(path.stat().st_size for path in reference().glob("checkpoint_*.npz"))
+    full = sandbox.run("run beads.yaml --out out", preexec_fn=limited(FSIZE=int(0.7 * size)))
+    again = sandbox.run("resume out")
+    assert again.code == 0, again.err
+    as_undisturbed(sandbox)
+    return full
+
+
+def read_only(sandbox: Sandbox) -> Done:
+    """HOME on a read-only disk, no GRANFLOW_CACHE: the run works without a cache."""
+    disk = mounted(sandbox, "closed", "ro")
+    try:
+        env = {"HOME": str(disk), "GRANFLOW_CACHE": None, "XDG_CACHE_HOME": None}
+        return sandbox.run("run beads.yaml --out out", env=env.items())
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def read_only_out(sandbox: Sandbox) -> Done:
+    """An output directory on a read-only disk."""
+    disk = mounted(sandbox, "closed", "ro")
+    try:
+        return sandbox.run("run beads.yaml --out closed/out")
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def unreadable(sandbox: Sandbox) -> Done:
+    """A scene that the user may not read."""
+    sandbox.path("beads.yaml").chmod(0)
+    probe = [sys.executable, "-c", "import granflow"]
+    try:
+        subprocess.run(probe, preexec_fn=as_nobody, cwd="/", capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        raise Skip("the user nobody cannot start granflow here") from None
+    return sandbox.run("check beads.yaml", preexec_fn=as_nobody)
+
+
+def with_env(command: str, **env: str | None):
+    """A command with environment variables; None removes one."""
+    return lambda sandbox: sandbox.run(command, env=env.items())
+
+
+def with_limits(command: str, **limits: int):
+    """A command under resource limits."""
+    return lambda sandbox: sandbox.run(command, preexec_fn=limited(**limits))
+
+
+def damaged_cache(sandbox: Sandbox) -> Done:
+    """A cache of compiled kernels whose files are cut short: the run compiles again."""
+    env = {"GRANFLOW_CACHE": str(sandbox.path("cache"))}
+    assert sandbox.run("run beads.yaml --out first", env=env.items()).code == 0
+    for path in sandbox.path("cache").iterdir():
+        if path.is_file():
+            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return sandbox.run("run beads.yaml --out out", env=env.items())
+
+
+def jumping_clock(sandbox: Sandbox) -> Done:
+    """The computer's clock jumps by hours and to before 1980 while the run writes checkpoints."""
+    command = "run beads.yaml --out out --set 'output.checkpoint={wall_clock: 1 ms}'"
+    return sandbox.run(command, fault=("clock", "-"))
+
+
+def moved_away(sandbox: Sandbox) -> Done:
+    """The output directory is renamed while the run writes into it."""
+    running = half_way(sandbox, frame=6)
+    os.rename(sandbox.path("out"), sandbox.path("moved"))
+    return sandbox.finish(running, "run beads.yaml --out out")
+
+
+def signals() -> list[Case]:
+    """Signals, threads and pipes."""
+    group = "signals, threads and pipes"
+    whole = {"verify": resumes, "verified": f"resumed: {SAME}"}
+    return [
+        case(
+            group,
+            "signal_int",
+            "SIGINT (Ctrl-C) after half of the frames",
+            signalled(signal.SIGINT),
+            130,
+            ("resume out",),
+            **whole,
+        ),
+        case(
+            group,
+            "signal_term",
+            "SIGTERM after half of the frames",
+            signalled(signal.SIGTERM),
+            143,
+            ("resume out",),
+            **whole,
+        ),
+        case(
+            group,
+            "signal_hup",
+            "SIGHUP (the terminal closes)",
+            signalled(signal.SIGHUP),
+            (-1, 129, 143),
+            killed=True,
+            **whole,
+        ),
+        case(
+            group,
+            "signal_kill",
+            f"SIGKILL at random moments, {RESTARTS} times",
+            killed_at_random,
+            0,
+            ("goes on|continues|resumes",),
+            verify=as_undisturbed,
+            verified=SAME,
+        ),
+        case(
+            group,
+            "signal_early",
+            "SIGTERM while kernels are compiled",
+            early_signal,
+            (143, -15),
+            killed=True,
+            prepare=rain,
+        ),
+        case(
+            group,
+            "signal_stop",
+            "SIGSTOP for two seconds, then SIGCONT",
+            paused,
+            0,
+            verify=as_undisturbed,
+            verified=SAME,
+        ),
+        case(
+            group,
+            "threads",
+            "four times as many threads as cores, 1200 particles",
+            many_threads,
+            0,
+            ("threads",),
+            prepare=beads(*MANY),
+        ),
+        case(
+            group,
+            "pipe_run",
+            "`granflow run ... | head -1`",
+            piped("run beads.yaml --out out", ["head", "-1"]),
+            (0, 141, -13),
+            prepare=beads(),
+        ),
+        case(
+            group,
+            "pipe_explain",
+            "`granflow explain ... | head -1`",
+            piped("explain beads.yaml", ["head", "-1"]),
+            (0, 141, -13),
+        ),
+        case(group, "pipe_schema", "`granflow schema | true`", piped("schema", ["true"]), (0, 141, -13)),
+        case(
+            group,
+            "stdout_full",
+            "output to /dev/full",
+            lambda s: s.run("explain beads.yaml", stdout=open("/dev/full", "wb")),
+            (1, 2, 4),
+            ("No space left",),
+        ),
+        case(
+            group,
+            "stdin_closed",
+            "standard input closed",
+            lambda s: s.run("check beads.yaml", stdin=None, preexec_fn=lambda: os.close(0)),
+        ),
+    ]
+
+
+def machine() -> list[Case]:
+    """Disks, caches, limits and clocks."""
+    group = "disks, caches, limits and clocks"
+    return [
+        case(
+            group,
+            "full_disk",
+            "a full disk (tmpfs of 200 kB), then resumed with space",
+            full_disk,
+            4,
+            ("No space left on device",),
+            verified=f"resumed: {SAME}",
+            killed=True,
+        ),
+        case(
+            group,
+            "file_limit",
+            "a limit on the size of a file, then resumed without",
+            file_limit,
+            4,
+            ("File too large",),
+            verified=f"resumed: {SAME}",
+        ),
+        case(
+            group,
+            "read_only_home",
+            "HOME on a read-only disk",
+            read_only,
+            0,
+            ("cannot be written",),
+            prepare=beads(),
+            verified="kernels are compiled without a cache",
+        ),
+        case(
+            group,
+            "read_only_out",
+            "an output directory on a read-only disk",
+            read_only_out,
+            2,
+            ("Read-only file system",),
+        ),
+        case(
+            group,
+            "no_home",
+            "no HOME and no cache variables",
+            with_env("run beads.yaml --out out", HOME=None, GRANFLOW_CACHE=None, XDG_CACHE_HOME=None),
+            0,
+            prepare=beads(("50 ms", "1 ms")),
+        ),
+        case(
+            group,
+            "cache_file",
+            "GRANFLOW_CACHE names a file",
+            with_env("run beads.yaml --out out", GRANFLOW_CACHE="beads.yaml"),
+            0,
+            ("cannot be written",),
+            prepare=beads(("50 ms", "1 ms")),
+        ),
+        case(
+            group,
+            "cache_damaged",
+            "a cache whose files are cut in half",
+            damaged_cache,
+            0,
+            prepare=beads(("50 ms", "1 ms")),
+        ),
+        case(
+            group,
+            "cache_both",
+            "two runs that compile into the same empty cache at once",
+            pair_of("run beads.yaml --out out", "run beads.yaml --out other", env=cold_cache),
+            0,
+            verify=both_equal,
+            verified=f"twice: {SAME}",
+        ),
+        case(
+            group,
+            "run_both",
+            "two runs into the same directory at once",
+            pair_of("run beads.yaml --out out", "run beads.yaml --out out"),
+            2,
+            ("Another run is writing|holds an earlier run",),
+            blur=r"(?<=granflow: ).*",
+        ),
+        case(
+            group,
+            "resume_both",
+            "a second resume of a run that is being resumed",
+            two_resumes,
+            2,
+            ("Another run is writing",),
+            killed=True,
+        ),
+        case(
+            group,
+            "memory_200",
+            "`ulimit -v` of 200 MB",
+            with_limits("check beads.yaml", AS=200 * 2**20),
+            (1, 2, 4, 134, -6),
+            ("memory|allocate",),
+        ),
+        case(
+            group,
+            "memory_1000",
+            "`ulimit -v` of 1000 MB",
+            with_limits("run beads.yaml --out out", AS=1000 * 2**20),
+            (0, 1, 2, 4),
+            prepare=beads(),
+        ),
+        case(
+            group,
+            "descriptors",
+            "a limit of 32 open files",
+            with_limits("run beads.yaml --out out", NOFILE=32),
+            0,
+            prepare=beads(),
+        ),
+        case(
+            group,
+            "clock",
+            "the clock jumps by hours and to before 1980",
+            jumping_clock,
+            0,
+            verify=as_undisturbed,
+            verified=SAME,
+        ),
+        case(
+            group,
+            "moved",
+            "the output directory is renamed during the run",
+            moved_away,
+            4,
+            ("No such file or directory", "resume"),
+            killed=True,
+        ),
+        case(group, "unreadable", "a scene that the user may not read", unreadable, 2, ("Permission denied",)),
+        case(
+            group,
+            "cwd_gone",
+            "the working directory is deleted",
+            lambda s: s.run(
+                "check beads.yaml", preexec_fn=lambda: (os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone"))
+            ),
+            2,
+            ("no such file|directory",),
+        ),
+    ]
+
+
+CASES = [*signals(), *machine()]

@@ -1,0 +1,126 @@
+"""Long runs: 100 000 frames, and a million steps of 1000 particles with memory and file descriptors watched."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+from adversarial.beads import BEADS, changed, scene, solid
+from adversarial.case import Case
+from adversarial.sandbox import Done, Sandbox, Skip
+from trials import balls, trial
+
+FRAMES = 100_000
+STEPS = 1_000_000
+WARM = 20.0
+"""Seconds after the first frame until kernels, buffers and file caches have been used."""
+
+GROWTH = 1.02
+"""Largest ratio of resident memory later to that after WARM."""
+
+
+def many_frames(sandbox: Sandbox) -> Done:
+    """One particle falls; a frame every step."""
+    return sandbox.run("run beads.yaml --out out")
+
+
+def all_frames(sandbox: Sandbox, done: Done) -> None:
+    """Every frame is listed once."""
+    listed = sandbox.path("out/particles.pvd").read_text().count("particles_")
+    found = sum(1 for _ in sandbox.path("out").glob("particles_*.vtu"))
+    assert found == listed and found >= FRAMES, (found, listed)
+
+
+FRAMES_SCENE = changed(
+    BEADS,
+    ("run: {duration: 50 ms}", f"run: {{duration: {FRAMES * 1e-6}, time_step: 1e-6}}"),
+    ("output: {interval: 10 ms}", "output: {interval: 1e-6, timeseries_interval: 1 s, walls: false}"),
+    ("count: 10", "count: 1"),
+)
+
+
+def settled_bed():
+    """1000 particles that settle in a box with a vibrating floor, for a million steps of 10 us."""
+    side, step = 0.06, 1e-5
+    shake = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 20.0}
+    walls = {"floor": solid([0, 0, 0], [0, 0, 1]) | {"motion": [shake]}}
+    for axis, name in enumerate("xy"):
+        unit = np.eye(3)[axis]
+        walls[f"low_{name}"] = solid([0.0] * 3, unit.tolist())
+        walls[f"high_{name}"] = solid((side * unit).tolist(), (-unit).tolist())
+    places = 0.0058 * (np.argwhere(np.ones((10, 10, 10))) + 0.7)
+    duration = STEPS * step
+    return trial(
+        {"beads": balls(places, np.random.default_rng(5).uniform(0.0046, 0.0054, len(places)))},
+        walls,
+        pair={"friction": 0.4, "restitution": 0.6},
+        gravity=[0.0, 0.0, -9.81],
+        domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.5], "leaving": "error"},
+        materials={"glass": {"young_modulus": 5e6, "poisson_ratio": 0.25, "density": 2500.0}},
+        run={"duration": duration, "time_step": step, "velocity_max": 2.0},
+        output={"interval": duration / 100.0, "contacts": True, "checkpoint": {"interval": duration / 50.0}},
+    )
+
+
+def watched(sandbox: Sandbox) -> Done:
+    """Resident memory [kB] and open files of the process every second, compared after the run has warmed up."""
+    if not Path("/proc/self/statm").exists():
+        raise Skip("memory and open files are read from /proc")
+    running = sandbox.start("run beads.yaml --out out")
+    samples: list[tuple[float, int, int]] = []
+    while running.poll() is None and not sandbox.path("out/particles_0001.vtu").exists():
+        time.sleep(0.1)
+    began = time.monotonic()
+    while time.monotonic() - began < sandbox.seconds:
+        try:
+            pages = int(Path(f"/proc/{running.pid}/statm").read_text().split()[1])
+            files = len(os.listdir(f"/proc/{running.pid}/fd"))
+        except OSError:
+            break
+        if not pages:  # a process that has ended keeps no memory
+            break
+        samples.append((time.monotonic() - began, pages * os.sysconf("SC_PAGE_SIZE") // 1024, files))
+        time.sleep(1.0)
+    done = sandbox.finish(running, "run beads.yaml --out out")
+    late = [sample for sample in samples if sample[0] > WARM]
+    assert len(late) > 5, f"the run is too short to be watched: {samples}"
+    memory, files = [sample[1] for sample in late], [sample[2] for sample in late]
+    assert max(memory) <= GROWTH * memory[0], f"resident memory [kB] grows: {memory[::10]}"
+    assert max(files) <= min(files) + 3, f"open files: {sorted(set(files))}"  # a frame or a checkpoint being written
+    return done
+
+
+def all_particles(sandbox: Sandbox, done: Done) -> None:
+    """A million steps, all particles inside."""
+    import json
+
+    result = json.loads(sandbox.path("out/result.json").read_text())
+    assert result["totals"]["particle_count"] == 1000
+    rows = sandbox.path("out/timeseries.csv").read_text().splitlines()
+    assert float(rows[-1].split(",")[0]) >= STEPS * 1e-5 * (1 - 1e-9)
+
+
+CASES = [
+    Case(
+        "long runs",
+        "long_frames",
+        "100 000 frames",
+        act=many_frames,
+        code=0,
+        prepare=scene(FRAMES_SCENE),
+        verify=all_frames,
+        verified="every frame is listed once",
+        seconds=1500,
+    ),
+    Case(
+        "long runs",
+        "long_steps",
+        "1 000 000 steps of 1000 particles",
+        act=watched,
+        code=0,
+        prepare=lambda sandbox: sandbox.write("beads.yaml", settled_bed().text()),
+        verify=all_particles,
+        verified="resident memory grows by less than 2 %, open files stay constant",
+        seconds=1500,
+    ),
+]

@@ -1,0 +1,349 @@
+"""Awkward geometry, motion and speeds: runs whose particles are examined."""
+
+from pathlib import Path
+
+import numpy as np
+from adversarial.beads import beads, solid
+from adversarial.case import Case
+from trials import balls, trial
+from walls.meshes import sheet
+
+from adversarial.cases_input import as_stl  # isort: skip
+
+LATTICE = "{kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
+
+
+def ran(name: str, text: str, made, verified: str, verify, code=0, says=(), files=None, **more) -> Case:
+    """A scene built by `made`, run to its end, whose particles are then examined by `verify(frames)`."""
+
+    def prepare(sandbox):
+        for file, content in (files or {}).items():
+            sandbox.write(file, content)
+        sandbox.write("beads.yaml", made() if isinstance(made(), str) else made().text())
+
+    return Case(
+        "physics",
+        f"physics_{name}",
+        text,
+        ("run beads.yaml --out out",),
+        code,
+        says=says,
+        prepare=prepare,
+        verify=lambda sandbox, done: verify(frames(sandbox.path("out"))),
+        verified=verified,
+        **more,
+    )
+
+
+def frames(out: Path) -> list[dict[str, np.ndarray]]:
+    """Positions and arrays of the particles in every frame, ordered by id."""
+    import meshio
+
+    found = []
+    for path in sorted(out.glob("particles_*.vtu")):
+        mesh = meshio.read(path)
+        order = np.argsort(mesh.point_data["id"]) if len(mesh.points) else slice(0)
+        found.append(
+            {"position": mesh.points[order]} | {name: values[order] for name, values in mesh.point_data.items()}
+        )
+    return found
+
+
+def last(all_frames):
+    """Positions (n, 3) [m] in the last frame, all finite."""
+    position = all_frames[-1]["position"]
+    assert np.isfinite(position).all()
+    return position
+
+
+FALL = {"gravity": [0.0, 0.0, -9.81], "run": {"duration": 0.1}, "output": {"interval": 0.02}}
+HARD = {"restitution": 0.5, "friction": 0.3}
+
+
+def corner():
+    """A particle pressed into the corner of three planes that enclose 45 degrees: it stays inside."""
+    walls = {
+        "floor": solid([0, 0, 0], [0, 0, 1]),
+        "left": solid([0, 0, 0], [1, 0, 0]),
+        "lid": solid([0, 0, 0], [0.7, 0, -0.7]),
+        "back": solid([0, 0, 0], [0, 1, 0]),
+    }
+    ball = balls([[0.02, 0.006, 0.006]], velocity=[-1.0, -1.0, 0.0])
+    return trial({"ball": ball}, walls, pair=HARD, **FALL)
+
+
+def check_corner(seen):
+    x, y, z = last(seen)[0]
+    assert z > 0.0045 and y > 0.0045, (x, y, z)
+    assert (x - z) / np.sqrt(2.0) > 0.0045, "the particle is behind the inclined plane"
+
+
+def hole():
+    """Two particles above a floor of triangles with a square hole of 6 cm in its middle."""
+    ball = balls([[0.0, 0.0, 0.02], [0.06, 0.06, 0.02]])
+    floor = {"shape": "mesh", "file": "floor.stl", "material": "glass"}
+    return trial({"ball": ball}, {"floor": floor}, pair=HARD, **(FALL | {"run": {"duration": 0.15}}))
+
+
+def floor_with_hole() -> bytes:
+    """Binary STL of a square of 20 cm, 10 x 10 cells, without the triangles within 3 cm of the middle."""
+    points, corners = sheet(20, 0.2)
+    middle = np.abs(points[corners].mean(axis=1)[:, :2]).max(axis=1)
+    return as_stl(points, corners[middle > 0.03])
+
+
+def check_hole(seen):
+    """Free fall through the hole: z = z0 - g t^2 / 2; the other rests or bounces on the floor."""
+    position = last(seen)
+    assert position[0, 2] < 0.02 - 0.4 * 9.81 * 0.15**2, position
+    assert 0.0045 < position[1, 2] < 0.02, position
+
+
+def fixed_on_fixed():
+    """Two fixed particles that overlap, and a free one that falls beside them."""
+    fixed = balls([[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]]) | {"fixed": True}
+    return trial({"fixed": fixed, "free": balls([[0.1, 0.0, 0.1]])}, pair=HARD, **FALL)
+
+
+def check_fixed(seen):
+    position = last(seen)
+    assert np.allclose(position[:2], [[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]], atol=1e-9)
+    assert np.isclose(position[2, 2], 0.1 - 0.5 * 9.81 * 0.1**2, rtol=1e-3), position
+
+
+def walls_cross():
+    """A plane that moves through another plane, with a particle between them: it is squeezed until a limit aborts."""
+    down = {"kind": "translation", "velocity": [0, 0, -0.5]}
+    walls = {"floor": solid([0, 0, 0], [0, 0, 1]), "lid": solid([0, 0, 0.02], [0, 0, -1]) | {"motion": [down]}}
+    return trial(
+        {"ball": balls([[0.0, 0.0, 0.006]])},
+        walls,
+        pair=HARD,
+        **(FALL | {"run": {"duration": 0.1, "velocity_max": 1.0}}),
+    )
+
+
+def walls_cross_empty():
+    """The same two planes without a particle between them."""
+    down = {"kind": "translation", "velocity": [0, 0, -0.5]}
+    walls = {
+        "floor": solid([0, 0, 0], [0, 0, 1]),
+        "plate": {
+            "shape": "rectangle",
+            "corner": [-0.05, -0.05, 0.02],
+            "sides": [[0.02, 0, 0], [0, 0.02, 0]],
+            "material": "glass",
+            "motion": [down],
+        },
+    }
+    return trial({"ball": balls([[0.1, 0.0, 0.0049]])}, walls, pair=HARD, **FALL)
+
+
+def check_rest(seen):
+    assert 0.004 < last(seen)[0, 2] < 0.006
+
+
+def narrow(width: float):
+    """Four particles of 1 cm in a periodic box that is `width` wide along x and y."""
+    domain = {"min": [0, 0, -0.05], "max": [width, width, 0.1], "periodic": ["x", "y"], "leaving": "error"}
+    places = [[0.25 * width, 0.25 * width, 0.006 + 0.02 * k] for k in range(4)]
+    return trial(
+        {"ball": balls(places)}, {"floor": solid([0, 0, 0], [0, 0, 1])}, pair=HARD, **(FALL | {"domain": domain})
+    )
+
+
+def check_narrow(seen):
+    """The column collapses; no pair is closer than 0.9 diameters, over the nearest images."""
+    position, width = last(seen), 0.025
+    away = position[:, None] - position[None]
+    away[..., :2] -= width * np.round(away[..., :2] / width)
+    distance = np.sqrt((away**2).sum(axis=-1))[np.triu_indices(4, 1)]
+    assert distance.min() > 0.009, distance
+    assert position[:, 2].min() > 0.0045
+
+
+def ratio():
+    """A sphere of 10 cm on which particles of 0.1 mm fall: a radius ratio of 1000."""
+    side = 1.5e-4 * np.argwhere(np.ones((5, 5, 1))) + [0.0, 0.0, 0.0502]
+    groups = {"large": balls([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True}, "small": balls(side, 1e-4)}
+    return trial(
+        groups, pair=HARD, **(FALL | {"run": {"duration": 0.01, "velocity_max": 0.2}, "output": {"interval": 0.005}})
+    )
+
+
+def check_ratio(seen):
+    """No small particle is inside the large one by more than a tenth of its radius."""
+    distance = np.linalg.norm(last(seen)[1:], axis=1)
+    assert distance.min() > 0.05 + 0.9 * 5e-5, distance.min()
+
+
+def fast_motion():
+    """A floor that vibrates with a period of 1 us, a tenth of the time step."""
+    shake = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-9, "frequency": 1e6}
+    return trial(
+        {"ball": balls([[0.0, 0.0, 0.006]])},
+        {"floor": solid([0, 0, 0], [0, 0, 1]) | {"motion": [shake]}},
+        pair=HARD,
+        **(FALL | {"run": {"duration": 0.01, "time_step": 1e-5, "velocity_max": 1.0}}),
+    )
+
+
+def bullet(velocity: float, **numerics):
+    """A particle of 2 mm that flies at a thin rectangle 5 cm away."""
+    plate = {
+        "shape": "rectangle",
+        "corner": [-0.1, -0.1, 0.0],
+        "sides": [[0.2, 0, 0], [0, 0.2, 0]],
+        "material": "glass",
+    }
+    ball = balls([[0.0, 0.0, 0.05]], 0.002, velocity=[0.0, 0.0, -velocity])
+    return trial(
+        {"ball": ball},
+        {"plate": plate},
+        pair={"restitution": 0.9, "friction": 0.0},
+        numerics=numerics,
+        run={"duration": 0.09 / velocity, "velocity_max": velocity / 4.0},
+        output={"interval": 0.01 / velocity},
+    )
+
+
+def check_not_through(seen):
+    assert all(frame["position"][:, 2].min() > -0.001 for frame in seen), [
+        frame["position"][:, 2].min() for frame in seen
+    ]
+
+
+def speed_of_light():
+    """Two particles that collide at 1e6 m/s although the time step is for 1 m/s."""
+    ball = balls([[-0.02, 0, 0], [0.02, 0, 0]], velocity=[[1e6, 0, 0], [-1e6, 0, 0]])
+    return trial({"ball": ball}, pair=HARD, run={"duration": 1e-4, "velocity_max": 1.0}, output={"interval": 1e-5})
+
+
+def abort_files(sandbox, done):
+    """An aborted run leaves finite numbers in every frame and no result.json."""
+    for frame in frames(sandbox.path("out")):
+        for name, values in frame.items():
+            assert np.isfinite(values).all(), f"{name} is not finite"
+    assert not sandbox.path("out/result.json").exists()
+
+
+def physics() -> list[Case]:
+    """Runs whose particles are examined."""
+    return [
+        ran(
+            "corner",
+            "a particle shot into the corner of planes that enclose 45 degrees",
+            corner,
+            "it stays inside",
+            check_corner,
+        ),
+        ran(
+            "mesh_hole",
+            "a particle above a hole in a mesh and one above its triangles",
+            hole,
+            "one falls freely, one stays above the floor",
+            check_hole,
+            files={"floor.stl": floor_with_hole()},
+        ),
+        ran(
+            "fixed_on_fixed",
+            "fixed particles that overlap, beside a free one",
+            fixed_on_fixed,
+            "the fixed ones stay, the free one falls by g t^2 / 2",
+            check_fixed,
+        ),
+        ran(
+            "walls_cross_particle",
+            "a plane that moves through another, a particle between them",
+            walls_cross,
+            "",
+            lambda seen: None,
+            code=3,
+            says=("overlap",),
+        ),
+        ran(
+            "walls_cross",
+            "a rectangle that moves through a plane away from the particle",
+            walls_cross_empty,
+            "the particle stays at rest",
+            check_rest,
+            code=(0,),
+        ),
+        ran(
+            "narrow_box",
+            "a periodic box 2.5 diameters wide",
+            lambda: narrow(0.025),
+            "no pair overlaps by more than a tenth",
+            check_narrow,
+            code=0,
+        ),
+        ran(
+            "narrower_box",
+            "a periodic box of two diameters",
+            lambda: narrow(0.02),
+            "",
+            lambda seen: None,
+            code=2,
+            says=("periodic|wide|images",),
+        ),
+        ran("radius_ratio", "a radius ratio of 1000", ratio, "no small particle enters the large one", check_ratio),
+        ran(
+            "fast_motion",
+            "a wall whose period of motion is a tenth of the time step",
+            fast_motion,
+            "",
+            lambda seen: None,
+            code=2,
+            says=("period|frequency|vibration|motion",),
+        ),
+        ran(
+            "bullet_skin",
+            "a particle at 110 m/s with `skin: 3 mm` and a time step for 27 m/s, at a thin rectangle",
+            lambda: bullet(110.0, skin=3e-3),
+            "the particle does not pass",
+            check_not_through,
+            code=(0, 3),
+        ),
+        ran(
+            "bullet",
+            "the same with the default skin",
+            lambda: bullet(110.0),
+            "the particle does not pass",
+            check_not_through,
+            code=(0, 3),
+        ),
+        Case(
+            "physics",
+            "physics_abort_first",
+            "a collision at 2000 km/s with a time step for 1 m/s: abort",
+            ("run beads.yaml --out out",),
+            3,
+            prepare=lambda s: s.write("beads.yaml", speed_of_light().text()),
+            says=("limit|overlap|fast|speed|moved|outside",),
+            verify=abort_files,
+            verified="no NaN in any file",
+        ),
+        Case(
+            "physics",
+            "physics_inside_wall",
+            "particles that begin behind a plane",
+            ("run beads.yaml --out out",),
+            (2, 3),
+            says=("overlap|behind|inside",),
+            verify=abort_files,
+            prepare=beads(("point: [0, 0, 0], normal", "point: [0, 0, 2 cm], normal")),
+        ),
+        Case(
+            "physics",
+            "physics_same_position",
+            "two particles at the same position",
+            ("run beads.yaml --out out",),
+            (2, 3),
+            says=("overlap|same position|coincide",),
+            verify=abort_files,
+            prepare=beads(("    count: 10\n", ""), (LATTICE, "{kind: list, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}")),
+        ),
+    ]
+
+
+CASES = physics()
