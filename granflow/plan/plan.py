@@ -335,8 +335,9 @@ def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tup
 def meetings_of(scene: Scene) -> list[Meeting]:
     """How any two groups, and any group and wall, can meet: their smallest particles.
 
-    A lone particle meets none of its own kind; if it meets nothing else either, its like stands in. Fixed grains
-    meet none of their kind and no walls; others meet them as they would a wall as round as the largest of them.
+    A group of one particle does not collide with itself: that contact bounds the time step, but has no `pair_key`. If
+    no contact is possible, the contact of the first group with itself bounds the time step. Fixed particles collide
+    neither with each other nor with walls; for others they are walls with the radius of the largest of them.
     """
     found = []
     groups = list(scene.particles.items())
@@ -346,11 +347,12 @@ def meetings_of(scene: Scene) -> list[Meeting]:
             if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
                 pair = pair_material(scene, group.material, other.material)
                 mobile, partner = (other, group) if group.fixed else (group, other)
-                found.append(_meeting(scene, f"{name}-{other_name}", pair, mobile, partner))
+                occurs = name != other_name or group.count > 1
+                key = scene.pair_key(group.material, other.material) if occurs else None
+                found.append(replace(_meeting(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key))
         for wall in walls if not group.fixed else ():
-            found.append(
-                _meeting(scene, f"{name}-{wall} wall", pair_material(scene, group.material, wall), group, None)
-            )
+            pair, key = pair_material(scene, group.material, wall), scene.pair_key(group.material, wall)
+            found.append(replace(_meeting(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
     if not found:
         name, group = groups[0]
         body = solid(scene, group.material)

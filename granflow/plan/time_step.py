@@ -35,6 +35,8 @@ class Meeting:
     solid: Solid
     contact_count: int = MOST_CONTACTS
     """Contacts that a grain can have at once: as many as there are other grains and walls."""
+    pair_key: str | None = None
+    """Key of the material pair under `pairs`; None for a contact that bounds the time step but cannot occur."""
 
 
 @dataclass(frozen=True)
@@ -152,25 +154,31 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
     return float(np.pi * radius * np.sqrt(solid.density / solid.shear_modulus) / (0.1631 * nu + 0.8766))
 
 
-def _remedy(step: float) -> str:
-    """At restitution 0 no step is short enough."""
-    return f" A run.time_step of {step:.3g} s can." if step > 0.0 else ""
-
-
 def _restitution_reached(
     step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
-    """Smallest restitution that the step can carry, and a sentence for each meeting that asks for less."""
+    """Smallest restitution that the step can reach, and a sentence for each material pair that requires less.
+
+    The sentence of a pair names its contact with the largest shortfall; contacts that cannot occur are left out.
+    """
     if law.least_restitution is None:
         return 0.0, ()
-    least, warnings = 0.0, []
+    least, worst = 0.0, dict[str, tuple[float, float, str]]()
     for meeting in meetings:
         bodies = (meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-        bound, asked = law.least_restitution(*bodies, step), law.restitution(*bodies)
+        bound, required = law.least_restitution(*bodies, step), law.restitution(*bodies)
         least = max(least, bound)
-        if asked < bound:
-            warnings.append(
-                f"{meeting.name}: restitution {asked:.3g} is asked for at {velocity:.3g} m/s, "
-                f"but a step of {step:.3g} s can reach no less than {bound:.3g}.{_remedy(0.99 * step * asked / bound)}"
-            )
-    return least, tuple(warnings)
+        key = meeting.pair_key
+        if key is not None and required < bound and (key not in worst or bound > worst[key][0]):
+            worst[key] = (bound, required, meeting.name)
+    return least, tuple(_shortfall(key, *found, velocity, step) for key, found in worst.items())
+
+
+def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
+    """One sentence on a material pair whose restitution the step cannot reach; at restitution 0 no step can."""
+    remedy = 0.99 * step * required / bound
+    advice = f" A run.time_step of {remedy:.3g} s can." if remedy > 0.0 else ""
+    return (
+        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s reaches "
+        f"no less than {bound:.3g} ({contact}).{advice}"
+    )

@@ -78,7 +78,14 @@ class Timed(Model):
 
 
 class Vibration(Timed):
-    """Sinusoidal motion along a direction: s(t) = amplitude sin(angular_frequency t + phase)."""
+    """Sinusoidal motion along a direction, from the position that the scene gives, t seconds after the start.
+
+        displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
+        velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
+
+    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
+    oscillation is -amplitude * sin(phase) from the given position. At the end the wall stops where it is.
+    """
 
     kind: Literal["vibration"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the motion; its length does not matter")
@@ -86,7 +93,9 @@ class Vibration(Timed):
     frequency: Frequency | None = Field(None, description="frequency [Hz]")
     angular_frequency: PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
     gamma: Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
-    phase: Angle = Field(0.0, description="phase at the start [rad]")
+    phase: Angle = Field(
+        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the middle of its stroke"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Exactly two of amplitude, frequency (of either kind) and gamma."""

@@ -279,10 +279,14 @@ def _draw(figure: Any, rows: Sequence[Row], title: str) -> None:
 def warnings(plan: Plan) -> list[str]:
     """A sentence for every pair of materials whose collisions miss the restitution asked for by more than 1 %.
 
-    Only the worst velocity of each is told. Collisions that the plan itself warns of are left out.
+    It names the collision with the largest error of the pair. Collisions that cannot occur, and those that the plan
+    warns of, are left out.
     """
-    found, steps = [], 0
+    worst: dict[str, tuple[float, Pairing, _Impact]] = {}
+    steps = 0
     for pair in pairings(plan.scene):
+        if not _occurs(plan.scene, pair):
+            continue
         misses: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
             impact = _impact(plan, pair, share * plan.velocity_max)
@@ -290,13 +294,20 @@ def warnings(plan: Plan) -> list[str]:
             if steps > QUICK_STEPS or _out_of_reach(plan, impact):
                 break
             misses.append((abs(_worst_reached(plan, impact, plan.time_step) / impact.asked - 1.0), impact))
-        if misses and max(misses, key=_size)[0] > TOLERANCE:
-            found.append(_sentence(plan, pair, max(misses, key=_size)[1]))
-    return found
+        key = plan.scene.pair_key(pair.first, pair.second)
+        for size, impact in misses:
+            if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
+                worst[key] = (size, pair, impact)
+    return [_sentence(plan, pair, impact) for _, pair, impact in worst.values()]
 
 
-def _size(miss: tuple[float, Any]) -> float:
-    return miss[0]
+def _occurs(scene: Scene, pair: Pairing) -> bool:
+    """Whether the particles of a scene can collide like this: neither two fixed ones, nor a single one with itself."""
+    groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
+    mobile = {group.material for group in groups if not group.fixed}
+    if pair.other_radius is None:
+        return pair.first in mobile
+    return bool(mobile) and (pair.first != pair.second or sum(group.count for group in groups) > 1)
 
 
 @dataclass(frozen=True)

@@ -162,10 +162,52 @@ def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
     assert (step.value, step.limited_by) == (4.5e-5, "given in the scene")
     warning = step.warnings[0]
     assert warning.startswith(
-        "beads-beads: restitution 0.7 is asked for at 1 m/s, but a step of 4.5e-05 s can reach no"
+        "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reaches no less than"
     )
     remedy = float(warning.split("A run.time_step of ")[1].split()[0])
     assert not plan_for(scene_of(tmp_path, f"run.time_step={0.98 * remedy}")).step.warnings
+
+
+PAIRS = ("glass-glass", "glass-steel")
+PLACE = TEXT.split("place: ")[1].split("\n")[0]
+ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, place: {PLACE}}}"
+ZERO = [f"pairs.{pair}.restitution=0" for pair in PAIRS]
+
+
+def groups_like_the_beads(count):
+    group = TEXT.split("  beads:\n")[1].split("domain:")[0]
+    return TEXT.replace(group, group + "".join(f"  group_{number}:\n{group}" for number in range(1, count)))
+
+
+def test_restitution_0_is_warned_about_once_for_each_material_pair(tmp_path):
+    """Ten groups and a wall have 65 contacts: 55 between groups and 10 with the wall."""
+    text = groups_like_the_beads(10)
+    (warning,) = plan_for(scene_of(tmp_path, *ZERO, text=text)).step.warnings
+    assert warning.startswith("glass-glass: ")
+    both = plan_for(scene_of(tmp_path, *ZERO, "walls.floor.material=steel", text=text)).step.warnings
+    assert [each.split(":")[0] for each in both] == list(PAIRS)
+
+
+def test_a_warning_names_the_contact_with_the_largest_shortfall(tmp_path):
+    """A smaller sphere of the same velocity has a shorter contact, of which a given step resolves less."""
+    text = groups_like_the_beads(3).replace("diameter: 4 mm", "diameter: 3 mm").replace("3 mm", "4 mm", 1)
+    (warning,) = plan_for(scene_of(tmp_path, *ZERO, "particles.group_2.diameter=2 mm", text=text)).step.warnings
+    assert "(group_2-group_2)" in warning
+
+
+@pytest.mark.parametrize(
+    ("overrides", "pairs"),
+    [
+        (("particles.beads.count=1",), ["glass-glass"]),  # with the floor
+        (("particles.beads.count=1", "walls.floor.material=steel"), ["glass-steel"]),
+        (("particles.beads.count=1", "walls={}"), []),
+        ((ROUGH, "pairs.steel-steel={restitution: 0, friction: 0, rolling_friction: 0}"), list(PAIRS)),
+        ((ROUGH, "particles.beads.fixed=true"), []),
+    ],
+)
+def test_contacts_that_cannot_occur_are_not_warned_about(tmp_path, overrides, pairs):
+    found = plan_for(scene_of(tmp_path, *ZERO, *overrides)).step.warnings
+    assert [warning.split(":")[0] for warning in found] == pairs
 
 
 @pytest.mark.parametrize(

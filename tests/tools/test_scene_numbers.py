@@ -76,3 +76,39 @@ def test_few_beads_far_out_are_no_deposit():
 def test_quadrants_are_counted_in_the_plane_of_rotation():
     position = np.array([[-1, 5, 1], [1, -5, 1], [1, 0, 2], [-1, 0, -1], [-2, 0, -1], [-3, 0, -1], [1, 0, -1.0]])
     assert module("scene_numbers").quadrants(position).tolist() == [1, 2, 3, 1]
+
+
+# ---------------------------------------------------------------- tables of docs/scenes.md
+
+
+def test_the_tables_are_what_the_stored_numbers_give():
+    """A failure means: run `python tools/scene_table.py` and commit docs/scenes.md."""
+    table = module("scene_table")
+    page = table.PAGE.read_text(encoding="utf-8")
+    assert page == table.written(page)
+
+
+def test_every_shipped_scene_has_a_row_for_each_quantity_it_expects():
+    table = module("scene_table")
+    rows = [line.split(" | ") for line in table.PAGE.read_text(encoding="utf-8").splitlines() if " | " in line]
+    for name in table.names():
+        for expectation in table.load(table.SCENES / f"{name}.yaml").expect:
+            mine = [each for each in rows if each[0] == f"| `{name}`" and each[1] == f"`{expectation.quantity}`"]
+            assert mine, (name, expectation.quantity)
+    stored = table.json.loads(table.RESULTS.read_text(encoding="utf-8"))
+    assert set(stored) <= set(table.names())
+
+
+def test_a_change_of_a_stored_number_changes_the_page(monkeypatch, tmp_path):
+    table = module("scene_table")
+    results = tmp_path / "results.json"
+    results.write_text('{"mixer": {"date": "2030-01-01", "commit": "abc", "numbers": {"energy_error": 0.00123}}}')
+    monkeypatch.setattr(table, "RESULTS", results)
+    page = table.PAGE.read_text(encoding="utf-8")
+    (row,) = [line for line in table.written(page).splitlines() if line.startswith("| `mixer` | `energy_error`")]
+    assert row.endswith("| 0.00123 | 2030-01-01, abc |")
+
+
+def test_a_page_without_markers_is_refused():
+    with pytest.raises(ValueError, match="lacks the markers of the table comparisons"):
+        module("scene_table").written("# Scenes\n")

@@ -5,6 +5,7 @@ from math import inf, pi
 import numpy as np
 import pytest
 
+from granflow.scene import json_schema
 from granflow.walls import (
     Rotation,
     Translation,
@@ -31,6 +32,22 @@ def moved(points, motions, times):
     poses = pose(motions, times)
     turned = np.einsum("kij,nj->kni", poses.rotation, points - poses.pivot)
     return turned + poses.pivot + poses.offset[:, None, :]
+
+
+def test_a_vibration_moves_as_its_schema_says():
+    """The formulas in the schema, evaluated; the wall of the plan follows them from the position in the scene."""
+    described = json_schema()["$defs"]["Vibration"]["description"]
+    formulas = dict(line.strip().split(":", 1) for line in described.splitlines() if ": " in line and "*" in line)
+    assert set(formulas) >= {"displacement", "velocity"}
+    amplitude, angular_frequency, start = 2e-3, 90.0, 0.01
+    times = start + np.linspace(0.0, 0.1, 51)
+    for phase in (0.0, 0.7, pi / 2):
+        known = {"amplitude": amplitude, "angular_frequency": angular_frequency, "phase": phase, "t": times - start}
+        expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
+        found = pose([Vibration((0, 0, 1), amplitude, angular_frequency, phase, start)], times)
+        np.testing.assert_allclose(found.offset[:, 2], expected["displacement"], atol=1e-17)
+        np.testing.assert_allclose(found.velocity[:, 2], expected["velocity"], atol=1e-15)
+        assert found.offset[0, 2] == 0.0
 
 
 def test_velocity_is_the_derivative_of_the_pose():

@@ -1,0 +1,61 @@
+"""Every unit against its value in SI units, from the SI brochure (9th edition) and NIST SP 811, appendix B."""
+
+import math
+
+import pytest
+
+from granflow.scene.units import DIMENSIONS, to_si
+
+DEGREE = 0.017453292519943295  # pi / 180
+PER_MINUTE, PER_HOUR = 0.016666666666666666, 0.0002777777777777778  # 1 / 60, 1 / 3600
+
+VALUES = {
+    "number": {"%": 0.01},
+    "length": {"m": 1.0, "km": 1000.0, "cm": 0.01, "mm": 0.001, "um": 0.000001, "µm": 0.000001, "nm": 0.000000001},
+    "time": {"s": 1.0, "ms": 0.001, "us": 0.000001, "µs": 0.000001, "ns": 0.000000001, "min": 60.0, "h": 3600.0},
+    "velocity": {
+        "m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001, "km/h": 0.2777777777777778, "m/min": PER_MINUTE,
+    },
+    "acceleration": {"m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0, "mm/s2": 0.001, "g": 9.80665},
+    "angle": {"rad": 1.0, "deg": DEGREE, "°": DEGREE, "turn": 6.283185307179586},
+    "frequency": {"Hz": 1.0, "kHz": 1000.0, "1/s": 1.0, "1/min": PER_MINUTE},
+    "angular_velocity": {
+        "rad/s": 1.0, "deg/s": DEGREE, "°/s": DEGREE, "rpm": 0.10471975511965977, "1/s": 1.0,
+    },
+    "pressure": {
+        "Pa": 1.0, "kPa": 1000.0, "MPa": 1000000.0, "GPa": 1000000000.0, "N/m2": 1.0, "N/mm2": 1000000.0,
+        "bar": 100000.0,
+    },
+    "density": {
+        "kg/m3": 1.0, "kg/m^3": 1.0, "kg/m³": 1.0, "g/cm3": 1000.0, "g/cm^3": 1000.0, "g/cm³": 1000.0, "t/m3": 1000.0,
+    },
+    "energy": {
+        "J": 1.0, "kJ": 1000.0, "mJ": 0.001, "uJ": 0.000001, "µJ": 0.000001, "nJ": 0.000000001, "pJ": 0.000000000001,
+    },
+    "energy_density": {
+        "J/m3": 1.0, "J/m^3": 1.0, "J/m³": 1.0, "mJ/m3": 0.001, "kJ/m3": 1000.0, "MJ/m3": 1000000.0,
+    },
+    "stiffness": {"N/m": 1.0, "kN/m": 1000.0, "N/mm": 1000.0, "N/cm": 100.0},
+    "rate": {"1/s": 1.0, "/s": 1.0, "1/min": PER_MINUTE, "1/h": PER_HOUR},
+    "mass": {"kg": 1.0, "g": 0.001, "mg": 0.000001, "t": 1000.0},
+    "mass_flow": {
+        "kg/s": 1.0, "g/s": 0.001, "kg/min": PER_MINUTE, "kg/h": PER_HOUR, "t/h": 0.2777777777777778,
+    },
+    "damping": {"kg/s": 1.0, "g/s": 0.001, "Ns/m": 1.0},
+    "force": {"N": 1.0, "kN": 1000.0, "mN": 0.001},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dimension", sorted(VALUES))
+def test_every_unit_has_its_si_value(dimension):
+    assert {unit: to_si(f"1 {unit}", dimension) for unit in VALUES[dimension]} == VALUES[dimension]
+
+
+def test_the_table_contains_every_unit():
+    assert {name: set(found.units) for name, found in DIMENSIONS.items()} == {n: set(v) for n, v in VALUES.items()}
+
+
+@pytest.mark.parametrize("dimension", sorted(VALUES))
+def test_units_scale_any_number(dimension):
+    for unit, value in VALUES[dimension].items():
+        assert math.isclose(to_si(f"-2.5e3 {unit}", dimension), -2500.0 * value, rel_tol=1e-15)
