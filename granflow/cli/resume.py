@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, quantity, thread_count
+from granflow.cli.arguments import add_allow_long, add_machine, quantity, thread_count
 from granflow.cli.messages import Terminated, complain, exit_code_of, show_result, sigterm_as_exception, warn
 from granflow.errors import GranflowError
 
@@ -46,7 +46,7 @@ def resume(options: argparse.Namespace) -> int:
     with sigterm_as_exception():
         simulation = Simulation(
             scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-            anyway=options.anyway,
+            anyway=options.anyway, allow_long=options.allow_long,
         )  # fmt: skip
     if not (simulation.rows_are_there or options.anyway):
         raise GranflowError(
@@ -135,5 +135,6 @@ def add_resume(verbs: Any) -> None:
     parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
     parser.add_argument("--until", metavar="T", type=quantity("time"), help="stop at this simulated time, such as 0.2s")
     parser.add_argument("--threads", metavar="N", type=thread_count, help="CPU threads (all)")
+    add_allow_long(parser)
     add_machine(parser)
     parser.set_defaults(verb=resume)
