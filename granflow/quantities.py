@@ -143,7 +143,12 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
         Quantity("free_wall_work", "", "J", "work of gravity, damping and their own force on free walls"),
         Quantity("removed_energy", "", "J", "energy taken by deleted less brought by inserted particles"),
-        Quantity("energy_error", "", "1", "what the ledger fails to account for, over the energy put in"),
+        Quantity(
+            "energy_error",
+            "",
+            "1",
+            "residual of the energy budget over the largest energy put in so far (docs/energy.md)",
+        ),
     )
 )
 

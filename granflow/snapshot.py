@@ -75,6 +75,12 @@ class Snapshot:
         object.__setattr__(self, "totals", MappingProxyType(dict(self.totals)))
         object.__setattr__(self, "impulses", _read_only_arrays(self.impulses))
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are finite; those of an aborted run may not be."""
+        arrays = [*self.particles.values(), *(self.contacts or {}).values(), *self.impulses.values()]
+        return all(np.isfinite(each).all() for each in [*arrays, np.array(list(self.totals.values()))])
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; child processes hand snapshots back as plain ones.
         contacts = None if self.contacts is None else dict(self.contacts)

@@ -35,6 +35,11 @@ def add_machine(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--precision", choices=PRECISIONS, help="width of the numbers (as the scene says)")
 
 
+def add_allow_long(parser: argparse.ArgumentParser) -> None:
+    """--allow-long."""
+    parser.add_argument("--allow-long", action="store_true", help="accept a run estimated to take more than a year")
+
+
 def quantity(dimension: str) -> Callable[[str], float]:
     """A reader of arguments such as 25.4mm, for argparse: to SI, with the reader's own message if it is not one."""
 

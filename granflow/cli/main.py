@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from granflow.cli.accuracy import add_accuracy
-from granflow.cli.arguments import add_scene_verb
 from granflow.cli.beverloo import add_beverloo
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
@@ -17,7 +16,7 @@ from granflow.cli.messages import complain, exit_code_of, refuse, say
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume, resume
-from granflow.cli.scenes import add_cache, add_run, check, run, schema
+from granflow.cli.scenes import add_cache, add_check, add_run, run, schema
 from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
@@ -74,7 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     add_run(verbs)
     add_resume(verbs)
-    add_scene_verb(verbs, check, "find every problem of a scene without running it")
+    add_check(verbs)
     add_explain(verbs)
     verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
     add_collide(verbs)

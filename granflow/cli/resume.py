@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, simulated_time, thread_count
+from granflow.cli.arguments import add_allow_long, add_machine, simulated_time, thread_count
 from granflow.cli.messages import complain, exit_code_of, say, show_result, warn
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
@@ -52,7 +52,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     scene = scene_to_go_on_with(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        anyway=options.anyway,
+        anyway=options.anyway, allow_long=options.allow_long,
     )  # fmt: skip
     if not (simulation.rows_are_there or options.anyway):
         raise GranflowError(
@@ -158,5 +158,6 @@ def add_resume(verbs: Any) -> None:
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
     )
+    add_allow_long(parser)
     add_machine(parser)
     parser.set_defaults(verb=resume)

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, simulated_time, thread_count
+from granflow.cli.arguments import add_allow_long, add_machine, add_scene_verb, load, simulated_time, thread_count
 from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
@@ -23,7 +23,9 @@ def run(options: argparse.Namespace) -> int:
     from granflow.simulation import Simulation
     from granflow.study.restitution import warnings as restitution_warnings
 
-    simulation = Simulation(scene, arch=options.arch, threads=options.threads, out=out, progress=True)
+    simulation = Simulation(
+        scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
+    )
     warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     with locked(out):
         make_room(out, scene, options.force)  # another run may have used the directory in the meantime
@@ -57,10 +59,12 @@ def check(options: argparse.Namespace) -> int:
     from granflow.observe import earlier_grains
     from granflow.plan import plan_for
     from granflow.plan.room import fits, memory_warning, refuse_too_many
+    from granflow.plan.run_time import refuse_run_time
     from granflow.scene.generate import initial_grains, streams
 
     plan = plan_for(scene)
     refuse_too_many(plan)
+    refuse_run_time(plan, options.allow_long)
     warn([*plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:
         if not note.warning:
@@ -93,9 +97,15 @@ def cache(options: argparse.Namespace) -> int:
     return 0
 
 
+def add_check(verbs: Any) -> None:
+    """`granflow check` and its arguments."""
+    add_allow_long(add_scene_verb(verbs, check, "find every problem of a scene without running it"))
+
+
 def add_run(verbs: Any) -> None:
     """`granflow run` and its arguments."""
     parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
+    add_allow_long(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument(

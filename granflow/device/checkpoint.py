@@ -26,7 +26,7 @@ PARTICLE_FIELDS = (
     "position_at_search",
 )
 COUNTS = ("inserted_count", "deleted_count", "deleted_mass", "brought_energy", "removed_energy")
-BOOKS = (*COUNTS, "removed_kinetic_energy", "outlets")
+BOOKS = (*COUNTS, "removed_kinetic_energy", "energy_put_in", "outlets")
 CLOCKS = ("search", "advance", "sampled_forces", "sampled_motion", "search_count", "step_count", "particle_steps")
 
 

@@ -48,7 +48,7 @@ def build_drive(state: State) -> Any:
     Writes:  velocity, offset, was_on, given, work, search_wanted, guard
     """
     drives, fields, control = state.plan.drives, state.drive, state.control
-    near, far = state.plan.wall_way, state.plan.skin
+    near, farthest = state.plan.wall_way, state.plan.wall_travel_limit
 
     @ti.func
     def velocity_of(r: ti.template(), pushed, dt):
@@ -76,12 +76,14 @@ def build_drive(state: State) -> Any:
             fields.work[r] = fields.work[r] + (drives[r].force - drives[r].damping * middle) * way
 
     @ti.func
-    def way_of(wall: ti.template()):
-        way = ti.cast(0.0, ti.f64)
+    def ways_of(wall: ti.template(), dt):
+        """Largest distance since the search, and in this step [m]."""
+        way, step_way = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         for r in ti.static(range(len(drives))):
             if ti.static(drives[r].wall == wall):
                 way += ti.abs(fields.offset[r] - fields.offset_at_search[r])
-        return way
+                step_way += ti.abs(dt * fields.velocity[r])
+        return way, step_way
 
     @ti.func
     def drive_walls(chunks, pose, dt_real):
@@ -97,10 +99,10 @@ def build_drive(state: State) -> Any:
             fields.was_on[r] = fields.on[pose, r]
             fields.offset[r] = fields.offset[r] + dt * velocity
         for r in ti.static(range(len(drives))):
-            way = way_of(drives[r].wall)
+            way, step_way = ways_of(drives[r].wall, dt)
             if not way <= near:
                 control.search_wanted[0] = 1
-            if not way <= far:
+            if not step_way <= farthest:
                 ti.atomic_max(control.guard[0], GUARD_WALL)
 
     return drive_walls

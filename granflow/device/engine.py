@@ -295,8 +295,13 @@ class Engine:
         return taken
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields on the host, velocities and spins brought forward to the time of the positions."""
+        """Fields on the host, velocities and spins brought forward to the time of the positions.
+
+        Before the first step they are those of the start: a run that aborts there has not set them half a step back.
+        """
         arrays = self.transfer.taken((*names, "fixed"))
+        if not self._begun:
+            return arrays
         half = 0.5 * self.time_step * free_shares(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass

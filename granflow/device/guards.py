@@ -2,15 +2,20 @@
 
 from dataclasses import dataclass
 from math import hypot, isfinite
-from pathlib import Path
 
 from granflow.plan import Plan
+from granflow.plan.resolution import COARSEST, spacing_at
+from granflow.plan.travel import remedy, share_of
 
-GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP, GUARD_LEFT, GUARD_WALL = 1, 2, 3, 4, 5
-"""Codes: a step longer than half the skin, a position that is no number, an overlap too large, (raised by the host) a
-particle outside a domain that none may leave, and a driven wall that goes farther in a step than half the skin."""
+GUARD_TRAVEL, GUARD_LOST, GUARD_OVERLAP, GUARD_LEFT, GUARD_WALL, GUARD_FAR = 1, 2, 3, 4, 5, 6
+"""Codes: a particle above the largest distance per step, a position that is not a number, an overlap above the limit,
+(set by the host) a particle outside a domain with `leaving: error`, a driven wall above it, (set by the
+host) a particle so far from the origin that the precision does not resolve its position."""
 
-GUARDS = {GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap", GUARD_LEFT: "left", GUARD_WALL: "wall"}
+GUARDS = {
+    GUARD_TRAVEL: "travel", GUARD_LOST: "lost", GUARD_OVERLAP: "overlap", GUARD_LEFT: "left", GUARD_WALL: "wall",
+    GUARD_FAR: "far",
+}  # fmt: skip
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that tripped a guard."""
@@ -75,10 +80,9 @@ def trip_of(code: int, party: Party, pair: Pair | None, time_step: float, begun:
     return Trip(GUARDS[code], party, pair, time_step, begun)
 
 
-def guard_message(trip: Trip, plan: Plan, time: float, out: Path | None) -> str:
+def guard_message(trip: Trip, plan: Plan, time: float) -> str:
     """A few sentences for a tripped guard: who and when, the number at fault, the likely cause, two remedies."""
-    seen = f" The state is written to {out}." if out is not None else ""
-    return f"Stopped: {_REASONS[trip.guard](trip, plan, time)}{seen}"
+    return f"Stopped: {_REASONS[trip.guard](trip, plan, time)}"
 
 
 def _overlap(trip: Trip, plan: Plan, time: float) -> str:
@@ -103,16 +107,9 @@ def _overlap(trip: Trip, plan: Plan, time: float) -> str:
 
 
 def _travel(trip: Trip, plan: Plan, time: float) -> str:
-    moved = trip.party.speed * trip.time_step
-    what = (
-        f"{trip.party} at {time:.6g} s moved farther than half the neighbour skin in one step: "
-        f"{moved:.3g} m, with a skin of {plan.skin:.3g} m."
-    )
+    what = _too_far(trip, plan, time, plan.travel_limit)
     if trip.pair is None:
-        return (
-            f"{what} It touches nothing, so it was as fast before: set run.velocity_max to "
-            f"{SPARE_SPEED * trip.party.speed:.3g} m/s, or raise numerics.skin."
-        )
+        return f"{what} {remedy(plan.scene, trip.party.speed, SPARE_SPEED * trip.party.speed, plan.travel_limit)}"
     cause = _step_or_speed(trip.pair, plan, trip.time_step) or _lower(
         trip.time_step, "Likely it was shot out of this overlap"
     )
@@ -140,12 +137,30 @@ def _left(trip: Trip, plan: Plan, time: float) -> str:
     )
 
 
+def _far(trip: Trip, plan: Plan, time: float) -> str:
+    precision, position = plan.scene.run.precision, trip.party.position or (0.0, 0.0, 0.0)
+    farthest = max(map(abs, position))
+    better = " Use --precision mixed, or" if precision == "f32" else " Use"
+    return (
+        f"{trip.party} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where {precision} resolves "
+        f"positions only to {spacing_at(precision, farthest):.3g} m; needed is {COARSEST:g} of the smallest radius "
+        f"{plan.radius_min:.3g} m.{better} an outlet, or domain.leaving: delete."
+    )
+
+
 def _wall(trip: Trip, plan: Plan, time: float) -> str:
     kind = next(drive.kind for drive in plan.drives if trip.party.name == f"wall {drive.name}")
-    remedy = "lower its velocity_max" if kind == "servo" else "give it more mass or damping"
+    slower = "Lower its velocity_max." if kind == "servo" else "Give it more mass or damping."
+    limit = plan.wall_travel_limit
+    planned = SPARE_SPEED * trip.party.speed * plan.travel_limit / limit
+    return f"{_too_far(trip, plan, time, limit)} {slower} {remedy(plan.scene, trip.party.speed, planned, limit)}"
+
+
+def _too_far(trip: Trip, plan: Plan, time: float, limit: float) -> str:
+    moved = trip.party.speed * trip.time_step
     return (
-        f"{trip.party} at {time:.6g} s moved {trip.party.speed * trip.time_step:.3g} m in one step, with a skin of "
-        f"{plan.skin:.3g} m: {remedy}, or set run.velocity_max to {SPARE_SPEED * trip.party.speed:.3g} m/s."
+        f"{trip.party} at {time:.6g} s moves {moved:.3g} m in one step of {trip.time_step:.3g} s, above the limit of "
+        f"{limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be missed."
     )
 
 
@@ -177,4 +192,4 @@ def _lower(time_step: float, cause: str) -> str:
     return f"{cause}: lower run.time_step (now {time_step:.3g} s), or look for grains made on top of each other."
 
 
-_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left, "wall": _wall}
+_REASONS = {"travel": _travel, "lost": _lost, "overlap": _overlap, "left": _left, "wall": _wall, "far": _far}

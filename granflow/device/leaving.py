@@ -3,10 +3,28 @@
 from math import inf
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
+from granflow.device.guards import GUARD_FAR
 from granflow.device.state import State
 from granflow.plan.outlets import Drain
+from granflow.plan.slots import BOUNDS
+
+
+def check_coordinates(state: State) -> None:
+    """Set the guard where a particle of a domain that grows is too far from the origin for the precision.
+
+    Reads:   low, high (see `build_bounds`), and position, id if one is
+    Writes:  guard, guard_particle
+    """
+    count = min(state.count, BOUNDS)
+    corners = (field.to_numpy()[:count] for field in (state.sorting.low, state.sorting.high))
+    if max(float(np.abs(corner).max()) for corner in corners) <= state.plan.coordinate_limit:
+        return
+    position = np.nan_to_num(np.abs(state.particles.position.to_numpy()[: state.count]), nan=0.0)
+    state.control.guard[0] = GUARD_FAR
+    state.control.guard_particle[0] = int(state.particles.id[int(position.max(axis=1).argmax())])
 
 
 def build_stays(state: State) -> Any:

@@ -23,7 +23,7 @@ def build_move(state: State) -> Any:
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size
     free = build_freedom(state)
-    near, far = (0.5 * plan.skin) ** 2, plan.skin**2
+    near, farthest = (0.5 * plan.skin) ** 2, plan.travel_limit**2
 
     @ti.func
     def warn(code, i):
@@ -39,7 +39,8 @@ def build_move(state: State) -> Any:
             if ti.static(features.rate_dependent):
                 particles.velocity_now[i] = velocity + 0.5 * kick
             particles.velocity[i] = velocity
-            position = particles.position[i] + dt * velocity
+            way = dt * velocity
+            position = particles.position[i] + way
             particles.position[i] = position
             if ti.static(features.rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
@@ -48,10 +49,10 @@ def build_move(state: State) -> Any:
             square = travel.dot(travel)
             if square > near:
                 wanted = 1
-                if square > far:
-                    warn(GUARD_TRAVEL, i)
             elif not square <= near:
                 warn(GUARD_LOST, i)
+            if way.dot(way) > farthest:
+                warn(GUARD_TRAVEL, i)
         if wanted == 1:
             control.search_wanted[0] = 1
 

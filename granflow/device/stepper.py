@@ -17,6 +17,7 @@ from granflow.device.contacts import build_forces
 from granflow.device.crew import Crew
 from granflow.device.drive import build_drive, mark_search
 from granflow.device.grid import lay_grids
+from granflow.device.leaving import check_coordinates
 from granflow.device.motion import build_move
 from granflow.device.search import (
     build_bounds,
@@ -134,6 +135,8 @@ class Stepper:
         state = self.state
         self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
+        if state.plan.scene.domain.leaving == "grow":
+            check_coordinates(state)
         grids = lay_grids(state)
         self._sort(state.count, grids[0].cell_count)
         self._set_history_aside()
@@ -231,10 +234,10 @@ class Stepper:
         state.control.steps_done[0] = 0
         began, searched = clock.perf_counter(), self.timing.search
         done = self._launch(steps)
-        if state.control.search_due[0]:
+        if state.control.search_due[0] and not self.guard_code:
             self.search(pose=self._pose + done)
             self.forces(pose=self._pose + done)
-            done += 1
+            done += int(state.control.steps_done[0])
         else:
             self.steps_since_search += done
         if plan.poses:
@@ -296,14 +299,14 @@ class Stepper:
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
         moved = clock.perf_counter()
-        if state.control.search_due[0]:
+        if state.control.search_due[0] or self.guard_code:
             return 0
         looked = clock.perf_counter()
         self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
         self.timing.sampled_motion += moved - began
         self.timing.sampled_forces += clock.perf_counter() - looked
-        return 1
+        return int(state.control.steps_done[0])
 
     def _steps_walls_allow(self) -> int:
         """Steps until the fastest wall may have gone as far as one may between two searches, or an image the skin.

@@ -7,7 +7,7 @@ import numpy as np
 from granflow.plan.walls import surface_speed
 from granflow.scene import Scene
 from granflow.scene.border import Border
-from granflow.scene.schema import FromFile
+from granflow.scene.schema import FromFile, Group
 
 WITHOUT_MOTION = 1.0
 """Fastest approach [m/s] where nothing moves or falls: contacts still need a time step."""
@@ -53,7 +53,16 @@ def image_speed(scene: Scene) -> float:
 
 def initial_speed(scene: Scene) -> float:
     """Largest speed [m/s] at which any particle starts."""
-    groups = scene.particles.values()
-    velocities = [np.atleast_2d(np.array(group.velocity)) for group in groups]
-    read = [group.place.found.speed_max for group in groups if isinstance(group.place, FromFile) and group.place.found]
-    return max(*read, *(float(np.linalg.norm(each, axis=1).max()) for each in velocities), 0.0)
+    return max(initial_speeds(scene).values(), default=0.0)
+
+
+def initial_speeds(scene: Scene) -> dict[str, float]:
+    """Largest speed [m/s] of every group at the start."""
+    return {name: _initial_speed(group) for name, group in scene.particles.items()}
+
+
+def _initial_speed(group: Group) -> float:
+    """Largest speed [m/s] at which a particle of the group starts, as given or as read from a file."""
+    read = group.place.found.speed_max if isinstance(group.place, FromFile) and group.place.found else 0.0
+    velocity = np.atleast_2d(np.array(group.velocity))
+    return max(read, float(np.linalg.norm(velocity, axis=1).max()))

@@ -1,6 +1,6 @@
 """Scene -> Plan: everything that is decided before anything is allocated."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from granflow.laws.material import (
     shear_modulus_eff,
     yield_strength,
 )
-from granflow.plan.approach import fastest_approach, image_speed
+from granflow.plan.approach import fastest_approach, image_speed, initial_speeds
 from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
 from granflow.plan.drive import Drive, drives_of
 from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
@@ -26,10 +26,12 @@ from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import Drain, drains_of
 from granflow.plan.pace import Pace, pace_of
+from granflow.plan.resolution import coordinate_limit, refuse_coarse
 from granflow.plan.sizes import diameter_range, size_classes
 from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
 from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
-from granflow.plan.walls import PlannedWall, planned_walls, wall_speed
+from granflow.plan.travel import STEP_SHARE, refuse_fast_images, refuse_fast_start, refuse_fast_walls
+from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 from granflow.scene import Scene
 from granflow.scene.border import Border
 from granflow.scene.schema import Group, RestitutionFit
@@ -55,6 +57,9 @@ BLOCK_CELLS = 8**3
 
 SKIN_STEPS = 60
 """A particle at the largest velocity should cross half the skin in no fewer steps than this."""
+
+LARGEST_SKIN = 20.0
+"""Largest skin over the smallest radius that a scene may give: 2^3 * 11^3 neighbors."""
 
 SKIN_SHARES = (0.05, 0.3)
 """Smallest and largest skin over the smallest radius."""
@@ -171,6 +176,21 @@ class Plan:
         return (0.25 if self.drives and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
+    def travel_limit(self) -> float:
+        """Largest distance [m] that a particle may move in one step."""
+        return STEP_SHARE * self.radius_min
+
+    @property
+    def wall_travel_limit(self) -> float:
+        """Largest distance [m] per step of one kind of wall motion: that of particles, shared where there are both."""
+        return (0.5 if self.drives and self.wall_speed > 0.0 else 1.0) * self.travel_limit
+
+    @property
+    def coordinate_limit(self) -> float:
+        """Coordinate [m] beyond which positions are too coarse for the smallest particle."""
+        return coordinate_limit(self.scene.run.precision, self.radius_min)
+
+    @property
     def gravity(self) -> tuple[float, float, float]:
         """Gravity [m/s2]."""
         return self.scene.gravity
@@ -242,15 +262,17 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     table = _pair_table(scene, law, materials)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
+    refuse_coarse(scene, radius_min)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
     refuse_fast_motion(scene, step.value)
-    speed = wall_speed(scene, walls)
+    speeds = wall_speeds(scene, walls)
+    speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
     refuse_narrow(scene, radius_max, 2.0 * skin if features.shear else skin)
     refuse_walls(scene, walls, radius_max + skin)
     refuse_endless_turns(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
-    return Plan(
+    plan = Plan(
         scene=scene,
         features=features,
         reasons=reasons_for(scene, features),
@@ -269,6 +291,16 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
         pace=_pace(scene, law, velocity, max(speed, image_speed(scene))) if features.adaptive_step else None,
     )
+    _refuse_fast(plan, speeds)
+    return plan
+
+
+def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
+    """Raise SceneError for speeds [m/s] at which contacts would be missed from the start."""
+    refuse_fast_start(plan.scene, initial_speeds(plan.scene), plan.time_step, plan.radius_min)
+    limit = min(plan.wall_travel_limit, plan.wall_way)
+    refuse_fast_walls(plan.scene, wall_speeds, plan.longest_time_step, limit)
+    refuse_fast_images(plan.scene, plan.border_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
@@ -414,8 +446,17 @@ def _chunk_size(scene: Scene, particle_count: int) -> int:
     return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), least, most))
 
 
+def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
+    if skin > LARGEST_SKIN * radius_min:
+        raise SceneError(
+            f"{scene.place('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
+            f"smallest radius {radius_min:.3g} m: neighbor lists would hold thousands per particle. Write auto."
+        )
+    return skin
+
+
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
     if scene.numerics.skin != "auto":
-        return float(scene.numerics.skin)
+        return _given_skin(scene, float(scene.numerics.skin), radius_min)
     least, most = (share * radius_min for share in SKIN_SHARES)
     return float(np.clip(2.0 * SKIN_STEPS * velocity * step, least, most))

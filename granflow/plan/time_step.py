@@ -9,6 +9,7 @@ import numpy as np
 from granflow.laws import theory
 from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial, Solid
+from granflow.plan.travel import STEP_SHARE
 
 MOST_CONTACTS = 12
 """Equal spheres that one of them can touch at once."""
@@ -67,13 +68,16 @@ def choose_time_step(
     resolved, name = min((safety * shortest_phase(meeting, law, velocity), meeting.name) for meeting in meetings)
     rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in meetings)
     stable, stable_name = min((stable_step(meeting, law, velocity), meeting.name) for meeting in meetings)
-    chosen = min(resolved, rayleigh, stable)
+    travel = STEP_SHARE * min(meeting.radius for meeting in meetings) / velocity
+    chosen = min(resolved, rayleigh, stable, travel)
     value = given if given is not None else chosen
     limited = f"{safety:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
     if chosen == rayleigh:
         limited = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
     if chosen == stable:
         limited = f"the largest stable step, {stable_name} at {velocity:.3g} m/s"
+    if chosen == travel:
+        limited = f"{STEP_SHARE:.2g} of the smallest radius in one step at {velocity:.3g} m/s"
     if given is not None:
         limited = "given in the scene"
     if value > stable:

@@ -116,19 +116,19 @@ def loaded_areas(scene: Scene) -> dict[str, float | None]:
     return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.loaded_walls}
 
 
-def wall_speed(scene: Scene, walls: Sequence[PlannedWall]) -> float:
-    """Largest speed [m/s] at which the geometry of any wall can move within the domain."""
+def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
+    """Largest speed [m/s] at which the geometry of every wall can move within the domain."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     corners = np.array([scene.domain.min, scene.domain.max])
-    fastest = 0.0
+    speeds = {}
     for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
         turning = motion.single_rotation(motions)
         reach = 0.0
         if turning is not None:
             farthest = float(np.linalg.norm(np.abs(corners - turning.point).max(axis=0)))
             reach = reach_about(wall.shape, np.array(turning.point), np.array(turning.axis), farthest)
-        fastest = max(fastest, motion.speed_bound(motions, reach))
-    return fastest
+        speeds[wall.name] = motion.speed_bound(motions, reach)
+    return speeds
 
 
 def surface_speed(scene: Scene) -> float:

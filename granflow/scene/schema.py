@@ -140,11 +140,24 @@ __all__ = [
 RIGHT_ANGLE = 1e-6
 """Largest cosine of an angle that counts as a right one."""
 
+LARGEST_OVERLAP = 0.8
+"""Largest overlap limit: beyond it a center could cross a thin wall between two steps (`granflow.plan.travel`)."""
+
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
+OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
 FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
 ShearRate = Annotated[float, Number("rate", noun="a rate of shear")]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
-AutoCount = Annotated[int | Auto, Number(noun="a count", at_least=1, whole=True, words=("auto",))]
+LARGEST_CHUNK = 1_000_000
+"""Larger chunks give other threads nothing to do; and numbers of particles, rounded up to chunks, have 32 bits."""
+
+LARGEST_ANGLE = 0.9
+"""The bound on unloading must be stable: 4 theta^2 < 4 in a dense bed (`granflow.plan.time_step.stable_step`)."""
+
+UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
+ChunkSize = Annotated[
+    int | Auto, Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",))
+]
 
 
 class Shear(Model):
@@ -228,9 +241,9 @@ class Numerics(Model):
     time_step_safety: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: AutoLength = Field("auto", description="how much further than contact neighbours are listed [m], or auto")
-    chunk_size: AutoCount = Field("auto", description="particles per chunk of the contact list, or auto")
-    overlap_limit: Fraction = Field(0.1, description="overlap over radius at which the guard stops the run")
-    unloading_angle: Positive = Field(
+    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the contact list, or auto")
+    overlap_limit: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
+    unloading_angle: UnloadingAngle = Field(
         0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
     )
 

@@ -43,6 +43,7 @@ from granflow.observe import (
 )
 from granflow.plan import Plan, plan_for
 from granflow.plan.room import refuse_too_many, refuse_without_memory
+from granflow.plan.run_time import refuse_run_time
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
@@ -66,7 +67,8 @@ class Simulation:
 
     `out`: directory for the files of the scene's output block; without it nothing is written. `observers`: more of
     them, such as `granflow.observe.every(interval, function)`. `precision`: in place of the scene's. `resume`: go on
-    from this checkpoint, with `anyway` also where the scene differs in what may not change. Raises SceneError for a
+    from this checkpoint, with `anyway` also where the scene differs in what may not change. `allow_long`: accept a run
+    that is estimated to take more than a year. Raises SceneError for a
     scene that cannot be run, GranflowError where `arch` is absent or a run cannot go on, and from `run` RunError when
     a guard trips, OutputError when files cannot be written.
     """
@@ -82,6 +84,7 @@ class Simulation:
         progress: bool = False,
         resume: Checkpoint | None = None,
         anyway: bool = False,
+        allow_long: bool = False,
     ) -> None:
         if precision is not None:
             scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
@@ -93,6 +96,7 @@ class Simulation:
             refuse_inputs_inside(scene, self.out, only_results=True)
         self.plan: Plan = plan_for(scene, on_gpu=not backend.on_cpu)
         refuse_too_many(self.plan)
+        refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
         change = accepted_change(resume, self.plan, anyway) if resume is not None else None
@@ -252,6 +256,8 @@ class Simulation:
         self._course.set_walls(self.scene, self.engine)
         self._feeds.pour(self.engine)
         self.engine.refresh()
+        if self.engine.trip is not None:
+            self._stop(self.engine.trip)
         if first:
             self._show_to(self._observers)
             self._begun()
@@ -313,11 +319,14 @@ class Simulation:
             self._course.set_walls(self.scene, self.engine)
             self.engine.refresh()
 
-    def _show_to(self, observers: Sequence[Observer], wants: frozenset[str] = frozenset()) -> Snapshot:
+    def _show_to(
+        self, observers: Sequence[Observer], wants: frozenset[str] = frozenset(), aborted: bool = False
+    ) -> Snapshot:
+        """Show the state to observers; that of an aborted run only if all numbers are finite."""
         wants = wants.union(*(observer.wants for observer in observers))
         with self._wall_clock.of_output():
             snapshot = self.engine.snapshot(self.stage, wants)
-            for observer in observers:
+            for observer in observers if not aborted or snapshot.is_finite else ():
                 observer.observe(snapshot)
         return snapshot
 
@@ -326,9 +335,14 @@ class Simulation:
             observer.finish()
 
     def _stop(self, trip: Trip) -> None:
-        """A guard tripped: write what stands there, then say why."""
-        self._show_to(self._observers)
-        raise RunError(guard_message(trip, self.plan, self.time, self.out))
+        """Abort: write the state, unless numbers of it are not finite, and raise the diagnosis."""
+        message = guard_message(trip, self.plan, self.time)
+        written = self._show_to(self._observers, TOTALS, aborted=True).is_finite
+        if self.out is not None and written:
+            message += f" The state is written to {self.out}."
+        elif self.out is not None:
+            message += f" The state is not finite and is not written; {self.out} has the frames before it."
+        raise RunError(message)
 
     def _save(self) -> None:
         """Write a checkpoint, if there is a directory to write to."""

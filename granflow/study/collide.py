@@ -20,6 +20,7 @@ from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
 from granflow.scene.presets import PRESETS
 from granflow.scene.reader import scene_in
+from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.scene.suggest import known_or_meant
 from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
@@ -164,7 +165,7 @@ def _scene_of(
         "particles": {"ball": ball},
         "domain": {"min": [-reach] * 3, "max": [reach] * 3, "leaving": "error"},
         "run": {"duration": 1.0, "velocity_max": velocity},
-        "numerics": {"overlap_limit": 1.0},
+        "numerics": {"overlap_limit": LARGEST_OVERLAP},
         "output": {"interval": 1.0},
     }
     if wall:

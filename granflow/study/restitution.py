@@ -20,6 +20,7 @@ from granflow.plan.plan import pair_material
 from granflow.plan.sizes import diameter_range
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
+from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
@@ -165,7 +166,7 @@ def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities
         "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
         "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
         "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
-        "numerics": scene.numerics.model_copy(update={"overlap_limit": 1.0}),
+        "numerics": scene.numerics.model_copy(update={"overlap_limit": LARGEST_OVERLAP}),
         "output": {"interval": 1.0},
     })  # fmt: skip
 

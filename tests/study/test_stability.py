@@ -127,7 +127,7 @@ def test_grains_made_half_overlapping_part_with_what_their_law_gives_back(taichi
     """Zhou's law gives back e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
     grains = {"grains": piles.listed([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
     weightless = {"gravity": 0.0, "walls": {}}
-    scene = piles.scene_with("zhou", grains, 1e-3, **weightless, numerics={"overlap_limit": 1.0})
+    scene = piles.scene_with("zhou", grains, 1e-3, **weightless, numerics={"overlap_limit": 0.8})
     simulation = Simulation(scene)
     simulation.run()
     k = 4 / 3 * piles.YOUNG / (2.0 * (1.0 - piles.POISSON**2)) * math.sqrt(0.5e-3)

@@ -151,5 +151,5 @@ def _nanoseconds(engine: Engine, variant: Variant, start: Start) -> float:
     spent = perf_counter() - began - (engine.timing.search - searched)
     trip = engine.trip
     if trip is not None:
-        raise RunError(guard_message(trip, engine.plan, engine.time, None))
+        raise RunError(guard_message(trip, engine.plan, engine.time))
     return 1e9 * spent / (STEPS * max(engine.state.count, 1))

@@ -15,6 +15,7 @@ from granflow.plan import Plan, plan_for
 from granflow.plan.plan import meetings_of
 from granflow.scene import Scene
 from granflow.scene.generate import initial_grains
+from granflow.scene.schema import LARGEST_OVERLAP
 
 LONGEST = 40.0
 """Collisions not over after this many of the durations expected are given up."""
@@ -127,7 +128,7 @@ def side_by_side(
             "duration": 1.0, "time_step": time_step, "precision": precision,
             "velocity_max": velocity_max or max(each.velocity for each in encounters),
         },
-        "numerics": {"overlap_limit": 1.0, **numerics},
+        "numerics": {"overlap_limit": LARGEST_OVERLAP, **numerics},
         "output": {"interval": 1.0},
     })  # fmt: skip
     return scene, np.stack([first_ids, first_ids + 1], axis=1)

@@ -156,7 +156,7 @@ def _ledger(record: Record) -> list[Part]:
         numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
         rows.append([column.words, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
     error = record.result.get("totals", {}).get("energy_error")
-    said = [] if error is None else [f"The ledger fails to account for {error:.3g} of the energy put in."]
+    said = [] if error is None else [f"Energy error: {error:.3g} of the largest energy put in (docs/energy.md)."]
     return [Table("Energies in J.", ("", "first", "last", "largest", "what it is"), rows), *said]
 
 

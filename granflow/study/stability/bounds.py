@@ -22,6 +22,7 @@ from granflow.plan.plan import meetings_of
 from granflow.plan.time_step import Meeting, stable_step
 from granflow.scene import Scene
 from granflow.scene.generate import Grains
+from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.stability.lattices import LATTICES, Lattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
@@ -143,7 +144,7 @@ def _scene(law: str, friction: float) -> Scene:
         "particles": {"grains": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
         "domain": {"min": [-side] * 3, "max": [side] * 3, "leaving": "delete"},
         "run": {"duration": 1.0, "velocity_max": VELOCITY},
-        "numerics": {"overlap_limit": 1.0, "skin": RADIUS},
+        "numerics": {"overlap_limit": LARGEST_OVERLAP, "skin": RADIUS},
         "output": {"interval": 1.0},
     })  # fmt: skip
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.device.backend import Precision
+from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.stability import piles
 from granflow.study.stability.bounds import LAWS as BOUND_LAWS
 from granflow.study.stability.bounds import RESOLUTION, real_bounds
@@ -105,7 +106,7 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
     piston = {"kind": "translation", "velocity": [0, 0, -speed], "end": depth / speed}
     lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "grain", "motion": [piston]}
     shake = {"kind": "vibration", "direction": [0, 0, 1], "frequency": 50.0, "gamma": 100.0}
-    open_guard = {"numerics": {"overlap_limit": 1.0}}
+    open_guard = {"numerics": {"overlap_limit": LARGEST_OVERLAP}}
     wide = box(spread=SPREAD)
     weightless = {"gravity": 0.0, "walls": {}}
     return {

@@ -81,7 +81,7 @@ def bed(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
 
 
 def ledger(scene: Scene) -> Finding:
-    """Run the scene; the error is what the energy ledger cannot account for, over what passed through it."""
+    """Run the scene; the error is the magnitude of `energy_error` at the end."""
     simulation = Simulation(scene)
     try:
         result = simulation.run()

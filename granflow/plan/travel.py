@@ -1,0 +1,72 @@
+"""Largest distance per step of particles and walls, so that no center crosses a wall without a detected contact."""
+
+from collections.abc import Mapping
+
+from granflow.errors import SceneError
+from granflow.scene import Scene
+from granflow.scene.schema import LARGEST_OVERLAP
+
+STEP_SHARE = 1.0 - LARGEST_OVERLAP
+"""Largest distance per step, of a particle and of a wall, over the smallest radius R.
+
+Rectangles, discs and meshes are two-sided: a center that crosses one is pushed out on the wrong side. With the overlap
+limit L, the centers of a run that has not stopped are at a distance g >= (1 - L) R from the wall. One step with the
+share f for both takes a center at most 2 f R - g behind the wall, where its overlap over R is
+
+    1 - (2 f R - g) / R >= 2 - 2 f - L >= L        for f <= 1 - L
+
+so that the overlap limit stops the run. Two particles pass each other only with more than 2 (2 - L) R in a step.
+Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default L = 0.1.
+"""
+
+SPARE = 0.9
+"""Time step that a message suggests over the one at the limit."""
+
+
+def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, radius_min: float) -> None:
+    """Raise SceneError where particles of a group start with more than the largest distance per step.
+
+    `speeds`: largest speed [m/s] of every group at the start; `step` [s].
+    """
+    limit = STEP_SHARE * radius_min
+    for name, speed in speeds.items():
+        if speed * step > limit:
+            given = scene.gives("particles", name, "velocity")
+            place = scene.place("particles", name, *(["velocity"] if given else []))
+            what = f"{place}: particles.{name} starts with {speed:.3g} m/s"
+            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+
+
+def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float) -> None:
+    """Raise SceneError where a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
+    for name, speed in speeds.items():
+        if speed * step > limit:
+            what = f"{scene.place('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+
+
+def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
+    """Raise SceneError where the images of a sheared box move by more than `limit` [m] in a step [s]."""
+    if speed * step > limit:
+        what = f"{scene.place('domain', 'shear')}: domain.shear moves the images at {speed:.3g} m/s"
+        raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+
+
+def per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
+    """The rest of a sentence on a speed [m/s] too large for a step [s], and what to change."""
+    return (
+        f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m: beyond it "
+        f"contacts can be missed. {remedy(scene, speed, speed, limit)}"
+    )
+
+
+def share_of(limit: float, radius_min: float) -> str:
+    """A limit [m] as a share of the smallest radius [m]."""
+    return f"{limit / radius_min:.2g} of the smallest radius {radius_min:.3g} m"
+
+
+def remedy(scene: Scene, speed: float, to_plan_for: float, limit: float) -> str:
+    """What keeps a speed [m/s] below the limit [m]: another given step, or the velocity that the step is chosen for."""
+    if isinstance(scene.run.time_step, str):
+        return f"Set run.velocity_max to {to_plan_for:.3g} m/s, or lower the speed."
+    return f"Lower run.time_step to {SPARE * limit / speed:.2g} s, or lower the speed."

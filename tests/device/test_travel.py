@@ -1,0 +1,195 @@
+"""The largest distance per step: no center crosses a thin wall unnoticed, on any code path and in any precision."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from child import in_child
+from trials import balls, plane, trial
+
+from granflow.errors import RunError, SceneError
+from granflow.plan import plan_for
+from granflow.plan.travel import STEP_SHARE
+from granflow.simulation import Simulation
+
+RADIUS, SHARE = 0.005, 0.2
+STEP = 1e-5
+FASTEST = SHARE * RADIUS / STEP
+"""100 m/s: speed [m/s] at which a particle moves a fifth of the radius in one step."""
+
+FAST = {"run": {"duration": 2.4e-3, "velocity_max": 1.0, "time_step": STEP}, "numerics": {"skin": 0.003}}
+STIFF = {"young_modulus": 1e10, "poisson_ratio": 0.25, "density": 2500.0}
+"""An impact of 100 m/s on a wall overlaps by d = (15 M v^2 / (16 E* sqrt(R)))^0.4 = 0.2 R."""
+
+THIN = {
+    "rectangle": {"shape": "rectangle", "corner": [-0.5, -0.5, 0.0], "sides": [[1, 0, 0], [0, 1, 0]]},
+    "disc": {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.7},
+}
+
+
+def shot(velocity, group=None, walls=None, **parts):
+    """A sphere with no velocity at the start that has one after it: the check of the plan does not see it."""
+    simulation = Simulation(trial({"shot": group or balls([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts)))
+    simulation.engine.state.particles.velocity.fill(0.0)
+    simulation.engine.state.particles.velocity[0] = list(velocity)
+    return simulation
+
+
+def stopped(simulation):
+    """The message of the abort, or none."""
+    try:
+        simulation.run()
+    except RunError as error:
+        return str(error)
+    finally:
+        simulation.free()
+    return ""
+
+
+def messages_of(precision, on_gpu, few):
+    """Messages just below and just above the limit, of a lone sphere or of one among enough for chunks of many."""
+    from granflow.device import backend
+
+    if on_gpu:
+        backend.Backend.on_cpu = property(lambda self: False)
+    crowd = [[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(1 if few else 80)]
+    return [
+        stopped(shot((0.0, 0.0, -share * FASTEST), balls(crowd), run=FAST["run"] | {"precision": precision}))
+        for share in (0.999, 1.001)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("precision", "on_gpu", "few"), [("f32", False, False), ("mixed", False, False),
+                                                          ("f64", True, True)])  # fmt: skip
+def test_limit_from_both_sides_in_every_precision_and_on_the_branch_for_gpus(precision, on_gpu, few):
+    below, above = in_child(messages_of, precision, on_gpu, few)
+    assert below == "" and "moves 0.001 m in one step" in above
+
+
+def test_limit_from_both_sides(taichi_f64):
+    below, above = messages_of("f64", False, False)
+    assert below == ""
+    sentence = "particle 0 (glass, 100 m/s) at 0 s moves 0.001 m in one step of 1e-05 s, above the limit of 0.001 m "
+    assert sentence + "(0.2 of the smallest radius 0.005 m): beyond it contacts can be missed." in above
+    assert "numerics.skin" not in above
+    suggested = float(above.partition("Lower run.time_step to ")[2].split()[0])
+    assert suggested * 1.001 * FASTEST < SHARE * RADIUS
+
+
+def sheet() -> dict:
+    """A square of two triangles as a mesh in the plane z = 0."""
+    Path("sheet.obj").write_text(
+        "v -0.5 -0.5 0\nv 0.5 -0.5 0\nv 0.5 0.5 0\nv -0.5 0.5 0\nf 1 2 3\nf 1 3 4\n", encoding="utf-8"
+    )
+    return {"shape": "mesh", "file": "sheet.obj"}
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "disc", "mesh"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_fast_particles_do_not_cross_a_thin_wall(taichi_f64, tmp_path, monkeypatch, kind, side):
+    """Twenty spheres at heights that differ by a twentieth of their distance per step, so that none has luck."""
+    monkeypatch.chdir(tmp_path)
+    wall = (THIN.get(kind) or sheet()) | {"material": "glass"}
+    speed = 0.99 * FASTEST
+    heights = 0.02 + speed * STEP * np.arange(20) / 20
+    places = [[0.04 * k - 0.4, 0.03 * (k % 2), side * height] for k, height in enumerate(heights)]
+    numerics = FAST["numerics"] | {"overlap_limit": 0.5}
+    simulation = shot((0, 0, 0), balls(places), {"sheet": wall}, materials={"glass": STIFF}, numerics=numerics)
+    velocity = simulation.engine.state.particles.velocity
+    velocity.from_numpy(np.tile(np.float64([0, 0, -side * speed]), (velocity.shape[0], 1)))
+    simulation.run(until=8e-4)
+    height = side * simulation.snapshot().particles["position"][:, 2]
+    simulation.free()
+    assert np.all(height > RADIUS)
+
+
+@pytest.mark.parametrize("velocity", [110.0, 2500.0])
+def test_a_speed_that_would_cross_the_wall_is_refused_or_stops_the_run(taichi_f64, velocity):
+    """With a skin of 3 mm, 2500 m/s is 25 mm in a step: across the wall and out of its reach."""
+    sheet_wall = {"sheet": THIN["rectangle"] | {"material": "glass"}}
+    said = stopped(shot((0, 0, -velocity), balls([[0, 0, 0.012]]), sheet_wall))
+    assert f"moves {velocity * STEP:.3g} m in one step" in said
+    scene = trial({"shot": balls([[0, 0, 0.012]], velocity=[0, 0, -velocity])}, walls=sheet_wall, **FAST)
+    with pytest.raises(SceneError) as refused:
+        plan_for(scene)
+    assert f"particles.shot starts with {velocity:.3g} m/s, which is {velocity * STEP:.3g} m" in str(refused.value)
+    assert "Lower run.time_step to" in str(refused.value)
+
+
+def moving(kind, speed, **parts):
+    motion = {
+        "translation": {"kind": "translation", "velocity": [0, 0, speed]},
+        "vibration": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": speed / 628.3, "frequency": 100.0},
+        "rotation": {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": speed / 0.5},
+    }
+    walls = {"paddle": THIN["rectangle"] | {"material": "glass", "motion": [motion[kind]]}}
+    return trial({"ball": balls([[0, 0, 0.1]])}, walls=walls, **(FAST | {"numerics": {"skin": 0.003}}), **parts)
+
+
+@pytest.mark.parametrize("kind", ["translation", "vibration", "rotation"])
+def test_walls_are_refused_above_the_limit(kind):
+    """A paddle that turns about its middle reaches 0.5 m; the skin leaves walls more than a fifth of the radius."""
+    plan_for(moving(kind, 0.999 * FASTEST))
+    with pytest.raises(SceneError, match=r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"):
+        plan_for(moving(kind, 1.001 * FASTEST))
+
+
+def test_walls_are_refused_that_outrun_the_neighbor_list():
+    """Half a skin of 1 mm is 0.5 mm: neighbors would be missing already in the first step after a rebuild."""
+    thin = {"skin": 0.001}
+    for share, refused in ((0.499, False), (0.501, True)):
+        scene = moving("translation", share * FASTEST).model_copy(deep=True)
+        scene = scene.model_copy(update={"numerics": scene.numerics.model_copy(update=thin)})
+        if refused:
+            with pytest.raises(SceneError, match="above the limit of 0.0005 m"):
+                plan_for(scene)
+        else:
+            plan_for(scene)
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.999, False), (1.001, True)])
+def test_images_of_a_sheared_box_are_refused_above_the_limit(share, refused):
+    rate = share * FASTEST / 0.1
+    shear = {"velocity_along": "x", "gradient_along": "y", "rate": rate}
+    domain = {"min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "leaving": "error", "shear": shear}
+    scene = trial({"ball": balls([[0.05] * 3])}, domain=domain, **FAST)
+    if refused:
+        with pytest.raises(SceneError, match="domain.shear moves the images at 100 m/s, which is 0.001 m per step"):
+            plan_for(scene)
+    else:
+        plan_for(scene)
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.999, False), (1.001, True)])
+def test_a_free_wall_stops_the_run_above_the_limit(taichi_f64, share, stops):
+    """A force F moves a wall of mass M from rest by F/M dt^2 (k - 1/2) in step k."""
+    steps, mass = 40, 1.0
+    force = share * SHARE * RADIUS * mass / (STEP**2 * (steps - 0.5))
+    motion = [{"kind": "free", "direction": [0, 0, 1], "mass": mass, "force": force}]
+    walls = {"lid": plane([0, 0, -0.5], [0, 0, 1], motion=motion)}
+    simulation = Simulation(trial({"ball": balls([[0, 0, 0.5]])}, walls=walls, **FAST))
+    error = None
+    try:
+        simulation.run(until=steps * STEP)
+    except RunError as stop:
+        error = str(stop)
+    simulation.free()
+    assert bool(error) == stops
+    if stops:
+        assert re.search(r"wall lid \(glass, 100 m/s\) .* moves 0.001 m in one step", error)
+
+
+def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
+    """A soft sphere: its contacts at 100 m/s would allow 6 mm in a step."""
+    soft = {"materials": {"glass": {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}}}
+    plan = plan_for(trial({"ball": balls([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft))
+    assert plan.time_step == pytest.approx(SHARE * RADIUS / 100.0, rel=1e-12)
+    assert "0.2 of the smallest radius" in plan.step.limited_by
+
+
+def test_the_overlap_limit_stays_below_one_minus_the_limit_per_step():
+    assert STEP_SHARE == pytest.approx(SHARE)
+    trial({"ball": balls([[0.0] * 3])}, numerics={"overlap_limit": 1.0 - SHARE})
+    with pytest.raises(ValueError, match="an overlap limit must be above 0 and at most 0.8"):
+        trial({"ball": balls([[0.0] * 3])}, numerics={"overlap_limit": 0.801})

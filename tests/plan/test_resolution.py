@@ -1,0 +1,51 @@
+"""Domains whose farthest positions the precision does not resolve are refused."""
+
+import numpy as np
+import pytest
+from trials import balls, trial
+
+from granflow.errors import SceneError
+from granflow.plan import plan_for
+from granflow.plan.resolution import coordinate_limit, spacing_at
+
+RADIUS = 0.005
+EDGE = 2.0**13
+"""In float32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 m and 2^(13 - 23) = 0.98 mm beyond; allowed is 0.5 mm."""
+
+
+def far_out(edge, precision, leaving="error"):
+    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "leaving": leaving}
+    return trial({"ball": balls([[0.05] * 3])}, domain=domain, run={"duration": 0.1, "precision": precision})
+
+
+@pytest.mark.parametrize("leaving", ["error", "delete", "grow"])
+def test_f32_is_refused_beyond_a_tenth_of_the_smallest_radius(leaving):
+    plan_for(far_out(EDGE, "f32", leaving))
+    with pytest.raises(SceneError) as refused:
+        plan_for(far_out(1.001 * EDGE, "f32", leaving))
+    message = str(refused.value)
+    assert "run.precision is f32, but it resolves positions only to 0.000977 m at 8.2e+03 m from the origin" in message
+    assert "0.1 of the smallest radius 0.005 m. Use --precision mixed" in message
+
+
+def test_a_negative_corner_counts():
+    scene = far_out(0.1, "f32")
+    domain = scene.domain.model_copy(update={"min": (0.0, -1e6, 0.0)})
+    with pytest.raises(SceneError, match=r"only to 0.0625 m at 1e\+06 m"):
+        plan_for(scene.model_copy(update={"domain": domain}))
+
+
+@pytest.mark.parametrize("precision", ["mixed", "f64"])
+def test_positions_in_f64_reach_farther_and_are_limited_too(precision):
+    """Up to 2^42 m the spacing is 2^(41 - 52) = 0.49 mm."""
+    plan_for(far_out(2.0**42, precision))
+    with pytest.raises(SceneError, match=r"resolves positions only to 0.000977 m .*\. Move the scene nearer"):
+        plan_for(far_out(1.001 * 2.0**42, precision))
+
+
+@pytest.mark.parametrize(("precision", "dtype"), [("f32", np.float32), ("mixed", np.float64), ("f64", np.float64)])
+def test_spacing_is_that_of_the_number_type(precision, dtype):
+    limit = coordinate_limit(precision, RADIUS)
+    below, above = np.nextafter(dtype(limit), dtype(0)), dtype(limit)
+    assert float(np.nextafter(below, dtype(np.inf)) - below) <= 0.1 * RADIUS < 2 * spacing_at(precision, float(below))
+    assert spacing_at(precision, float(above)) > 0.1 * RADIUS
