@@ -55,7 +55,7 @@ def test_every_derived_number_is_there(plan, rows):
 
 
 def test_a_restitution_out_of_reach_is_said_beside_the_step(plan, rows):
-    assert "restitution 0.7 is asked for" in rows["WARNING"]
+    assert "glass-glass: the restitution at 1 m/s is 0.7, but a time step of" in rows["WARNING"]
 
 
 def test_settings_say_what_was_filled_in_and_what_was_given(rows):
