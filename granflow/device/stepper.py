@@ -219,8 +219,9 @@ class Stepper:
         began, searched = clock.perf_counter(), self.timing.search
         done = self._launch(steps)
         if state.control.search_due[0]:
-            self.search(pose=self._pose + done)
-            self.forces(pose=self._pose + done)
+            if not self.guard_code:  # no grid holds a position that is infinite
+                self.search(pose=self._pose + done)
+                self.forces(pose=self._pose + done)
             done += 1
         else:
             self.steps_since_search += done
