@@ -1,0 +1,151 @@
+"""Every limit of a run from both sides, in each code path that checks it."""
+
+import numpy as np
+import pytest
+from trials import balls, begun, plane, trial
+from walls.meshes import sheet, write
+
+from granflow.device.guards import GUARDS, NO_PARTICLE
+from granflow.simulation import Simulation
+from granflow.walls.motion import Driven
+
+NEAR = 1e-6
+"""Relative distance from a limit, on either side."""
+
+RADIUS, SMALLER = 0.005, 0.004
+FLOOR, SHEET = -0.9, 0.0
+"""Heights of the plane and of the mesh [m]."""
+
+STEP, SKIN = 2e-5, 2e-4
+"""Time step [s] and skin [m]."""
+
+LOW, HIGH = np.array([-0.1, -0.2, -1.0]), np.array([0.4, 0.5, 0.6])
+"""Corners of the domain [m]."""
+
+
+def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
+    """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are reused."""
+    state = simulation.engine.state
+    state.control.guard[0], state.control.guard_particle[0] = 0, NO_PARTICLE
+    state.count = simulation.plan.particle_capacity  # a particle outside the domain was sorted behind the others
+    for index, number in enumerate(state.particles.id.to_numpy()[: state.count]):
+        if positions is not None:
+            state.particles.position[index] = list(positions[number])
+        if velocities is not None:
+            state.particles.velocity[index] = list(velocities[number])
+    simulation.engine.refresh()
+    if steps:
+        simulation.engine.advance(steps)
+    return GUARDS.get(simulation.engine.stepper.guard_code)
+
+
+# ---------------------------------------------------------------- contacts
+
+
+def touching(pair=0.01, floor=0.01, mesh=0.01):
+    """Positions of two unequal spheres, one on a plane, one on a mesh; overlaps over the smaller radius."""
+    return np.array([
+        [0.0, 0.0, 0.3],
+        [RADIUS + SMALLER * (1 - pair), 0.0, 0.3],
+        [0.0, 0.0, FLOOR + RADIUS * (1 - floor)],
+        [0.21, 0.13, SHEET + RADIUS * (1 - mesh)],
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=[1, 8], ids=["scalar", "batched"])
+def contacts(request, taichi_f64, tmp_path_factory):
+    """The four spheres; chunks of one particle use the scalar path, larger ones the batched path."""
+    folder = tmp_path_factory.mktemp("mesh")
+    write(folder / "sheet.ply", *sheet(3))
+    radii = (RADIUS, SMALLER, RADIUS, RADIUS)
+    groups = {f"g{n}": balls(at, 2 * radius) for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))}
+    walls = {
+        "floor": plane([0, 0, FLOOR], [0, 0, 1]), "sheet": {"shape": "mesh", "file": "sheet.ply", "material": "glass"}
+    }  # fmt: skip
+    domain = {"min": LOW.tolist(), "max": HIGH.tolist(), "leaving": "error"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        simulation = begun(trial(groups, walls=walls, domain=domain, numerics={"chunk_size": request.param}))
+    assert (simulation.engine.state.batch is not None) == (request.param > 1)
+    yield simulation
+    simulation.free()
+
+
+@pytest.mark.parametrize("contact", ["pair", "floor", "mesh"])
+def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
+    """The limit is a share of the smaller radius."""
+    limit = contacts.plan.overlap_limit
+    assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
+    assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
+
+
+@pytest.mark.parametrize("side", [LOW, HIGH], ids=["low", "high"])
+def test_a_center_outside_any_face_of_the_domain_stops_the_run(contacts, side):
+    """The corner of the domain is clear of the walls: the mesh ends at 0.5 m and begins at -0.5 m."""
+    middle, positions = 0.5 * (LOW + HIGH), touching()
+    for axis in (None, 0, 1, 2):
+        inside = np.array([1 - NEAR if axis != each else 1 + NEAR for each in range(3)])
+        positions[0] = middle + inside * (side - middle)
+        positions[0][2] = middle[2] if axis != 2 else positions[0][2]
+        if axis == 2 and side is LOW:
+            continue  # below the floor
+        assert limit_exceeded(contacts, positions) == (None if axis is None else "left"), axis
+
+
+# ---------------------------------------------------------------- displacement
+
+
+@pytest.fixture(scope="module")
+def flying(taichi_f64):
+    """One sphere without contacts."""
+    run = {"duration": 1.0, "time_step": STEP, "velocity_max": 1.0}
+    simulation = begun(trial({"ball": balls([0.0, 0.0, 0.0])}, numerics={"skin": SKIN}, run=run))
+    yield simulation
+    simulation.free()
+
+
+def after_one_step(flying, displacement):
+    """The limit that a step of so many meters exceeds, and whether it requested a rebuild of the neighbor list."""
+    rebuilds = flying.engine.timing.search_count + 1  # that of the refresh
+    found = limit_exceeded(flying, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]], steps=1)
+    return found, flying.engine.timing.search_count > rebuilds
+
+
+def test_a_displacement_of_half_a_skin_requests_a_rebuild(flying):
+    """Two particles that approach by more than half a skin each can touch before the list contains them."""
+    assert after_one_step(flying, 0.5 * SKIN * (1 - NEAR)) == (None, False)
+    assert after_one_step(flying, 0.5 * SKIN * (1 + NEAR)) == (None, True)
+
+
+def test_a_displacement_of_a_whole_skin_in_one_step_stops_the_run(flying):
+    assert after_one_step(flying, SKIN * (1 - NEAR)) == (None, True)
+    assert after_one_step(flying, SKIN * (1 + NEAR))[0] == "travel"
+
+
+@pytest.mark.parametrize(("speed", "limit"), [(np.nan, "lost"), (np.inf, "travel"), (-np.inf, "travel"), (0.0, None)])
+def test_a_position_that_is_not_finite_stops_the_run(flying, speed, limit):
+    assert after_one_step(flying, STEP * speed)[0] == limit
+
+
+def servo_after_one_step(displacement):
+    """As `after_one_step`, of a wall far from its force, whose speed is its `velocity_max`."""
+    motion = {"kind": "servo", "direction": [0, 0, 1], "force": 1e6, "velocity_max": displacement / STEP}
+    scene = trial(
+        {"ball": balls([0.0, 0.0, 0.5])}, walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
+        numerics={"skin": SKIN}, run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    simulation.engine.set_walls([True], [[Driven()]])
+    simulation.engine.refresh()
+    rebuilds = simulation.engine.timing.search_count
+    simulation.engine.advance(1)
+    found = GUARDS.get(simulation.engine.stepper.guard_code), simulation.engine.timing.search_count > rebuilds
+    simulation.free()
+    return found
+
+
+def test_the_displacement_of_a_servo_wall_has_the_same_limits(taichi_f64):
+    assert servo_after_one_step(0.5 * SKIN * (1 - NEAR)) == (None, False)
+    assert servo_after_one_step(0.5 * SKIN * (1 + NEAR)) == (None, True)
+    assert servo_after_one_step(SKIN * (1 - NEAR)) == (None, True)
+    assert servo_after_one_step(SKIN * (1 + NEAR))[0] == "wall"

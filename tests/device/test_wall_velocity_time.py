@@ -1,0 +1,34 @@
+"""The time at which contacts use the velocity of a moving wall: the middle of the step."""
+
+import numpy as np
+import pytest
+from trials import SOFT, balls, finished, plane, trial
+
+RADIUS, OVERLAP = 0.005, 1e-4
+AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
+
+
+def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
+    """A sphere too heavy to move sticks to a plane that vibrates below it; its tangential force is Kt times the sum
+
+        sum of dt A w cos(w (k - 1/2) dt), k = 1..n  =  A sin(w n dt) (w dt / 2) / sin(w dt / 2)
+
+    with Kt = 8 G sqrt(R d) (Mindlin). w t ends near pi/2, where the velocity has dropped from A w to 0: a velocity
+    taken half a step early or late changes the sum by A w dt / 2, 2.5 % of it.
+    """
+    heavy = {"glass": SOFT | {"density": 1e6}}
+    motion = {
+        "kind": "vibration", "direction": [1, 0, 0], "amplitude": AMPLITUDE, "angular_frequency": OMEGA
+    }  # fmt: skip
+    scene = trial(
+        {"ball": balls([0.0, 0.0, RADIUS - OVERLAP], 2 * RADIUS)},
+        walls={"plate": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
+        pair={"restitution": 1.0, "friction": 10.0}, normal="hertz", materials=heavy,
+        run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
+    )  # fmt: skip
+    last, _ = finished(scene, until=COUNT * STEP)
+    modulus = SOFT["young_modulus"] / (2 * (1 + SOFT["poisson_ratio"])) / (2 * (2 - SOFT["poisson_ratio"]))
+    stiffness = 8 * modulus * np.sqrt(RADIUS * OVERLAP)
+    half = 0.5 * OMEGA * STEP
+    moved = AMPLITUDE * np.sin(OMEGA * COUNT * STEP) * half / np.sin(half)
+    assert last.particles["force"][0, 0] == pytest.approx(stiffness * moved, rel=1e-3)

@@ -1,0 +1,202 @@
+"""The mutations of tools/mutate.py: a text of the source, a wrong text in its place, and the tests that must fail."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One wrong change. `old` occurs exactly once in `file`; `tests` are arguments for pytest."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+UNITS = "tests/scene/test_unit_values.py::test_every_unit_has_its_si_value"
+STEP = "tests/plan/test_time_step.py::"
+THEORY = "tests/laws/test_theory.py::"
+MOTION = "tests/walls/test_motion.py::"
+CHECKPOINT = "tests/resume/test_checkpoint.py::"
+BOOKS = "tests/device/test_energy_sums.py"
+LIMITS = "tests/device/test_limit_bounds.py::"
+OVERLAP = f"{LIMITS}test_the_overlap_limit_holds_for_each_kind_of_contact"
+WALL_TIME = "tests/device/test_wall_velocity_time.py"
+SPRINGS = "tests/laws/test_springs.py::"
+LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_twin"
+PERIODIC = "tests/device/test_periodic.py::"
+SHAPES = "tests/walls/test_shapes.py::test_known_by_hand"
+
+MUTATIONS = (
+    # Units
+    Mutation("unit N/cm", "granflow/scene/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
+    Mutation("unit GPa", "granflow/scene/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
+    Mutation("unit rpm", "granflow/scene/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)),
+    Mutation("unit t/h", "granflow/scene/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
+    Mutation("unit pJ", "granflow/scene/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
+    # Theory and limits of the plan
+    Mutation(
+        "Hertz stiffness", "granflow/laws/theory.py", "return 4.0 / 3.0 * modulus", "return 2.0 / 3.0 * modulus",
+        (f"{STEP}test_step_is_a_fraction_of_the_shortest_phase",),
+    ),
+    Mutation(
+        "largest overlap", "granflow/laws/theory.py", "return (1.25 * mass", "return (1.2 * mass",
+        (f"{STEP}test_stable_step_carries_the_densest_packing",),
+    ),
+    Mutation(
+        "recovery", "granflow/laws/theory.py", "0.8 * number**2", "0.79 * number**2",
+        (f"{THEORY}test_recovery_is_the_root_of_equation_8",),
+    ),
+    Mutation(
+        "least restitution", "granflow/laws/theory.py", "np.sqrt(1.25 * k * np.sqrt(largest)",
+        "np.sqrt(k * np.sqrt(largest)",
+        (f"{STEP}test_least_restitution_is_where_the_unloading_tangent_meets_its_bound",),
+    ),
+    Mutation(
+        "normal modes", "granflow/plan/time_step.py", "SLIDING_MODES = 4.0, 20.0", "SLIDING_MODES = 2.0, 20.0",
+        (f"{STEP}test_stable_step_carries_the_densest_packing",),
+    ),
+    Mutation(
+        "sliding modes", "granflow/plan/time_step.py", "SLIDING_MODES = 4.0, 20.0", "SLIDING_MODES = 4.0, 10.0",
+        (f"{STEP}test_friction_shortens_the_stable_step_to_that_of_spheres_that_turn_on_each_other",),
+    ),
+    Mutation(
+        "Rayleigh time", "granflow/plan/time_step.py", "(0.1631 * nu + 0.8766)", "(0.1631 * nu + 0.6766)",
+        (f"{STEP}test_rayleigh_time_limits_what_is_slow",),
+    ),
+    Mutation(
+        "refusal of an unstable step", "granflow/plan/time_step.py", "if value > stable:", "if value > 100.0 * stable:",
+        (f"{STEP}test_given_step_above_the_bound_is_refused_with_its_place_and_the_right_number",),
+    ),
+    Mutation(
+        "one warning per material pair", "granflow/plan/plan.py", "occurs = name != other_name or group.count > 1",
+        "occurs = True", (f"{STEP}test_contacts_that_cannot_occur_are_not_warned_about",),
+    ),
+    # Motions of walls
+    Mutation(
+        "start of a vibration", "granflow/walls/motion.py", "(np.sin(angle) - np.sin(motion.phase))", "np.sin(angle)",
+        (f"{MOTION}test_a_vibration_moves_as_its_schema_says",),
+    ),
+    Mutation(
+        "end of a motion", "granflow/walls/motion.py", "np.minimum(times, motion.end) - motion.start",
+        "times - motion.start", (f"{MOTION}test_rest_before_the_start_and_still_after_the_end",),
+    ),
+    Mutation(
+        "rotation matrix", "granflow/walls/motion.py", "2 * half_sine**2", "half_sine**2",
+        (f"{MOTION}test_rotations_stay_orthogonal",),
+    ),
+    Mutation(
+        "wall velocity half a step late", "granflow/device/walls.py",
+        "middle = [pose(motions, times - 0.5 * clock.time_step)", "middle = [pose(motions, times)", (WALL_TIME,),
+    ),
+    Mutation(
+        "wall velocity half a step early", "granflow/device/walls.py",
+        "middle = [pose(motions, times - 0.5 * clock.time_step)", "middle = [pose(motions, times - clock.time_step)",
+        (WALL_TIME,),
+    ),
+    # Lock and checkpoints
+    Mutation(
+        "shared lock", "granflow/observe/lock.py", "fcntl.LOCK_EX", "fcntl.LOCK_SH",
+        (f"{CHECKPOINT}test_a_directory_is_held_by_one_run_and_a_dead_one_lets_go",),
+    ),
+    Mutation(
+        "checksum ignored", "granflow/observe/checkpoint.py", "if _checksum(file) != file.read():",
+        "if not file.read():", (f"{CHECKPOINT}test_every_bit_counts",),
+    ),
+    Mutation(
+        "one checkpoint too many", "granflow/observe/checkpoint.py", "checkpoints(directory)[count:]",
+        "checkpoints(directory)[count + 1 :]", (f"{CHECKPOINT}test_the_last_few_are_kept",),
+    ),
+    # Energy
+    Mutation(
+        "kinetic energy", "granflow/device/books.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (BOOKS,)
+    ),
+    Mutation(
+        "moment of inertia", "granflow/device/books.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (BOOKS,)
+    ),
+    Mutation(
+        "work of walls", "granflow/device/books.py", "removed - losses[\"wall_work\"] - sum",
+        "removed + losses[\"wall_work\"] - sum", (BOOKS,),
+    ),
+    Mutation(
+        "damping in the budget", "granflow/device/books.py", '("plastic", "friction", "rolling", "damping"))',
+        '("plastic", "friction", "rolling"))', (BOOKS,),
+    ),
+    Mutation(
+        "energy brought in", "granflow/device/books.py", "books.removed_energy - books.brought_energy",
+        "books.removed_energy + books.brought_energy", (BOOKS,),
+    ),
+    # Limits on the device
+    Mutation(
+        "overlap limit, batched", "granflow/device/batch.py", "deepest = reach - plan.overlap_limit * smaller",
+        "deepest = reach - 4.0 * plan.overlap_limit * smaller", (f"{OVERLAP}[batched-pair]",),
+    ),
+    Mutation(
+        "overlap limit, scalar", "granflow/device/contacts.py", "if overlap > plan.overlap_limit * smaller:",
+        "if overlap > 4.0 * plan.overlap_limit * smaller:", (f"{OVERLAP}[scalar-pair]",),
+    ),
+    Mutation(
+        "overlap over the larger radius", "granflow/device/contacts.py",
+        "smaller = ti.min(smaller, particles.radius[j])", "smaller = ti.max(smaller, particles.radius[j])",
+        (f"{OVERLAP}[scalar-pair]",),
+    ),
+    Mutation(
+        "rebuild after a whole skin", "granflow/device/motion.py", "near, far = (0.5 * plan.skin) ** 2",
+        "near, far = plan.skin ** 2", (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
+    ),
+    Mutation(
+        "displacement of a servo wall", "granflow/device/drive.py", "if not way <= far:", "if not way <= 2.0 * far:",
+        (f"{LIMITS}test_the_displacement_of_a_servo_wall_has_the_same_limits",),
+    ),
+    # Laws and kinematics on the device
+    Mutation(
+        "Hertz force", "granflow/laws/hertz.py", "elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap",
+        "elastic = stiffness * ti.sqrt(radius_eff * overlap) * radius_eff", (LAWS,),
+    ),
+    Mutation(
+        "memory of the largest overlap", "granflow/laws/zhou.py", "ti.Vector([ti.max(overlap, overlap_max), e,",
+        "ti.Vector([overlap, e,", (LAWS,),
+    ),
+    Mutation(
+        "Mindlin stiffness", "granflow/laws/mindlin.py", "return 8.0 * constants[1]", "return 4.0 * constants[1]",
+        (WALL_TIME,),
+    ),
+    Mutation(
+        "cap of friction", "granflow/laws/mindlin.py", "ti.select(square > cap * cap,",
+        "ti.select(square > 2.0 * cap * cap,", (f"{SPRINGS}test_spring_holds_at_the_cap_and_never_above",),
+    ),
+    Mutation(
+        "work of the spring", "granflow/laws/mindlin.py", "0.5 * (before * carried - force)",
+        "0.5 * (before * carried + force)", (f"{SPRINGS}test_spring_of_a_steady_contact_that_sticks_loses_nothing",),
+    ),
+    Mutation(
+        "effective mass and radius", "granflow/device/pair.py", "return one * other / (one + other)",
+        "return 0.5 * one * other / (one + other)",
+        ("tests/physics/test_chung_ooi.py::test_elastic_collisions_reach_the_overlap_force_and_duration",),
+    ),
+    Mutation(
+        "torque on the partner", "granflow/device/pair.py", "-arm * moment, -arm_partner * moment",
+        "-arm * moment, arm_partner * moment",
+        ("tests/device/test_conservation.py::test_momentum_of_a_closed_cloud_is_kept_to_rounding",),
+    ),
+    # Neighbor list, periodic images, walls
+    Mutation(
+        "image below", "granflow/device/apart.py", "ti.select(between[axis] < -half, width",
+        "ti.select(between[axis] < -width, width",
+        (f"{PERIODIC}test_rows_hold_exactly_the_near_pairs_of_nearest_images",),
+    ),
+    Mutation(
+        "neighbors of the next index", "granflow/device/search.py", "if j > i or (j < first)",
+        "if j > i + 1 or (j < first)",
+        ("tests/device/test_search.py::test_rows_hold_exactly_the_near_pairs",),
+    ),
+    Mutation(
+        "plane", "granflow/walls/plane.py", "+ (point[2] - parameters[2]) * parameters[5]",
+        "- (point[2] - parameters[2]) * parameters[5]", (SHAPES,),
+    ),
+    Mutation(
+        "radius of a cylinder", "granflow/walls/revolved.py", "outward = r - parameters[6]",
+        "outward = r - 0.5 * parameters[6]", (SHAPES,),
+    ),
+)  # fmt: skip
