@@ -63,37 +63,37 @@ def _by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
 PARTICLE_QUANTITIES = _by_name(
     (
         Quantity("id", "i", "1", "number of the particle, never used twice in a run", file_type="int64"),
-        Quantity("position", "x", "m", "centre of the sphere", "vector", "float64"),
+        Quantity("position", "x", "m", "center of the sphere", "vector", "float64"),
         Quantity("radius", "R", "m", "radius of the sphere"),
         Quantity("mass", "m", "kg", "mass of the sphere"),
-        Quantity("velocity", "v", "m/s", "velocity of the centre", "vector"),
-        Quantity("spin", "w", "rad/s", "angular velocity", "vector"),
+        Quantity("velocity", "v", "m/s", "velocity of the center", "vector"),
+        Quantity("angular_velocity", "w", "rad/s", "angular velocity", "vector"),
         Quantity("force", "F", "N", "total force, gravity included", "vector"),
-        Quantity("torque", "M", "N m", "total torque about the centre", "vector"),
+        Quantity("torque", "M", "N m", "total torque about the center", "vector"),
         Quantity("material", "", "1", "index of the material in the scene", file_type="int32"),
         Quantity("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         Quantity("coordination_number", "Z", "1", "number of contacts of the particle", file_type="int32"),
         Quantity("fixed", "", "1", "1 for particles that never move; only where a scene has such", file_type="uint8"),
         Quantity("diameter", "d", "m", "diameter of the sphere, twice the radius", stored=False),
-        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centre, m v^2 / 2", stored=False),
+        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the center, m v^2 / 2", stored=False),
     )
 )
 
 CONTACT_QUANTITIES = _by_name(
     (
-        Quantity("first_id", "i", "1", "id of particle i", file_type="int64"),
-        Quantity("second_id", "j", "1", "id of particle j, -1 where i touches a wall", file_type="int64"),
+        Quantity("id_i", "i", "1", "id of particle i", file_type="int64"),
+        Quantity("id_j", "j", "1", "id of particle j, -1 where i touches a wall", file_type="int64"),
         Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
         Quantity("triangle", "", "1", "index of the triangle of a wall that is a mesh, else -1", file_type="int32"),
-        Quantity("first_position", "xi", "m", "centre of particle i", "vector", "float64"),
-        Quantity("second_position", "xj", "m", "centre of j, or foot point on the wall", "vector", "float64"),
+        Quantity("position_i", "xi", "m", "center of particle i", "vector", "float64"),
+        Quantity("position_j", "xj", "m", "center of j, or foot point on the wall", "vector", "float64"),
         Quantity("force", "F", "N", "total force on particle i, viscous and friction force included", "vector"),
         Quantity("normal_force", "Fn", "N", "repulsion along the normal"),
         Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
-        Quantity("overlap", "delta", "m", "sum of the radii less the distance of the centres"),
+        Quantity("overlap", "delta", "m", "sum of the radii less the distance of the centers"),
         Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
         Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
-        Quantity("state", "", "1", "0 loading, 1 unloading", file_type="uint8"),
+        Quantity("unloading", "", "1", "0 loading, 1 unloading", file_type="uint8"),
         Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
     )
 )
@@ -117,11 +117,11 @@ TOTAL_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
-        Quantity("waiting_count", "", "1", "particles due that wait for room to come in; where some come in"),
+        Quantity("queued_count", "", "1", "particles due that wait for room to come in; where some come in"),
         Quantity("deleted_count", "", "1", "particles that left the domain, or that outlets took"),
         Quantity("deleted_mass", "", "kg", "mass of the particles that left the domain, or that outlets took"),
         Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
-        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centres"),
+        Quantity("kinetic_energy", "Ek", "J", "kinetic energy of the centers"),
         Quantity("rotational_energy", "Er", "J", "kinetic energy of the spins"),
         Quantity("overlap_mean", "", "1", "mean overlap over radius of the contacts"),
         Quantity("overlap_largest", "", "1", "largest overlap over radius of the contacts"),
@@ -135,7 +135,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("damping_dissipation", "", "J", "energy lost in viscous damping"),
         Quantity("wall_work", "", "J", "work done by moving walls on the particles"),
         Quantity(
-            "border_work",
+            "boundary_work",
             "",
             "J",
             "work of the border of a periodic box: by gravity on who passes, and by moving images",
@@ -152,7 +152,7 @@ TOTAL_QUANTITIES = _by_name(
     )
 )
 
-METER_QUANTITIES = _by_name(
+FLOW_METER_QUANTITIES = _by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
@@ -167,15 +167,15 @@ OUTLET_QUANTITIES = _by_name(
     )
 )
 
-FEED_QUANTITIES = _by_name(
+INSERTION_QUANTITIES = _by_name(
     (
-        Quantity("came_count", "", "1", "particles of the group that came in"),
-        Quantity("came_mass", "", "kg", "mass of the particles of the group that came in"),
-        Quantity("missing_count", "", "1", "particles of the group that had not come at the end"),
+        Quantity("inserted_count", "", "1", "particles of the group that came in"),
+        Quantity("inserted_mass", "", "kg", "mass of the particles of the group that came in"),
+        Quantity("not_inserted_count", "", "1", "particles of the group that had not come at the end"),
     )
 )
 
-LOAD_QUANTITIES = _by_name(
+WALL_FORCE_QUANTITIES = _by_name(
     (
         Quantity("wall_force_x", "Fx", "N", "x component of the force of the grains on a wall, a mean over time"),
         Quantity("wall_force_y", "Fy", "N", "its y component"),
@@ -193,12 +193,12 @@ LOAD_QUANTITIES = _by_name(
 
 WALL_QUANTITIES = _by_name(
     (
-        Quantity("wall_travel", "", "m", "way of a driven wall along its direction since the start"),
+        Quantity("wall_displacement", "", "m", "way of a driven wall along its direction since the start"),
         Quantity("wall_velocity", "", "m/s", "velocity of a driven wall along its direction"),
     )
 )
 
-_READ_INDICES = (
+_INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 mixed at random"),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
     Quantity("angle_of_repose_error", "", "rad", "its standard error"),
@@ -214,12 +214,12 @@ _READ_INDICES = (
     Quantity("fabric_zz", "Fzz", "1", "of their z component"),
 )
 
-INDEX_QUANTITIES = _by_name(
+METRIC_QUANTITIES = _by_name(
     (
-        *_READ_INDICES,
+        *_INSTANT_METRICS,
         *(
             replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean of the last stage's rows")
-            for each in _READ_INDICES
+            for each in _INSTANT_METRICS
         ),
     )
 )
@@ -239,9 +239,9 @@ RUN_QUANTITIES = _by_name(
 def unit_of(name: str) -> str:
     """Unit of a number of a finished run, a part's as `mass_flow.outlet`; "" for pure and for unknown numbers."""
     base, _, part = name.partition(".")
-    if base == "seconds" and part:
+    if base == "timings" and part:
         return "s"
-    parts = {**METER_QUANTITIES, **LOAD_QUANTITIES, **WALL_QUANTITIES, **INDEX_QUANTITIES}
-    parts |= {**FEED_QUANTITIES, **OUTLET_QUANTITIES}
+    parts = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **WALL_QUANTITIES, **METRIC_QUANTITIES}
+    parts |= {**INSERTION_QUANTITIES, **OUTLET_QUANTITIES}
     known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
     return known[base].unit if base in known and known[base].unit != "1" else ""

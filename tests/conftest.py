@@ -13,5 +13,8 @@ os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pyt
 
 @pytest.fixture(scope="session")
 def taichi_f64():
-    """The CPU in double precision on two threads; other settings run in a process of their own, see `child`."""
+    """The CPU in double precision on two threads.
+
+    Other settings run in a process of their own, see `subprocess_runner`.
+    """
     backend.start("cpu", "f64", 2)

@@ -177,11 +177,11 @@ def test_host_functions_of_the_taichi_layers_are_annotated():
         missing = [a for a in [*named, *spread] if a.annotation is None and a.arg not in {"self", "cls"}]
         return not missing and (node.returns is not None or node.name == "__init__")
 
-    places = [str(Path("granflow", name)) for name in TAICHI_LAYERS]
+    positions = [str(Path("granflow", name)) for name in TAICHI_LAYERS]
     bare = [
         where
         for where, node in functions()
-        if where.startswith(tuple(places)) and not runs_in_taichi(node) and not is_annotated(node)
+        if where.startswith(tuple(positions)) and not runs_in_taichi(node) and not is_annotated(node)
     ]
     assert not bare
 

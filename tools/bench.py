@@ -27,7 +27,7 @@ LAWS = ("hertz", "zhou", "linear")
 QUICK = {"sizes": [1_000, 10_000, 50_000], "laws": ["hertz"], "threads": [2], "rounds": 1, "scale": 0.5}
 CHILDREN: dict[str, Callable[..., Any]] = {
     "measure": ours.measure,
-    "settle": ours.settle,
+    "settle": ours.relax,
     "phases": phases.measure,
     "limits": phases.limits,
 }
@@ -96,12 +96,12 @@ def peer_names(text: str) -> list[str]:
 
 
 def skins(text: str) -> dict[str, float]:
-    """`CODE=MILLIMETRES,...` as lengths in metres."""
+    """`CODE=MILLIMETERS,...` as lengths in meters."""
     try:
         pairs = [each.split("=") for each in text.split(",")]
         return {name.strip(): 1e-3 * float(value) for name, value in pairs}
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} is not of the form granflow=0.2,lammps=0.5 (millimetres).") from None
+        raise argparse.ArgumentTypeError(f"{text} is not of the form granflow=0.2,lammps=0.5 (millimeters).") from None
 
 
 def arguments() -> argparse.Namespace:
@@ -118,7 +118,7 @@ def arguments() -> argparse.Namespace:
     add("--threads", type=int, nargs="+", help="threads, or ranks (1 2)")
     add("--rounds", type=int, help="rounds (3)")
     add("--precision", choices=("f64", "f32", "mixed"), default="f64", help="granflow's precision (f64)")
-    add("--skin", type=skins, default={}, metavar="CODE=MM,...", help="neighbour skins in place of the fastest known")
+    add("--skin", type=skins, default={}, metavar="CODE=MM,...", help="neighbor skins in place of the fastest known")
     add("--scale", type=float, help="factor on the number of steps (1)")
     add("--beds", type=Path, metavar="DIR", help="folder with settled beds bed*.data[.gz]")
     add("--hopper-data", type=Path, metavar="FILE", help="the hopper's spheres as a LAMMPS data file")

@@ -21,7 +21,7 @@ from granflow.study.beverloo import Discharge, fit_beverloo
 
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "flat_silo.yaml"
 HOLES = "18,21,24,28,32"
-GRAIN = 4.0
+PARTICLE = 4.0
 """Mean diameter of the beads of the scene [mm]."""
 
 OFFSET = 1.4
@@ -59,12 +59,12 @@ def flow_of(hole: float, times: np.ndarray, masses: np.ndarray) -> Flow:
     return Flow(hole, float(rates.mean()), error, (float(rates[:half].mean()), float(rates[half:].mean())))
 
 
-def exponent(flows: list[Flow], grain: float = GRAIN, offset: float = OFFSET) -> tuple[float, float]:
+def exponent(flows: list[Flow], particle_diameter: float = PARTICLE, offset: float = OFFSET) -> tuple[float, float]:
     """Exponent n of W ~ (D - k d)^n and its standard error: least squares of log W, weighted with the errors.
 
     The error is that of the flows, or that of the scatter about the line where that is larger.
     """
-    x = np.log([flow.hole - offset * grain for flow in flows])
+    x = np.log([flow.hole - offset * particle_diameter for flow in flows])
     y = np.log([flow.rate for flow in flows])
     weight = np.array([(flow.rate / flow.error) ** 2 for flow in flows])
     x_mean, y_mean = np.average(x, weights=weight), np.average(y, weights=weight)
@@ -86,9 +86,9 @@ def read_flow(folder: Path, hole: float) -> Flow:
 
 def overrides(hole: float) -> list[str]:
     """The scene with another hole, open until about FALLEN beads have passed."""
-    width = max(hole - OFFSET * GRAIN, GRAIN) * 1e-3
-    expected = 0.5 * BULK_DENSITY * np.sqrt(9.81) * width**2.5 / (2500 * np.pi / 6 * (GRAIN * 1e-3) ** 3)
-    places = ("walls.plug.radius", "walls.floor.hole_radius", "output.meters.outlet.radius")
+    width = max(hole - OFFSET * PARTICLE, PARTICLE) * 1e-3
+    expected = 0.5 * BULK_DENSITY * np.sqrt(9.81) * width**2.5 / (2500 * np.pi / 6 * (PARTICLE * 1e-3) ** 3)
+    places = ("walls.plug.radius", "walls.floor.hole_radius", "output.flow_meters.outlet.radius")
     return [
         *(f"{place}={hole / 2} mm" for place in places),
         f"stages.1.duration={START + FALLEN / expected:.3g} s",
@@ -116,7 +116,7 @@ def report(flows: list[Flow]) -> str:
         rate, first, second = (1e3 * each for each in (flow.rate, *flow.halves))
         lines.append(f"{flow.hole:7.1f} {rate:9.2f} {flow.error / flow.rate:7.1%} {first:9.2f} {second:9.2f}")
     data = Discharge(*(np.array(each) for each in zip(*((1e-3 * flow.hole, flow.rate) for flow in flows), strict=True)))
-    fit = fit_beverloo(data, 1e-3 * GRAIN, BULK_DENSITY)
+    fit = fit_beverloo(data, 1e-3 * PARTICLE, BULK_DENSITY)
     lines += [
         "exponent at k = {:.1f}: {:.3f} +- {:.3f}".format(OFFSET, *exponent(flows)),
         f"at the exponent 5/2: k = {fit.k:.2f} +- {fit.k_error:.2f}, C = {fit.c:.3f} +- {fit.c_error:.3f}",

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-GRAINS = (50, 40, 25)
+PARTICLE_COUNT = (50, 40, 25)
 """Grains along each axis of a block in which each is near six others."""
 SPACING = 4.01e-3
 
@@ -29,8 +29,8 @@ particles:
     material: glass
     count: {count}
     diameter: 4 mm
-    place: {{kind: lattice, region: {{box: {{min: [0, 0, 0], max: {corner}}}}}}}
-domain: {{min: [-1, -1, -1], max: [1, 1, 1], leaving: delete}}
+    insert: {{kind: lattice, region: {{box: {{min: [0, 0, 0], max: {corner}}}}}}}
+domain: {{min: [-1, -1, -1], max: [1, 1, 1], on_exit: delete}}
 run: {{duration: 1 ms, velocity_max: 1 m/s}}
 output: {{interval: 1 s, particles: false, walls: false}}
 """
@@ -56,8 +56,8 @@ def block(out: Path) -> dict[str, float]:
     from granflow.scene.reader import scene_of
     from granflow.simulation import Simulation
 
-    count = GRAINS[0] * GRAINS[1] * GRAINS[2]
-    text = BLOCK.format(count=count, corner=[SPACING * number for number in GRAINS])
+    count = PARTICLE_COUNT[0] * PARTICLE_COUNT[1] * PARTICLE_COUNT[2]
+    text = BLOCK.format(count=count, corner=[SPACING * number for number in PARTICLE_COUNT])
     simulation = Simulation(scene_of(text, "block"), out=out)
     simulation.run(until=2e-5)
     seconds = []
@@ -67,7 +67,7 @@ def block(out: Path) -> dict[str, float]:
         seconds.append(time.perf_counter() - began)
     path = max(out.glob("checkpoint_*.npz"))
     began = time.perf_counter()
-    contacts = read_checkpoint(path).kept["engine"]["contacts"]
+    contacts = read_checkpoint(path).saved["engine"]["contacts"]
     return {
         "grains": count,
         "slots_per_grain": len(contacts["partner"]) / count,
@@ -88,7 +88,7 @@ def hopper(out: Path, every: float) -> dict[str, float]:
         str(ROOT / "scenes" / "hopper.yaml"),
         "--out",
         str(out),
-        "--force",
+        "--overwrite",
     ]
     subprocess.run([*command, "--set", f"output.checkpoint.wall_clock={every}"], check=True, cwd=ROOT)
     log = (out / "run.log").read_text()

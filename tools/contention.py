@@ -56,7 +56,7 @@ def keep_workers(stepper: Any, workers: int) -> None:
         def record(self, *_: Any) -> None:
             """Learn nothing."""
 
-    stepper._crew = Fixed()
+    stepper._worker_tuner = Fixed()
 
 
 def started(bed: Path, mode: str, root: Path, command: tuple[str, ...] = ()) -> subprocess.Popen[str]:
@@ -126,7 +126,7 @@ def main() -> None:
         if options.bed is None:
             from benchmark import ours
 
-            ours.settle(options.size, str(bed), len(os.sched_getaffinity(0)))
+            ours.relax(options.size, str(bed), len(os.sched_getaffinity(0)))
         print(table(measure(bed.resolve(), options.root.resolve(), options.competitors, options.rounds)))
 
 

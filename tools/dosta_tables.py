@@ -4,7 +4,7 @@
     granflow run out/dosta/drum.yaml
 
 FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's MercuryDPM entry
-(columns radius, x, y, z in metres). The scenes are those in scenes/dosta2024, the drum at its full size.
+(columns radius, x, y, z in meters). The scenes are those in scenes/dosta2024, the drum at its full size.
 """
 
 import argparse
@@ -16,8 +16,8 @@ SCENES = Path(__file__).resolve().parent.parent / "scenes" / "dosta2024"
 COLUMNS = 4
 
 DRUM_TABLE, PENETRATION_TABLE = "Drum_PartCoordinates.txt", "Penetration_25KParticles.txt"
-DRUM = ["size=2", "stages=[{name: turn, duration: 5 s}]"]
-PENETRATION = ["particles.ball.place.start=0 s", "run.duration=0.03 s"]
+DRUM = ["scale=2", "stages=[{name: turn, duration: 5 s}]"]
+PENETRATION = ["particles.ball.insert.start=0 s", "run.duration=0.03 s"]
 BEADS = {1e-3: "m1", 2e-3: "m2"}
 """Their material by the radius [m]."""
 
@@ -40,7 +40,7 @@ def write(name: str, groups: dict[str, float], overrides: list[str], table: Path
     files, path = split(table, out, name), out / f"{name}.yaml"
     path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).text(), encoding="utf-8")
     placed = [
-        f"particles.{group}={{material: {BEADS[radius]}, place: {{kind: file, file: {files[radius]}}}}}"
+        f"particles.{group}={{material: {BEADS[radius]}, insert: {{kind: file, file: {files[radius]}}}}}"
         for group, radius in groups.items()
     ]
     path.write_text(load_scene(path, placed).text(), encoding="utf-8")

@@ -36,7 +36,7 @@ from gpu import beds, checks, device, speed
 
 CHILDREN: dict[str, Callable[..., Any]] = {
     "present": device.present,
-    "settle": beds.settle,
+    "settle": beds.relax,
     "collisions": checks.collisions,
     "momentum": checks.momentum,
     "shaken": checks.shaken,
@@ -151,8 +151,8 @@ def check(run: Run, precision: str, group: str, records: Callable[[str], list[di
     bad = [each for each in found if not each["passed"]]
     print(f"{precision:>5} {group}: {len(found) - len(bad)} of {len(found)} passed, {time.monotonic() - began:.0f} s")
     for each in bad:
-        said = f" ({each['said']})" if "said" in each else ""
-        print(f"      FAILED {each['name']}: {each['value']} against {each['limit']}{said}")
+        message = f" ({each['said']})" if "said" in each else ""
+        print(f"      FAILED {each['name']}: {each['value']} against {each['limit']}{message}")
     sys.stdout.flush()
 
 
@@ -242,7 +242,7 @@ def line(precision: str, point: dict[str, Any]) -> str:
     return (
         f"{point['count']:>9} {precision:>5}: {1e-6 * point['rate']:8.2f} M particle-steps/s, "
         f"{point['bandwidth_share']:5.1%} of {1e-9 * point['copy_bandwidth']:.0f} GB/s, "
-        f"{point['bytes_per_particle_step']:.0f} bytes/step, {point['coordination_number']:.2f} neighbours in contact, "
+        f"{point['bytes_per_particle_step']:.0f} bytes/step, {point['coordination_number']:.2f} neighbors in contact, "
         f"search {1e3 * point['search_seconds']:.1f} ms"
     )
 

@@ -2,7 +2,7 @@
 
     python tools/make_mixer.py scenes/meshes/stirrer.stl
 
-The axis is z; all lengths in millimetres, as CAD programs write them.
+The axis is z; all lengths in millimeters, as CAD programs write them.
 """
 
 import argparse

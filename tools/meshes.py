@@ -1,4 +1,4 @@
-"""Makes meshes of equipment to try: a screw conveyor, a paddle mixer, a hopper; writes STL, in metres.
+"""Makes meshes of equipment to try: a screw conveyor, a paddle mixer, a hopper; writes STL, in meters.
 
     python tools/meshes.py screw screw.stl --radius 0.03 --length 0.2 --pitch 0.05
     python tools/meshes.py mixer mixer.stl --paddles 6 --tilt 45
@@ -61,9 +61,9 @@ def screw(options: argparse.Namespace) -> Surface:
     x = np.linspace(0.0, options.length, steps + 1)
     angle = 2.0 * np.pi * x / options.pitch * (-1.0 if options.left else 1.0)
     radius = np.linspace(options.shaft, options.radius, options.rings + 1)[None, :]
-    rim = [x[:, None], radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]]
+    edge = [x[:, None], radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]]
     return joined(
-        [shaft(options.shaft, options.length, options.facets), patch(np.stack(np.broadcast_arrays(*rim), -1))]
+        [shaft(options.shaft, options.length, options.facets), patch(np.stack(np.broadcast_arrays(*edge), -1))]
     )
 
 
@@ -104,7 +104,7 @@ KINDS = {
     },
     hopper: {"radius": 0.03, "outlet": 0.01, "half_angle": 30.0, "height": 0.04, "facets": 48},
 }  # fmt: skip
-"""What is made, with every parameter's default: lengths in metres, angles in degrees."""
+"""What is made, with every parameter's default: lengths in meters, angles in degrees."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

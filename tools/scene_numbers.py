@@ -57,7 +57,7 @@ def top_of(frame: Frame) -> float:
 def edge_of(position: np.ndarray, radius: np.ndarray, covered: float = COVERED) -> float:
     """Radius [m] of a round deposit about the z axis: half a bead beyond where beads cease to hide the share `covered`.
 
-    Rings are as wide as a mean bead and hold the beads whose centres they hold; one above another counts again.
+    Rings are as wide as a mean bead and hold the beads whose centers they hold; one above another counts again.
     """
     width = 2 * float(radius.mean())
     ring = (np.hypot(position[:, 0], position[:, 1]) / width).astype(int)

@@ -25,7 +25,7 @@ from granflow.scene import Scene, load
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "scenes.md", ROOT / "scenes"
 COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
-COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "measured")
+COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "analysis")
 
 
 def names() -> list[str]:
@@ -102,7 +102,7 @@ def record(folder: Path) -> None:
 def numbers_of(result: dict[str, Any]) -> dict[str, float]:
     """The numbers of a result.json by the names that `expect` uses."""
     found = {**result["run"], **result["totals"]}
-    for section in ("meters", "loads", "indices", "feeds"):
+    for section in ("flow_meters", "wall_forces", "metrics", "insertion"):
         for part, readings in result[section].items():
             found |= {f"{quantity}.{part}": number for quantity, number in readings.items()}
     return found

@@ -13,8 +13,8 @@ from math import ceil, inf, log2
 
 import numpy as np
 
-from granflow.device.checkpoint import EngineKeeper
-from granflow.plan import sizes
+from granflow.device.checkpoint import EngineCheckpoint
+from granflow.plan import size_classes
 from granflow.scene import Scene
 from granflow.simulation import Simulation
 
@@ -47,45 +47,45 @@ def scene_of(ratio: float, count: int) -> Scene:
             "bed": {
                 "material": "glass", "count": count,
                 "diameter": {"distribution": "classes", "by": "mass", "classes": classes},
-                "place": {"kind": "pack", "region": {"box": {"min": [0, 0, 0], "max": [width, width, 1.1 * height]}}},
+                "insert": {"kind": "pack", "region": {"box": {"min": [0, 0, 0], "max": [width, width, 1.1 * height]}}},
             }
         },
-        "domain": {"min": [0, 0, -0.1], "max": [width, width, 3 * height], "periodic": ["x", "y"], "leaving": "error"},
+        "domain": {"min": [0, 0, -0.1], "max": [width, width, 3 * height], "periodic": ["x", "y"], "on_exit": "error"},
         "run": {"duration": 0.05, "velocity_max": 1.0},
-        "numerics": {"chunk_size": 1024, "overlap_limit": 0.3, "rayleigh_fraction": 0.3},
+        "numerics": {"chunk_size": 1024, "max_overlap": 0.3, "rayleigh_fraction": 0.3},
         "output": {"interval": 1.0},
     })  # fmt: skip
 
 
-def settled(ratio: float, count: int) -> tuple[Simulation, Simulation]:
+def relaxed(ratio: float, count: int) -> tuple[Simulation, Simulation]:
     """The same bed at rest, searched class by class and with one grid."""
-    scene, wide = scene_of(ratio, count), sizes.WIDE
-    sizes.WIDE = 1.0 + 1e-9
+    scene, wide = scene_of(ratio, count), size_classes.CLASSES_FROM_RATIO
+    size_classes.CLASSES_FROM_RATIO = 1.0 + 1e-9
     by_class = Simulation(scene, threads=1)
     by_class.run()
-    sizes.WIDE = inf
+    size_classes.CLASSES_FROM_RATIO = inf
     one_grid = Simulation(scene, threads=1)
-    sizes.WIDE = wide
-    EngineKeeper(one_grid.engine).put_back(EngineKeeper(by_class.engine).keep(), [()])
+    size_classes.CLASSES_FROM_RATIO = wide
+    EngineCheckpoint(one_grid.engine).load_state_dict(EngineCheckpoint(by_class.engine).state_dict(), [()])
     return by_class, one_grid
 
 
 def cpu_seconds(simulation: Simulation) -> tuple[float, float]:
     """CPU seconds of one search, and of one step without."""
     stepper, began = simulation.engine.stepper, time.process_time()
-    stepper.search()
-    searched, searches = time.process_time(), stepper.timing.search_count
+    stepper.rebuild_neighbor_lists()
+    searched, searches = time.process_time(), stepper.timing.rebuild_count
     stepper.forces(history_step=0.0)
     stepping = time.process_time()
     simulation.engine.advance(STEPS)
     ended = time.process_time()
-    again = stepper.timing.search_count - searches
+    again = stepper.timing.rebuild_count - searches
     return searched - began, max(ended - stepping - again * (searched - began), 0.0) / STEPS
 
 
 def row(ratio: float, count: int, rounds: int) -> str:
     """One line of the table."""
-    both = settled(ratio, count)
+    both = relaxed(ratio, count)
     for simulation in both:
         cpu_seconds(simulation)
     times = np.array([[cpu_seconds(simulation) for simulation in both] for _ in range(rounds)]).min(axis=0)

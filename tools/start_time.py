@@ -35,8 +35,8 @@ particles:
     material: m
     count: 50000
     diameter: 4 mm
-    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [0.2, 0.2, 0.2]}}}
-domain: {min: [-1, -1, -1], max: [1, 1, 1], leaving: delete}
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [0.2, 0.2, 0.2]}}}
+domain: {min: [-1, -1, -1], max: [1, 1, 1], on_exit: delete}
 run: {duration: 1 s}
 output: {interval: 1 s}
 """

@@ -17,13 +17,17 @@ def accuracy(options: argparse.Namespace) -> int:
 
 
 def _two_bodies(options: argparse.Namespace) -> int:
-    for given, name in ((options.overrides, "--set"), (options.until, "--until"), (options.whole, "--whole")):
+    for given, name in (
+        (options.overrides, "--set"),
+        (options.until, "--until"),
+        (options.all_particles, "--all-particles"),
+    ):
         if given:
             raise GranflowError(f"{name} goes with a SCENE, which is not given.")
     from granflow.study.accuracy import measure_two_bodies, write_two_bodies
     from granflow.study.accuracy.recommend import default_sentence, table_heads, table_rows
 
-    study = measure_two_bodies(options.target, options.full, _say)
+    study = measure_two_bodies(options.target, options.full, _report_progress)
     show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
     say(default_sentence(study.lines, options.target))
     write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
@@ -34,13 +38,13 @@ def _two_bodies(options: argparse.Namespace) -> int:
 def _scene(options: argparse.Namespace) -> int:
     from granflow.study.accuracy import measure_scene, write_scene
     from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
-    from granflow.study.accuracy.scene_runs import Task, cut_down
+    from granflow.study.accuracy.scene_runs import SceneTask, reduced_counts
 
-    task = Task(options.scene, tuple(options.overrides), options.until)
-    fewer = [] if options.whole else cut_down(task.scene())
-    if fewer:
-        say(f"A smaller scene, to be done in minutes: {', '.join(fewer)}; --whole runs it as it is.")
-    study = measure_scene(task.with_overrides(*fewer), options.target, options.full, _say)
+    task = SceneTask(options.scene, tuple(options.overrides), options.until)
+    reductions = [] if options.all_particles else reduced_counts(task.scene())
+    if reductions:
+        say(f"A smaller scene, to be done in minutes: {', '.join(reductions)}; --all-particles runs it as it is.")
+    study = measure_scene(task.with_overrides(*reductions), options.target, options.full, _report_progress)
     show_table(study.title, scene_heads(study), scene_rows(study))
     say(noise_sentence(study))
     write_study(options.out or Path("out") / f"accuracy_{options.scene.stem}", write_scene, study)
@@ -48,8 +52,8 @@ def _scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def _say(words: str) -> None:
-    say(f"{words} ...", flush=True)
+def _report_progress(message: str) -> None:
+    say(f"{message} ...", flush=True)
 
 
 def add_accuracy(verbs: Any) -> None:
@@ -60,7 +64,7 @@ def add_accuracy(verbs: Any) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="where files go (out/accuracy, or out/accuracy_SCENE)")
     parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="relative error aimed at (0.01)")
     parser.add_argument("--full", action="store_true", help="more steps, more repeats, more seeds, a finer reference")
-    parser.add_argument("--whole", action="store_true", help="all particles of the scene, which may take hours")
+    parser.add_argument("--all-particles", action="store_true", help="all particles of the scene, which may take hours")
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
     parser.add_argument(
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],

@@ -12,8 +12,8 @@ def beverloo(options: argparse.Namespace) -> int:
     """`granflow beverloo`: C and k of Beverloo's law, with the exponent 5/2 and with a free one."""
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
-    data = read_discharges(options.places)
-    given = (data, options.grain, options.bulk_density, options.gravity)
+    data = read_discharges(options.paths)
+    given = (data, options.particle_diameter, options.bulk_density, options.gravity)
     fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
     if len(set(data.opening)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))

@@ -6,7 +6,7 @@ from typing import Any
 
 from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, simulated_time
 from granflow.cli.messages import say, show_table
-from granflow.cli.scenes import make_room
+from granflow.cli.scenes import prepare_output
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -18,8 +18,8 @@ def compare(options: argparse.Namespace) -> int:
     scene = load(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
     for key in variant_keys(laws):
-        make_room(out / key, scene, options.force)
-    from granflow.study.compare.report import PAGE, compare, ends_words, size_words, star_words
+        prepare_output(out / key, scene, options.overwrite)
+    from granflow.study.compare.report import PAGE, compare, size_note, stage_note, stop_notes
     from granflow.study.compare.summary import as_text, heads
 
     found = compare(
@@ -27,9 +27,9 @@ def compare(options: argparse.Namespace) -> int:
         lambda words: say(f"{words} ...", flush=True),
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
-    for words in (star_words(found), size_words(found), *ends_words(found)):
+    for words in (stage_note(found), size_note(found), *stop_notes(found)):
         say(words)
-    for judged in found.judgements:
+    for judged in found.assessments:
         say(f"{judged.part}: {judged.verdict}. {judged.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
@@ -50,5 +50,5 @@ def add_compare(verbs: Any) -> None:
     )
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
     parser.add_argument("--full", action="store_true", help="all particles, even if they are more than 4000")
-    parser.add_argument("--force", action="store_true", help="replace an earlier comparison in the same directory")
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

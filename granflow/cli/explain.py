@@ -20,31 +20,33 @@ def explain(options: argparse.Namespace) -> int:
     given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
     if given:
         raise GranflowError(f"--{given[0]} goes only with --measure: give both or neither.")
-    from granflow.plan import explain as explained
+    from granflow.plan import explain as explain_plan
     from granflow.plan import plan_for
 
-    say(explained(plan_for(scene, on_gpu=options.arch != "cpu")))
+    say(explain_plan(plan_for(scene, on_gpu=options.arch != "cpu")))
     say(f"\nWhat each feature costs: granflow explain --measure {options.scene}")
     return 0
 
 
 def measure(options: argparse.Namespace, scene: Any) -> int:
     """Time the scene with every feature on and off, and show the table."""
-    forget_kernels()
-    from granflow.study.leaving_out import HEADS, remarks, saving_rows, savings, write_savings
+    use_fresh_kernel_cache()
+    from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
 
-    found = savings(scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True))
-    show_table(f"{scene.title}: a step as it stands, and with one feature off or on", HEADS, saving_rows(found))
+    found = feature_costs(
+        scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True)
+    )
+    show_table(f"{scene.title}: a step as it stands, and with one feature off or on", HEADS, cost_rows(found))
     say(*remarks(found), sep="\n")
     if options.out is not None:
-        write_savings(options.out, found, scene.title)
+        write_feature_costs(options.out, found, scene.title)
         say(f"Written to {options.out}")
     return 0
 
 
-def forget_kernels() -> None:
+def use_fresh_kernel_cache() -> None:
     """Keep kernels of this process in a folder of its own, so that compiling takes as long as the first time."""
-    from granflow.device.cache import VARIABLE
+    from granflow.device.kernel_cache import VARIABLE
 
     folder = TemporaryDirectory()
     atexit.register(folder.cleanup)  # before Taichi registers its own end, which writes into the folder

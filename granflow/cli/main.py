@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from granflow.cli.accuracy import add_accuracy
+from granflow.cli.analyze import add_analyze
 from granflow.cli.beverloo import add_beverloo
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
-from granflow.cli.measure import add_measure
-from granflow.cli.messages import complain, exit_code_of, refuse, say
+from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume, resume
@@ -46,17 +46,17 @@ def _verb(options: argparse.Namespace) -> int:
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:
-        return refuse(error)
+        return print_refusal(error)
     except OSError as error:
         return _complain_of_file(error)
     except KeyboardInterrupt as stop:
-        return complain("interrupted.", exit_code_of(stop))
+        return print_error("interrupted.", exit_code_of(stop))
 
 
 def _complain_of_file(error: OSError) -> int:
     if error.filename is None:
         raise error
-    return complain(f"{error.filename}: {_reason_of(error)}.")
+    return print_error(f"{error.filename}: {_reason_of(error)}.")
 
 
 def _reason_of(error: OSError) -> str:
@@ -79,7 +79,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)
-    add_measure(verbs)
+    add_analyze(verbs)
     add_beverloo(verbs)
     add_paper(verbs)
     add_accuracy(verbs)

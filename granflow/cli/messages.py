@@ -35,18 +35,18 @@ def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool 
     print(visible(sep.join(map(str, parts))), file=file, flush=flush)
 
 
-def refuse(error: GranflowError) -> int:
+def print_refusal(error: GranflowError) -> int:
     """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
     problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
-        return complain(str(error), error.exit_code)
+        return print_error(str(error), error.exit_code)
     for problem in problems:
         say(problem, file=sys.stderr)
     say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
     return error.exit_code
 
 
-def complain(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
+def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
     """Say one sentence on stderr and give the exit code."""
     say(f"granflow: {sentence}", file=sys.stderr)
     return exit_code
@@ -81,9 +81,9 @@ def show_result(title: str, result: "Result", out: Path) -> None:
     Console().print(closing_table(result, visible(title)))
     for sentence, met in result.expectations:
         say(sentence if met else f"NOT AS EXPECTED: {sentence}")
-    for group, numbers in result.feeds.items():
-        if numbers["missing_count"]:
-            say(f"{numbers['missing_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
+    for group, numbers in result.insertion.items():
+        if numbers["not_inserted_count"]:
+            say(f"{numbers['not_inserted_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         say(f"For ParaView: {', '.join(series)}")

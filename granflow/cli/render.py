@@ -4,34 +4,34 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.messages import complain, say
+from granflow.cli.messages import print_error, say
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.study.render import Frame, Look
+    from granflow.study.render import Frame, PictureStyle
 
-FITS = ("all", "grains", "domain")
+FITS = ("all", "particles", "domain")
 
 
 def render(options: argparse.Namespace) -> int:
     """`granflow render`: PNG of frames of a run, or an MP4 of all of them."""
-    from granflow.study.render import Look, chosen, frames_of, write_pictures
+    from granflow.study.render import PictureStyle, frames_of, selected_frames, write_pictures
 
     frames = frames_of(options.directory)
-    look = Look(
+    style = PictureStyle(
         options.color, options.view, options.zoom, options.fit, options.cut, options.chains, options.range, options.size
     )
     if options.film:
-        return film(options, frames, look)
-    wanted = chosen(frames, options.frame)
+        return film(options, frames, style)
+    wanted = selected_frames(frames, options.frame)
     if options.out is not None and len(wanted) > 1:
         raise GranflowError(f"--out names one file, but --frame {options.frame} asks for {len(wanted)} pictures.")
-    for path in write_pictures(options.directory, wanted, look, options.out):
+    for path in write_pictures(options.directory, wanted, style, options.out):
         say(path)
     return 0
 
 
-def film(options: argparse.Namespace, frames: "list[Frame]", look: "Look") -> int:
+def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyle") -> int:
     """Write the film, or, where what it needs is not installed, its pictures."""
     from granflow.study.render import pictures, write_film, write_pictures
     from granflow.study.render.film import missing_for_film
@@ -39,12 +39,12 @@ def film(options: argparse.Namespace, frames: "list[Frame]", look: "Look") -> in
 
     missing = missing_for_film()
     if missing:
-        paths = write_pictures(options.directory, frames, look)
+        paths = write_pictures(options.directory, frames, style)
         say(f"{len(paths)} pictures from {paths[0]} to {paths[-1]}")
-        return complain(f"A film needs {missing}, which is not installed: pip install granflow[plot]")
-    path = options.out or options.directory / "pictures" / f"{name_of(look).replace('picture', 'film', 1)}.mp4"
+        return print_error(f"A film needs {missing}, which is not installed: pip install granflow[plot]")
+    path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(path, pictures(options.directory, frames, look), options.fps)
+    write_film(path, pictures(options.directory, frames, style), options.fps)
     say(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s")
     return 0
 
@@ -103,7 +103,7 @@ def add_render(verbs: Any) -> None:
         help="array of the grains, as velocity, velocity.z, force, radius, material, coordination_number (velocity)",
     )  # fmt: skip
     parser.add_argument(
-        "--range", type=number_pair, metavar="LOW,HIGH", help="ends of the colour scale in SI (from the frames)"
+        "--range", type=number_pair, metavar="LOW,HIGH", help="ends of the color scale in SI (from the frames)"
     )
     parser.add_argument("--chains", action="store_true", help="contacts as tubes, thicker and redder with normal force")
     parser.add_argument(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_allow_long, add_machine, simulated_time, thread_count
-from granflow.cli.messages import complain, exit_code_of, say, show_result, warn
+from granflow.cli.messages import exit_code_of, print_error, say, show_result, warn
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
 from granflow.visible_text import VisibleFormatter
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from granflow.scene import Scene
     from granflow.simulation import Simulation
 
-EXIT_UNMET = 1
+EXIT_EXPECTATIONS_FAILED = 1
 RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
 """Of results that take computing time."""
 SCENE = "scene_as_run.yaml"
 CHANGES = """\
 These may change with --set, or in scene_as_run.yaml; anything else is refused by name:
   output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
-  run.duration; duration, kinetic_energy_below and at_most of stages that are not over; stages added at the end
+  run.duration; duration, kinetic_energy_below and max_duration of stages that are not over; stages added at the end
   stages, appears_at and vanishes_at of walls: opening a gate
   motion of walls, if no wall jumps: end the one with end: and add another with start:
   friction and rolling_friction of pairs, where there was some and stays some
-  numerics.overlap_limit, title, description, expect
+  numerics.max_overlap, title, description, expect
 """
 
 
@@ -49,19 +49,19 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     from granflow.simulation import Simulation
 
     checkpoint = checkpoint_to_resume(out, options.from_start)
-    scene = scene_to_go_on_with(options, checkpoint)
+    scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        anyway=options.anyway, allow_long=options.allow_long,
+        allow_changes=options.allow_changes, allow_long=options.allow_long,
     )  # fmt: skip
-    if not (simulation.rows_are_there or options.anyway):
+    if not (simulation.rows_intact or options.allow_changes):
         raise GranflowError(
             f"{out / 'timeseries.csv'} lacks rows that had been written when the checkpoint was: put the file back, or "
-            "go on with what is left of it with --anyway."
+            "go on with what is left of it with --allow-changes."
         )
     if checkpoint:
         say(f"Goes on from {checkpoint.path} at {checkpoint.time:.6g} s.")
-    return run_to_the_end(simulation, scene, out, options.until)
+    return run_to_end(simulation, scene, out, options.until)
 
 
 def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
@@ -75,8 +75,8 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
     warn(restore_previous_run(out))
     if from_start:
         return None
-    checkpoint, passed_over = newest_checkpoint(out)
-    warn(passed_over)
+    checkpoint, skipped = newest_checkpoint(out)
+    warn(skipped)
     results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
     if checkpoint is None and results and (out / SCENE).exists():
         raise GranflowError(
@@ -88,7 +88,7 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
     return checkpoint
 
 
-def scene_to_go_on_with(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
+def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
     """The scene as run, or that of the checkpoint where it is gone, with the changes of the command line."""
     from granflow.scene import load
     from granflow.scene.reader import scene_of
@@ -102,17 +102,17 @@ def scene_to_go_on_with(options: argparse.Namespace, checkpoint: "Checkpoint | N
     return scene_of(checkpoint.scene, str(checkpoint.path), [*options.overrides, *precision])
 
 
-def run_to_the_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
+def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
     """Run with signals heard, show the numbers and give the exit code."""
     try:
-        with deferred_to(simulation.ask_to_stop), warnings_shown():
+        with deferred_to(simulation.request_stop), warnings_shown():
             result = simulation.run(until=until)
     except KeyboardInterrupt as stop:
-        return complain(stopped_where(simulation, out), exit_code_of(stop))
+        return print_error(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)
     if scene.expect and not result.expectations:
         say(f"Expectations are left out: --until ended the run at {simulation.time:.6g} s.")
-    return 0 if all(met for _, met in result.expectations) else EXIT_UNMET
+    return 0 if all(met for _, met in result.expectations) else EXIT_EXPECTATIONS_FAILED
 
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
@@ -149,7 +149,9 @@ def add_resume(verbs: Any) -> None:
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
         help="change what may change, such as --set walls.gate.vanishes_at=1.2s; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--anyway", action="store_true", help="go on though the scene, or the time series, is another")
+    parser.add_argument(
+        "--allow-changes", action="store_true", help="go on though the scene, or the time series, is another"
+    )
     parser.add_argument(
         "--from-start", action="store_true",
         help="run the scene from the start, without a checkpoint; the results so far are replaced",

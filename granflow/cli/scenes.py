@@ -17,8 +17,8 @@ def run(options: argparse.Namespace) -> int:
     """`granflow run`: simulate a scene into a directory, then show the numbers and the expectations."""
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
-    make_room(out, scene, options.force)
-    from granflow.cli.resume import run_to_the_end
+    prepare_output(out, scene, options.overwrite)
+    from granflow.cli.resume import run_to_end
     from granflow.observe import locked
     from granflow.simulation import Simulation
     from granflow.study.restitution import warnings as restitution_warnings
@@ -28,12 +28,12 @@ def run(options: argparse.Namespace) -> int:
     )
     warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     with locked(out):
-        make_room(out, scene, options.force)  # another run may have used the directory in the meantime
-        return run_to_the_end(simulation, scene, out, options.until)
+        prepare_output(out, scene, options.overwrite)  # another run may have used the directory in the meantime
+        return run_to_end(simulation, scene, out, options.until)
 
 
-def make_room(out: Path, scene: "Scene", force: bool) -> None:
-    """Refuse a directory that holds an earlier run, unless `force` is set and the scene takes nothing from it.
+def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
+    """Refuse a directory that holds an earlier run, unless `overwrite` is set and the scene takes nothing from it.
 
     The new run replaces the earlier one itself, once it has begun.
     """
@@ -46,9 +46,9 @@ def make_room(out: Path, scene: "Scene", force: bool) -> None:
         if not results_in(out):
             return
         refuse_inputs_inside(scene, out)
-        if not force:
+        if not overwrite:
             raise GranflowError(
-                f"{out} holds an earlier run: name another with --out, replace it with --force, or go on with it: "
+                f"{out} holds an earlier run: name another with --out, replace it with --overwrite, or go on with it: "
                 f"granflow resume {out}."
             )
 
@@ -56,11 +56,11 @@ def make_room(out: Path, scene: "Scene", force: bool) -> None:
 def check(options: argparse.Namespace) -> int:
     """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
     scene = load(options)
-    from granflow.observe import earlier_grains
+    from granflow.observe import particles_from_run
     from granflow.plan import plan_for
-    from granflow.plan.room import fits, memory_warning, refuse_too_many
+    from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
     from granflow.plan.run_time import refuse_run_time
-    from granflow.scene.generate import initial_grains, streams
+    from granflow.scene.generate import initial_particles, inserters
 
     plan = plan_for(scene)
     refuse_too_many(plan)
@@ -72,8 +72,8 @@ def check(options: argparse.Namespace) -> int:
     if not fits(plan):
         say(f"{options.scene}: no problems found, but placing the particles was not tried.")
         return 0
-    initial_grains(scene, earlier_grains(scene))
-    streams(scene)
+    initial_particles(scene, particles_from_run(scene))
+    inserters(scene)
     say(f"{options.scene}: no problems found.")
     return 0
 
@@ -88,11 +88,11 @@ def schema(options: argparse.Namespace) -> int:
 
 def cache(options: argparse.Namespace) -> int:
     """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
-    from granflow.device.cache import VARIABLE, cache_folder, clear, contents
+    from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
-    held = clear() if options.clear else contents()
-    done = "deleted" if options.clear else "kept"
-    say(f"{cache_folder()}: {held.kernel_count} compiled kernels, {held.size / 1e6:.1f} MB {done}.")
+    cached = clear_cache() if options.clear_cache else cache_contents()
+    done = "deleted" if options.clear_cache else "kept"
+    say(f"{cache_folder()}: {cached.kernel_count} compiled kernels, {cached.size / 1e6:.1f} MB {done}.")
     say(f"{VARIABLE} names another folder.")
     return 0
 
@@ -112,7 +112,9 @@ def add_run(verbs: Any) -> None:
         "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
     )
     parser.add_argument(
-        "--force", action="store_true", help="replace an earlier run in the same directory, once the new run has begun"
+        "--overwrite",
+        action="store_true",
+        help="replace an earlier run in the same directory, once the new run has begun",
     )
     add_machine(parser)
 

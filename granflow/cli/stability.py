@@ -17,12 +17,12 @@ def stability(options: argparse.Namespace) -> int:
     )
     show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
     say(headline(outcomes))
-    found = defects(outcomes)
-    for line in (*found, missing):
+    defects_found = defects(outcomes)
+    for line in (*defects_found, missing):
         if line:
             say(line)
     say(f"Open {options.out / PAGE} in a browser; every case is a row of stability.csv beside it.")
-    return 1 if found else 0
+    return 1 if defects_found else 0
 
 
 def add_stability(verbs: Any) -> None:

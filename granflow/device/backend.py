@@ -12,9 +12,9 @@ from typing import Any, Literal
 import taichi as ti
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
-from granflow.device.cache import TEMPORARY, usable_folder
 from granflow.device.compilation import guarded
 from granflow.device.cores import worker_count
+from granflow.device.kernel_cache import TEMPORARY, usable_folder
 from granflow.errors import GranflowError
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
@@ -68,13 +68,18 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     folder = usable_folder()
     if folder.name.startswith(TEMPORARY):
         atexit.register(_end_in, folder)
-    kept = {"offline_cache_file_path": str(folder)}
+    cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
         ti.init(
-            arch=wanted, default_fp=real, fast_math=False, log_level=ti.ERROR, cpu_max_num_threads=workers, **kept
-        )  # fmt: skip
+            arch=wanted,
+            default_fp=real,
+            fast_math=False,
+            log_level=ti.ERROR,
+            cpu_max_num_threads=workers,
+            **cache_options,
+        )
     name = _arch_name(arch)
     if position_real == ti.f64 and name in ("metal", "vulkan"):
         raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
@@ -105,15 +110,15 @@ def _available(arch: Arch) -> bool:
     return bool(ti._lib.core.__dict__[f"with_{arch}"]())
 
 
-def _arch_name(asked: Arch) -> str:
+def _arch_name(requested: Arch) -> str:
     """Name of the architecture that really runs: Taichi falls back to the CPU without an exception."""
     running = ti.lang.impl.current_cfg().arch
     for name in ("cuda", "vulkan", "metal"):
         if running == getattr(ti, name):
             return name
-    if asked != "cpu":
+    if requested != "cpu":
         raise GranflowError(
-            f"Taichi could not start {asked} here and fell back to the CPU. Leave out --arch to accept that."
+            f"Taichi could not start {requested} here and fell back to the CPU. Leave out --arch to accept that."
         )
     return "cpu"
 

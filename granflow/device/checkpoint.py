@@ -13,24 +13,44 @@ import numpy as np
 import taichi as ti
 from taichi.lang.util import to_numpy_type
 
-from granflow.device.drive import keep_drive, put_drive_back
 from granflow.device.engine import Engine
+from granflow.device.wall_dynamics import load_wall_dynamics_state, wall_dynamics_state
 from granflow.errors import GranflowError
 from granflow.walls.motion import Motion
 
-Kept = dict[str, Any]
+SavedState = dict[str, Any]
 """Numbers, texts and numpy arrays in dictionaries within dictionaries."""
 
 PARTICLE_FIELDS = (
-    *("id", "material", "fixed", "radius", "mass", "position", "velocity", "velocity_now", "spin", "force", "torque"),
-    "position_at_search",
+    *(
+        "id",
+        "material",
+        "fixed",
+        "radius",
+        "mass",
+        "position",
+        "velocity",
+        "velocity_synchronized",
+        "angular_velocity",
+        "force",
+        "torque",
+    ),
+    "position_at_rebuild",
 )
-COUNTS = ("inserted_count", "deleted_count", "deleted_mass", "brought_energy", "removed_energy")
-BOOKS = (*COUNTS, "removed_kinetic_energy", "energy_put_in", "outlets")
-CLOCKS = ("search", "advance", "sampled_forces", "sampled_motion", "search_count", "step_count", "particle_steps")
+COUNTS = ("inserted_count", "deleted_count", "deleted_mass", "inserted_energy", "removed_energy")
+ACCOUNTING = (*COUNTS, "removed_kinetic_energy", "energy_put_in", "outlets")
+CLOCKS = (
+    "neighbor_list",
+    "advance",
+    "sampled_forces",
+    "sampled_integration",
+    "rebuild_count",
+    "step_count",
+    "particle_steps",
+)
 
 
-class EngineKeeper:
+class EngineCheckpoint:
     """Takes one engine's state, and puts it into a new engine; compiles its kernels when they are first needed."""
 
     def __init__(self, engine: Engine) -> None:
@@ -39,95 +59,100 @@ class EngineKeeper:
 
     def _build_tables(self) -> None:
         """Tables know the fields, which growing replaces."""
-        particles, contacts = self.engine.state.particles, self.engine.state.contacts
+        particles, neighbors = self.engine.state.particles, self.engine.state.neighbors
         self._growth_count = self.engine.timing.growth_count
         fields = {name: getattr(particles, name) for name in PARTICLE_FIELDS}
-        self._particles = Table({name: field for name, field in fields.items() if field is not None})
-        rows = {"begin": contacts.row_begin, "middle": contacts.row_middle, "end": contacts.row_end}
-        self._rows = Table(rows)
-        remembered = {"touching": contacts.touching} if contacts.history else {}
-        self._slots = Table({"partner": contacts.partner, **remembered, **contacts.history})
+        self._particles = FieldTable({name: field for name, field in fields.items() if field is not None})
+        lists = {"begin": neighbors.list_begin, "middle": neighbors.list_walls_end, "end": neighbors.list_end}
+        self._lists = FieldTable(lists)
+        flags = {"in_contact": neighbors.in_contact} if neighbors.history else {}
+        self._entries = FieldTable({"partner": neighbors.partner, **flags, **neighbors.history})
 
-    def keep(self) -> Kept:
+    def state_dict(self) -> SavedState:
         """Everything of the engine that decides how it goes on; what the scene says is not in it."""
         if self._growth_count != self.engine.timing.growth_count:
             self._build_tables()
-        engine, state, books = self.engine, self.engine.state, self.engine.books
-        by_id = {name: books.by_id(name, np.arange(books.inserted_count)) for name in ("material", "group")}
+        engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
+        by_id = {name: accounting.by_id(name, np.arange(accounting.inserted_count)) for name in ("material", "group")}
         return {
-            "clock": state.clock.keep(),
-            "steps_since_look": engine.steps_since_look,
-            "steps_since_search": engine.stepper.steps_since_search,
+            "clock": state.clock.state_dict(),
+            "steps_since_update": engine.steps_since_update,
+            "steps_since_rebuild": engine.stepper.steps_since_rebuild,
             "particle_count": state.count,
             "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
-            "books": {name: getattr(books, name) for name in BOOKS} | by_id,
+            "accounting": {name: getattr(accounting, name) for name in ACCOUNTING} | by_id,
             "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
             "particles": self._particles.take(np.arange(state.count)),
-            "contacts": self._take_contacts(),
-            "drive": {"drives": [drive.key for drive in engine.plan.drives], **keep_drive(state)},
-            "ledger": {name: field.to_numpy() for name, field in self._ledger().items()},
+            "neighbors": self._neighbor_lists(),
+            "wall_dynamics": {
+                "controlled_motions": [controlled.key for controlled in engine.plan.controlled_motions],
+                **wall_dynamics_state(state),
+            },
+            "energy_budget": {name: field.to_numpy() for name, field in self._energy_budget().items()},
         }
 
-    def put_back(self, kept: Kept, motions: Sequence[Sequence[Motion]]) -> None:
+    def load_state_dict(self, saved: SavedState, motions: Sequence[Sequence[Motion]]) -> None:
         """Bring a new engine to where the kept one stood, given the motions of its walls.
 
         Raises GranflowError where it needs other arrays.
         """
-        engine, state, books = self.engine, self.engine.state, self.engine.books
-        state.count = kept["particle_count"]
-        self._put_contacts(_named(kept["contacts"], ["row_length", "row_walls", *self._slots.fields]))
-        self._particles.put(np.arange(state.count), _named(kept["particles"], self._particles.fields))
-        ledger = self._ledger()
-        for name, values in _named(kept["ledger"], ledger).items():
-            ledger[name].from_numpy(values)
-        self._put_drive_back(kept["drive"])
-        for name in BOOKS:
-            setattr(books, name, kept["books"][name])
+        engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
+        state.count = saved["particle_count"]
+        self._load_neighbor_lists(_named(saved["neighbors"], ["list_length", "list_walls", *self._entries.fields]))
+        self._particles.put(np.arange(state.count), _named(saved["particles"], self._particles.fields))
+        energy_budget = self._energy_budget()
+        for name, values in _named(saved["energy_budget"], energy_budget).items():
+            energy_budget[name].from_numpy(values)
+        self._load_wall_dynamics(saved["wall_dynamics"])
+        for name in ACCOUNTING:
+            setattr(accounting, name, saved["accounting"][name])
         for name in ("material", "group"):
-            setattr(books, name, [kept["books"][name]])
+            setattr(accounting, name, [saved["accounting"][name]])
         for name in CLOCKS:
-            setattr(engine.timing, name, kept["clocks"][name])
-        engine.stepper.steps_since_search = kept["steps_since_search"]
-        state.clock.put_back(kept["clock"])
-        engine.set_walls(kept["walls_present"], motions)
-        engine.go_on(kept["steps_since_look"])
+            setattr(engine.timing, name, saved["clocks"][name])
+        engine.stepper.steps_since_rebuild = saved["steps_since_rebuild"]
+        state.clock.load_state_dict(saved["clock"])
+        engine.set_walls(saved["walls_present"], motions)
+        engine.mark_resumed(saved["steps_since_update"])
 
-    def _ledger(self) -> dict[str, Any]:
+    def _energy_budget(self) -> dict[str, Any]:
         """Fields of the energy ledger and of the loads on walls by name."""
         control = self.engine.state.control
-        fields = {"losses": control.losses, "border_work": control.border_work, "impulses": control.impulses}
+        fields = {"losses": control.losses, "boundary_work": control.boundary_work, "impulses": control.impulses}
         return {name: field for name, field in fields.items() if field is not None}
 
-    def _put_drive_back(self, kept: Kept) -> None:
-        drives = [drive.key for drive in self.engine.plan.drives]
-        if kept["drives"] != drives:
-            before, now = (", ".join(each) or "none" for each in (kept["drives"], drives))
+    def _load_wall_dynamics(self, saved: SavedState) -> None:
+        controlled_motions = [controlled.key for controlled in self.engine.plan.controlled_motions]
+        if saved["controlled_motions"] != controlled_motions:
+            before, now = (", ".join(each) or "none" for each in (saved["controlled_motions"], controlled_motions))
             raise GranflowError(
                 f"The walls that grains move were {before} and would be {now}. In a run that goes on "
                 "such a motion can get other numbers, but neither come nor go; let it start and end by stages."
             )
-        put_drive_back(self.engine.state, {name: values for name, values in kept.items() if name != "drives"})
+        load_wall_dynamics_state(
+            self.engine.state, {name: values for name, values in saved.items() if name != "controlled_motions"}
+        )
 
-    def _take_contacts(self) -> dict[str, np.ndarray]:
+    def _neighbor_lists(self) -> dict[str, np.ndarray]:
         """Length of every row (n,), how many of it are walls (n,), and all slots row after row."""
-        rows = self._rows.take(np.arange(self.engine.state.count))
-        length = rows["end"] - rows["begin"]
-        slots = self._slots.take(_consecutive(rows["begin"], length))
-        return {"row_length": length, "row_walls": rows["middle"] - rows["begin"], **slots}
+        lists = self._lists.take(np.arange(self.engine.state.count))
+        length = lists["end"] - lists["begin"]
+        entries = self._entries.take(_consecutive(lists["begin"], length))
+        return {"list_length": length, "list_walls": lists["middle"] - lists["begin"], **entries}
 
-    def _put_contacts(self, kept: dict[str, np.ndarray]) -> None:
+    def _load_neighbor_lists(self, saved: dict[str, np.ndarray]) -> None:
         """Rows one after the other in the segment of their chunk, which grows if it must."""
-        state, length = self.engine.state, kept["row_length"].astype(np.int64)
+        state, length = self.engine.state, saved["list_length"].astype(np.int64)
         chunk = np.arange(state.count) // state.plan.chunk_size
         per_chunk = np.bincount(chunk, weights=length, minlength=1).astype(np.int64)
-        if per_chunk.max() > state.contacts.slots_per_chunk:
-            self.engine.stepper.grow(int(per_chunk.max()))
+        if per_chunk.max() > state.neighbors.list_capacity_per_chunk:
+            self.engine.stepper.grow_neighbor_lists(int(per_chunk.max()))
             self._build_tables()
         before_chunk = np.cumsum(per_chunk) - per_chunk
-        begin = chunk * state.contacts.slots_per_chunk + np.cumsum(length) - length - before_chunk[chunk]
-        rows = {"begin": begin, "middle": begin + kept["row_walls"], "end": begin + length}
-        self._rows.put(np.arange(state.count), rows)
-        self._slots.put(_consecutive(begin, length), kept)
+        begin = chunk * state.neighbors.list_capacity_per_chunk + np.cumsum(length) - length - before_chunk[chunk]
+        lists = {"begin": begin, "middle": begin + saved["list_walls"], "end": begin + length}
+        self._lists.put(np.arange(state.count), lists)
+        self._entries.put(_consecutive(begin, length), saved)
 
 
 def _consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -136,25 +161,25 @@ def _consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.repeat(begin - before, length) + np.arange(int(length.sum()))
 
 
-def _named(kept: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _named(saved: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The arrays of these names. Raises GranflowError if there are others, or not all."""
-    if set(kept) != set(names):
-        there, asked = (", ".join(sorted(each)) or "none" for each in (kept, names))
+    if set(saved) != set(names):
+        present, needed = (", ".join(sorted(each)) or "none" for each in (saved, names))
         raise GranflowError(
-            f"The checkpoint holds the arrays {there}, but this scene needs {asked}. Friction, rolling friction, "
+            f"The checkpoint holds the arrays {present}, but this scene needs {needed}. Friction, rolling friction, "
             "the energy ledger and wall loads cannot be switched on or off in a run that goes on."
         )
-    return dict(kept)
+    return dict(saved)
 
 
-class Table:
+class FieldTable:
     """Fields of one length: some entries of all of them to the host and back, side by side, whole numbers apart."""
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         self.fields = dict(fields)
         reals = {name: field for name, field in fields.items() if field.dtype != ti.i32}
-        wholes = {name: field for name, field in fields.items() if field.dtype == ti.i32}
-        self._halves = [_Half(half) for half in (reals, wholes) if half]
+        integers = {name: field for name, field in fields.items() if field.dtype == ti.i32}
+        self._halves = [_FieldTableHalf(half) for half in (reals, integers) if half]
 
     def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
         """Arrays (k,) or (k, numbers) by name: the entries of those indices (k,)."""
@@ -169,7 +194,7 @@ class Table:
             half.put(np.ascontiguousarray(entries, np.int32), arrays)
 
 
-class _Half:
+class _FieldTableHalf:
     """Fields that share a table: reals in the widest of their types, which holds each exactly, or whole numbers."""
 
     def __init__(self, fields: dict[str, Any]) -> None:

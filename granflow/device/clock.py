@@ -28,14 +28,14 @@ class Clock:
         self._since_time, self._since_step = self.time, self.step_count
         self.time_step = time_step
 
-    def keep(self) -> dict[str, float]:
+    def state_dict(self) -> dict[str, float]:
         """Everything it knows, for a checkpoint."""
         return {
             "time_step": self.time_step, "step_count": self.step_count,
             "since_step": self._since_step, "since_time": self._since_time,
         }  # fmt: skip
 
-    def put_back(self, kept: dict[str, float]) -> None:
-        """Go on as one whose `keep` gave this."""
-        self.time_step, self.step_count = kept["time_step"], int(kept["step_count"])
-        self._since_step, self._since_time = int(kept["since_step"]), kept["since_time"]
+    def load_state_dict(self, saved: dict[str, float]) -> None:
+        """Go on as one whose `state_dict` gave this."""
+        self.time_step, self.step_count = saved["time_step"], int(saved["step_count"])
+        self._since_step, self._since_time = int(saved["since_step"]), saved["since_time"]

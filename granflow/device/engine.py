@@ -5,28 +5,28 @@ from math import ceil, pi
 
 import numpy as np
 
-from granflow.device.approach import FastestApproach
+from granflow.device.accounting import Accounting, energy_budget_totals, mechanical_energy
 from granflow.device.backend import Backend
-from granflow.device.blame import trip_behind
-from granflow.device.books import Books, ledger_totals, mechanical_energy
-from granflow.device.drive import drive_totals, driven_offsets
-from granflow.device.fixed import free_shares
-from granflow.device.guards import GUARD_LEFT, Trip
-from granflow.device.loads import wall_impulses
-from granflow.device.records import ContactRecords
+from granflow.device.contact_output import ContactOutput
+from granflow.device.contact_statistics import ContactStatistics
+from granflow.device.diagnosis import diagnose
+from granflow.device.frozen_masks import mobility_mask
+from granflow.device.host_copy import HostCopy
+from granflow.device.limits import ABORT_LEFT_DOMAIN, Diagnosis
+from granflow.device.max_impact_velocity import MaxImpactVelocity
+from granflow.device.stability_monitor import StabilityMonitor, largest_speed
 from granflow.device.state import State
 from granflow.device.stepper import Stepper, Timing
-from granflow.device.survey import Survey
-from granflow.device.transfer import Transfer
-from granflow.device.watch import Watch, largest_speed
+from granflow.device.wall_dynamics import controlled_displacements, controlled_totals
+from granflow.device.wall_forces import wall_impulses
 from granflow.plan import Plan
-from granflow.plan.outlets import taken_by
-from granflow.plan.pace import STEPS_BETWEEN_LOOKS
-from granflow.scene.generate import Grains
+from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
+from granflow.plan.outlets import outlet_of
+from granflow.scene.generate import ParticleData
 from granflow.snapshot import Snapshot, WallPose
 from granflow.walls.motion import Motion, pose
 
-SAME_TIME = 1e-6
+TIME_TOLERANCE = 1e-6
 """Share of a step by which a moment may miss a time that it is meant to be."""
 
 
@@ -36,44 +36,44 @@ class Engine:
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
         self.state = State(plan, backend)
-        self.stepper = Stepper(self.state, self._on_gone)
-        self._build_looks()
-        self.books = Books(outlets={drain.name: [0.0, 0.0] for drain in plan.drains})
-        self.watch = Watch(plan)
-        self.steps_since_look = 0
+        self.stepper = Stepper(self.state, self._on_deleted)
+        self._build_host_access()
+        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
+        self.stability_monitor = StabilityMonitor(plan)
+        self.steps_since_update = 0
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
-        self._begun = False
+        self._started = False
 
-    def _build_looks(self) -> None:
+    def _build_host_access(self) -> None:
         """Kernels that move data in and out; they know the fields, which growing replaces."""
-        self._looks_growth = self.timing.growth_count
-        self._transfer = Transfer(self.state)
-        self._survey = Survey(self.state)
-        self._records: ContactRecords | None = None
-        self._approach = FastestApproach(self.state) if self.plan.pace is not None else None
+        self._host_access_growth = self.timing.growth_count
+        self._host_copy = HostCopy(self.state)
+        self._contact_statistics = ContactStatistics(self.state)
+        self._contact_output: ContactOutput | None = None
+        self._max_impact_velocity = MaxImpactVelocity(self.state) if self.plan.adaptive_time_step is not None else None
 
     def _follow_growth(self) -> None:
-        if self._looks_growth != self.timing.growth_count:
-            self._free_looks()
-            self._build_looks()
+        if self._host_access_growth != self.timing.growth_count:
+            self._free_host_access()
+            self._build_host_access()
 
-    def _free_looks(self) -> None:
-        for each in (self._survey, self._records, self._approach):
+    def _free_host_access(self) -> None:
+        for each in (self._contact_statistics, self._contact_output, self._max_impact_velocity):
             if each is not None:
                 each.block.free()
 
     @property
-    def transfer(self) -> Transfer:
+    def host_copy(self) -> HostCopy:
         """Copies between host arrays and particles."""
         self._follow_growth()
-        return self._transfer
+        return self._host_copy
 
     @property
-    def survey(self) -> Survey:
+    def contact_statistics(self) -> ContactStatistics:
         """Contact statistics."""
         self._follow_growth()
-        return self._survey
+        return self._contact_statistics
 
     @property
     def time(self) -> float:
@@ -93,12 +93,12 @@ class Engine:
     @property
     def mean_time_step(self) -> float:
         """Time step [s], the mean of all steps done where it follows the scene."""
-        follows = self.plan.pace is not None and self.step_count > 0
-        return self.time / self.step_count if follows else self.plan.time_step
+        is_adaptive = self.plan.adaptive_time_step is not None and self.step_count > 0
+        return self.time / self.step_count if is_adaptive else self.plan.time_step
 
     def steps_to(self, time: float) -> int:
         """Steps of the present length that end at this time [s] or just behind it."""
-        return ceil((time - self.time) / self.time_step - SAME_TIME)
+        return ceil((time - self.time) / self.time_step - TIME_TOLERANCE)
 
     def reached(self, time: float) -> bool:
         """Whether the present moment is the one nearest to this time [s], or later."""
@@ -110,51 +110,51 @@ class Engine:
         return self.stepper.timing
 
     @property
-    def tripped(self) -> bool:
+    def aborted(self) -> bool:
         """Whether a guard tripped."""
-        return bool(self.stepper.guard_code)
+        return bool(self.stepper.abort_code)
 
     @property
-    def trip(self) -> Trip | None:
+    def diagnosis(self) -> Diagnosis | None:
         """The guard that tripped, if one did, with who is behind it: that is looked up anew at every call."""
-        code = self.stepper.guard_code
+        code = self.stepper.abort_code
         if not code:
             return None
-        particle = int(self.state.control.guard_particle[0])
-        return trip_behind(code, particle, self.state, self.transfer, self.time, self._begun)
+        particle = int(self.state.control.abort_particle[0])
+        return diagnose(code, particle, self.state, self.host_copy, self.time, self._started)
 
-    def insert(self, grains: Grains) -> None:
+    def insert(self, new: ParticleData) -> None:
         """Put grains in at the present time; their forces come with the next `refresh`."""
-        if not len(grains):
+        if not len(new):
             return
-        scene, books, count = self.plan.scene, self.books, len(grains)
+        scene, accounting, count = self.plan.scene, self.accounting, len(new)
         density = np.array([scene.materials[name].density for name in scene.materials])
         number = np.array([self._plan_number(name) for name in scene.materials])
-        fixed = np.array([group.fixed for group in scene.particles.values()])[grains.group]
+        fixed = np.array([group.fixed for group in scene.particles.values()])[new.group]
         arrays = {
-            "id": books.inserted_count + np.arange(count),
-            "material": number[grains.material],
+            "id": accounting.inserted_count + np.arange(count),
+            "material": number[new.material],
             "fixed": fixed.astype(np.int32),
-            "radius": grains.radius,
-            "mass": 4.0 / 3.0 * pi * grains.radius**3 * density[grains.material],
-            "position": grains.position,
-            "velocity": grains.velocity,
-            "spin": grains.spin,
+            "radius": new.radius,
+            "mass": 4.0 / 3.0 * pi * new.radius**3 * density[new.material],
+            "position": new.position,
+            "velocity": new.velocity,
+            "angular_velocity": new.angular_velocity,
         }
-        books.brought_energy += sum(mechanical_energy(arrays, self._gravity))
-        if self._begun:
-            fallen = 0.5 * self.time_step * self._gravity
-            arrays["velocity"] = grains.velocity - free_shares(arrays)[:, None] * fallen
-        self.transfer.append(arrays)
-        books.inserted_count += count
-        books.material.append(grains.material)
-        books.group.append(grains.group)
+        accounting.inserted_energy += sum(mechanical_energy(arrays, self._gravity))
+        if self._started:
+            velocity_gain = 0.5 * self.time_step * self._gravity
+            arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
+        self.host_copy.append(arrays)
+        accounting.inserted_count += count
+        accounting.material.append(new.material)
+        accounting.group.append(new.group)
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
         """Say which walls are there and how they move; takes effect with the next `refresh`."""
         self.state.wall_motions = tuple(tuple(each) for each in motions)
-        for index, there in enumerate(present):
-            self.state.walls.present[index] = int(there)
+        for index, is_present in enumerate(present):
+            self.state.walls.present[index] = int(is_present)
             pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
         self._walls_changed = True
@@ -165,149 +165,156 @@ class Engine:
         The first one also sets velocities half a step back, where the leapfrog has them. What contacts hold with a
         wall that appears among the grains, or vanishes, counts as brought or taken away.
         """
-        counted = self.plan.features.ledger and self._walls_changed
-        before = self._contact_energy() if counted else 0.0
+        counts_energy = self.plan.features.energy_budget and self._walls_changed
+        before = self._contact_energy() if counts_energy else 0.0
         self.stepper.refresh(self.step_count)
-        if counted:
-            self.books.brought_energy += self._contact_energy() - before
+        if counts_energy:
+            self.accounting.inserted_energy += self._contact_energy() - before
         self._walls_changed = False
-        if not self._begun and not self.tripped:
-            self._begun = True
-            self.transfer.kick(-0.5 * self.time_step)
-        self._keep_pace()
+        if not self._started and not self.aborted:
+            self._started = True
+            self.host_copy.kick(-0.5 * self.time_step)
+        self._update_time_step()
 
     def _contact_energy(self) -> float:
         """Energy that the contacts there are have taken up, to give back or for good [J]."""
-        self.stepper.stand_walls(self.step_count)
-        measured = self.survey.measure()
+        self.stepper.place_walls(self.step_count)
+        measured = self.contact_statistics.measure()
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
         """Do `steps` steps; fewer if a guard trips, a stop is requested or the time step changes."""
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
-        while clock.step_count < wanted and self.time_step == before and not (self.tripped or self.stepper.interrupted):
+        while clock.step_count < wanted and self.time_step == before and not (self.aborted or self.stepper.interrupted):
             allowed = wanted - clock.step_count
-            if self.plan.pace is None:
+            if self.plan.adaptive_time_step is None:
                 clock.step_count += self.stepper.advance(allowed, clock.step_count)
             else:
-                self._advance_to_look(min(allowed, STEPS_BETWEEN_LOOKS - self.steps_since_look))
+                self._advance_to_update(min(allowed, STEPS_BETWEEN_UPDATES - self.steps_since_update))
 
-    def _advance_to_look(self, steps: int) -> None:
+    def _advance_to_update(self, steps: int) -> None:
         """Do up to `steps` steps; choose the time step anew if a look is due then."""
-        searches = self.timing.search_count
+        rebuilds = self.timing.rebuild_count
         done = self.stepper.advance(steps, self.state.clock.step_count)
         self.state.clock.step_count += done
-        self.steps_since_look += done
-        if self.steps_since_look >= STEPS_BETWEEN_LOOKS or self.timing.search_count > searches:
-            self._keep_pace()
+        self.steps_since_update += done
+        if self.steps_since_update >= STEPS_BETWEEN_UPDATES or self.timing.rebuild_count > rebuilds:
+            self._update_time_step()
 
-    def _keep_pace(self) -> None:
+    def _update_time_step(self) -> None:
         """Choose the time step for the scene as it is now, where it follows the scene.
 
         Velocities, half a step behind, are brought to half a step of the new length.
         """
-        pace = self.plan.pace
-        self.steps_since_look = 0
-        if pace is None or self.tripped:
+        adaptive_time_step = self.plan.adaptive_time_step
+        self.steps_since_update = 0
+        if adaptive_time_step is None or self.aborted:
             return
-        self.stepper.stand_walls(self.step_count)
+        self.stepper.place_walls(self.step_count)
         self._follow_growth()
-        assert self._approach is not None
-        step = pace.step_for(self._approach.measure(), float(np.linalg.norm(self._gravity)) * self.time_step)
+        assert self._max_impact_velocity is not None
+        step = adaptive_time_step.step_for(
+            self._max_impact_velocity.measure(), float(np.linalg.norm(self._gravity)) * self.time_step
+        )
         if step != self.time_step:
-            self.transfer.kick(0.5 * (self.time_step - step))
+            self.host_copy.kick(0.5 * (self.time_step - step))
             self.state.clock.change(step)
 
-    def go_on(self, steps_since_look: int) -> None:
+    def mark_resumed(self, steps_since_update: int) -> None:
         """Take the run as begun: its clock, particles, walls and contacts have been put back."""
-        self.steps_since_look = steps_since_look
-        self._begun, self._walls_changed = True, False
+        self.steps_since_update = steps_since_update
+        self._started, self._walls_changed = True, False
 
     def mean_kinetic_energy(self) -> float:
-        """Mean kinetic energy per particle that can move, of centres and spins [J]."""
-        arrays = self.synchronized(("mass", "radius", "position", "velocity", "spin", "force", "torque"))
+        """Mean kinetic energy per particle that can move, of centers and spins [J]."""
+        arrays = self.synchronized(("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque"))
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
-        return (kinetic + rotational) / max(free_shares(arrays).sum(), 1.0)
+        return (kinetic + rotational) / max(mobility_mask(arrays).sum(), 1.0)
 
-    def snapshot(self, stage: str, wants: frozenset[str]) -> Snapshot:
-        """What stands on the device now; `wants` as for observers. Contacts are not surveyed if nothing rests on it."""
-        if wants <= {"walls"}:
+    def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
+        """What stands on the device now.
+
+        `quantities` as for observers. Contacts are not surveyed if nothing rests on it.
+        """
+        if quantities <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
             impulses = wall_impulses(self.state)
             return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count, impulses)
-        self.stepper.stand_walls(self.step_count)
-        measured = self.survey.measure()
-        names = ("id", "radius", "mass", "position", "velocity", "spin", "force", "torque", "coordination")
+        self.stepper.place_walls(self.step_count)
+        measured = self.contact_statistics.measure()
+        names = ("id", "radius", "mass", "position", "velocity", "angular_velocity", "force", "torque", "coordination")
         arrays = self.synchronized(names)
         totals = self._totals(arrays, measured)
-        arrays["position"], arrays["velocity"] = self.plan.border.brought_in(
+        arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
             arrays["position"], arrays["velocity"], self.time
         )
-        particles = self._particle_arrays(arrays) if "particles" in wants else {}
-        contacts = self._contact_arrays(arrays) if "contacts" in wants else None
+        particles = self._particle_arrays(arrays) if "particles" in quantities else {}
+        contacts = self._contact_arrays(arrays) if "contacts" in quantities else None
         poses, impulses = self.wall_poses(), wall_impulses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def wall_poses(self) -> dict[str, WallPose]:
         """Pose of every wall now, by name."""
-        found, driven = {}, driven_offsets(self.state)
+        found, displacements = {}, controlled_displacements(self.state)
         for index, wall in enumerate(self.plan.walls):
             poses = pose(self.state.wall_motions[index], np.array([self.time]))
             present = bool(self.state.walls.present[index])
-            found[wall.name] = WallPose(present, poses.offset[0] + driven[index], poses.rotation[0], poses.pivot)
+            found[wall.name] = WallPose(present, poses.offset[0] + displacements[index], poses.rotation[0], poses.pivot)
         return found
 
     def free(self) -> None:
         """Give the device's memory back."""
-        self._free_looks()
+        self._free_host_access()
         self.state.free()
 
     def _plan_number(self, material: str) -> int:
         return self.plan.materials.index(material) if material in self.plan.materials else 0
 
-    def _on_gone(self, first: int, last: int) -> None:
+    def _on_deleted(self, first: int, last: int) -> None:
         """Enter particles that left the domain, or were taken by an outlet, into the books."""
-        arrays = self.transfer.taken(("id", "mass", "radius", "position", "velocity", "spin", "fixed"), first, last)
-        left = self._taken_by_outlets(arrays) < 0
-        if self.plan.scene.domain.leaving == "error" and left.any():
-            self.state.control.guard[0] = GUARD_LEFT
-            self.state.control.guard_particle[0] = int(arrays["id"][left].min())
+        arrays = self.host_copy.copy_to_host(
+            ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed"), first, last
+        )
+        left_domain = self._count_outlets(arrays) < 0
+        if self.plan.scene.domain.on_exit == "error" and left_domain.any():
+            self.state.control.abort[0] = ABORT_LEFT_DOMAIN
+            self.state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
         kinetic, rotational, potential = mechanical_energy(arrays, self._gravity)
-        self.books.deleted_count += last - first
-        self.books.deleted_mass += float(arrays["mass"].sum(dtype=float))
-        self.books.removed_energy += kinetic + rotational + potential
-        self.books.removed_kinetic_energy += kinetic + rotational
+        self.accounting.deleted_count += last - first
+        self.accounting.deleted_mass += float(arrays["mass"].sum(dtype=float))
+        self.accounting.removed_energy += kinetic + rotational + potential
+        self.accounting.removed_kinetic_energy += kinetic + rotational
 
-    def _taken_by_outlets(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    def _count_outlets(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
         """Which outlet took each deleted particle (n,), -1 for none; their counts and masses go into the books."""
-        position, drains = arrays["position"], self.plan.drains
-        if not drains:
+        position, outlets = arrays["position"], self.plan.outlets
+        if not outlets:
             return np.full(len(position), -1)
-        kept = [axis for axis in range(3) if self.plan.scene.domain.leaving != "grow"]
-        low, high = self.plan.domain_low[kept], self.plan.domain_high[kept]
-        in_domain = np.all((position[:, kept] >= low) & (position[:, kept] <= high), axis=1)
-        taken = taken_by(drains, position.astype(float), in_domain)
-        for index, drain in enumerate(drains):
-            mine = taken == index
-            self.books.outlets[drain.name][0] += float(mine.sum())
-            self.books.outlets[drain.name][1] += float(arrays["mass"][mine].sum(dtype=float))
-        return taken
+        checked_axes = [axis for axis in range(3) if self.plan.scene.domain.on_exit != "expand"]
+        low, high = self.plan.domain_low[checked_axes], self.plan.domain_high[checked_axes]
+        in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
+        outlet_index = outlet_of(outlets, position.astype(float), in_domain)
+        for index, outlet in enumerate(outlets):
+            by_outlet = outlet_index == index
+            self.accounting.outlets[outlet.name][0] += float(by_outlet.sum())
+            self.accounting.outlets[outlet.name][1] += float(arrays["mass"][by_outlet].sum(dtype=float))
+        return outlet_index
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host, velocities and spins brought forward to the time of the positions.
 
         Before the first step they are those of the start: a run that aborts there has not set them half a step back.
         """
-        arrays = self.transfer.taken((*names, "fixed"))
-        if not self._begun:
+        arrays = self.host_copy.copy_to_host((*names, "fixed"))
+        if not self._started:
             return arrays
-        half = 0.5 * self.time_step * free_shares(arrays)[:, None]
+        half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
-        if "spin" in arrays:
+        if "angular_velocity" in arrays:
             inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
-            arrays["spin"] = arrays["spin"] + half * arrays["torque"] / inertia
+            arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
         return arrays
 
     def _particle_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -316,26 +323,26 @@ class Engine:
         found["id"] = found["id"].astype(np.int64)
         found["coordination_number"] = found.pop("coordination")
         for name in ("material", "group"):
-            found[name] = self.books.by_id(name, found["id"])
-        for name in ("spin", "torque"):
+            found[name] = self.accounting.by_id(name, found["id"])
+        for name in ("angular_velocity", "torque"):
             found.setdefault(name, np.zeros_like(found["velocity"]))
         return found
 
     def _contact_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         self._follow_growth()
-        if self._records is None:
-            self._records = ContactRecords(self.state)
-        return self._records.take(arrays)
+        if self._contact_output is None:
+            self._contact_output = ContactOutput(self.state)
+        return self._contact_output.take(arrays)
 
     def _totals(self, arrays: dict[str, np.ndarray], measured: dict[str, float]) -> dict[str, float]:
-        books, count = self.books, self.state.count
+        accounting, count = self.accounting, self.state.count
         energies = mechanical_energy(arrays, self._gravity)
-        contacts, free = measured["contact_count"], free_shares(arrays)
+        contacts, free = measured["contact_count"], mobility_mask(arrays)
         totals = {
             "particle_count": float(count),
-            "inserted_count": float(books.inserted_count),
-            "deleted_count": float(books.deleted_count),
-            "deleted_mass": books.deleted_mass,
+            "inserted_count": float(accounting.inserted_count),
+            "deleted_count": float(accounting.deleted_count),
+            "deleted_mass": accounting.deleted_mass,
             "contact_count": contacts,
             "kinetic_energy": energies[0],
             "rotational_energy": energies[1],
@@ -343,14 +350,14 @@ class Engine:
             "overlap_largest": measured["overlap_largest"],
             "coordination_number": float(free @ arrays["coordination"]) / max(free.sum(), 1.0),
         }
-        if self.plan.features.shear:
-            totals["shear_strain"] = self.plan.border.strain(self.time)
-        if books.waiting_count is not None:
-            totals["waiting_count"] = float(books.waiting_count)
-        for name, (outlet_count, outlet_mass) in books.outlets.items():
+        if self.plan.features.lees_edwards:
+            totals["shear_strain"] = self.plan.periodic_box.strain(self.time)
+        if accounting.queued_count is not None:
+            totals["queued_count"] = float(accounting.queued_count)
+        for name, (outlet_count, outlet_mass) in accounting.outlets.items():
             totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
-        if self.plan.features.ledger:
-            totals |= ledger_totals(self.state, books, energies, measured)
-        totals |= drive_totals(self.state)
-        self.watch.look(self.time, energies, books, totals, largest_speed(arrays["velocity"]))
+        if self.plan.features.energy_budget:
+            totals |= energy_budget_totals(self.state, accounting, energies, measured)
+        totals |= controlled_totals(self.state)
+        self.stability_monitor.check(self.time, energies, accounting, totals, largest_speed(arrays["velocity"]))
         return totals

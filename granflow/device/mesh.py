@@ -1,6 +1,7 @@
 """Walls of triangles on the device: which triangles are near, and whether one of them answers for a contact.
 
-`walls/mesh_links.py` says how a contact is chosen, `walls/mesh_contact.py` is the numpy twin. Everything here is in the
+`walls/mesh_adjacency.py` says how a contact is chosen, `walls/mesh_contact.py` is the numpy twin. Everything here is
+in the
 frame of the mesh at rest; triangles of all meshes are numbered through.
 """
 
@@ -11,8 +12,8 @@ import numpy as np
 import taichi as ti
 
 from granflow.device.state import State
+from granflow.walls.mesh_adjacency import NOT_OWNED, OPEN_EDGE
 from granflow.walls.mesh_contact import ROUNDING
-from granflow.walls.mesh_links import OPEN, SILENT
 from granflow.walls.shape import FAR_AWAY
 
 EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
@@ -23,10 +24,10 @@ class MeshGeometry:
     """Device functions of a point in the frame of the mesh."""
 
     cell: Any
-    """(wall, point) -> where the triangles that could be near begin and end in `MeshFields.listed`."""
-    away: Any
+    """(wall, point) -> where the triangles that could be near begin and end in `MeshFields.cell_triangles`."""
+    from_nearest: Any
     """(triangle, point) -> the way from the nearest point of the triangle alone to the point [m]."""
-    may_answer: Any
+    may_own: Any
     """(triangle, point, slack) -> 1 unless the triangle cannot answer for any point within `slack` [m] of this one."""
     contact: Any
     """(triangle, point) -> (gap [m], normal); FAR_AWAY where another triangle answers."""
@@ -34,7 +35,7 @@ class MeshGeometry:
 
 def build_mesh_geometry(state: State) -> MeshGeometry:
     """Functions over the meshes of this plan."""
-    return MeshGeometry(_build_cell(state), _build_away(state), _build_may_answer(state), _build_contact(state))
+    return MeshGeometry(_build_cell(state), _build_from_nearest(state), _build_may_own(state), _build_contact(state))
 
 
 def _build_cell(state: State) -> Any:
@@ -42,13 +43,17 @@ def _build_cell(state: State) -> Any:
 
     @ti.func
     def cell(w, point):
-        place = ti.floor((point - mesh.low[w]) / mesh.side[w])
+        cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
         begin, end = 0, 0
         shape = mesh.shape[w]
-        inside = place[0] >= 0.0 and place[1] >= 0.0 and place[2] >= 0.0
-        inside = inside and place[0] < shape[0] and place[1] < shape[1] and place[2] < shape[2]
+        inside = cell_position[0] >= 0.0 and cell_position[1] >= 0.0 and cell_position[2] >= 0.0
+        inside = inside and cell_position[0] < shape[0] and cell_position[1] < shape[1] and cell_position[2] < shape[2]
         if inside:
-            x, y, z = ti.cast(place[0], ti.i32), ti.cast(place[1], ti.i32), ti.cast(place[2], ti.i32)
+            x, y, z = (
+                ti.cast(cell_position[0], ti.i32),
+                ti.cast(cell_position[1], ti.i32),
+                ti.cast(cell_position[2], ti.i32),
+            )
             number = mesh.first_cell[w] + (z * shape[1] + y) * shape[0] + x
             begin, end = mesh.cell_start[number], mesh.cell_start[number + 1]
         return begin, end
@@ -56,30 +61,33 @@ def _build_cell(state: State) -> Any:
     return cell
 
 
-def _build_away(state: State) -> Any:
+def _build_from_nearest(state: State) -> Any:
     mesh, real = state.mesh, state.backend.position_real
 
     @ti.func
-    def away(t, point):
+    def from_nearest(t, point):
         normal = mesh.normal[t]
         found = (point - mesh.vertex[3 * t]).dot(normal) * normal
         over, nearest = 1, ti.cast(FAR_AWAY, real)
-        beside = found
+        from_edge_nearest = found
         for k in range(3):
-            from_corner, along = point - mesh.vertex[3 * t + k], mesh.along[3 * t + k]
-            if normal.cross(along).dot(from_corner) <= 0.0:
+            from_corner, edge_direction = point - mesh.vertex[3 * t + k], mesh.edge_direction[3 * t + k]
+            if normal.cross(edge_direction).dot(from_corner) <= 0.0:
                 over = 0
-            from_edge = from_corner - ti.min(ti.max(from_corner.dot(along), 0.0), mesh.length[3 * t + k]) * along
+            from_edge = (
+                from_corner
+                - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
+            )
             if from_edge.norm() < nearest:
-                nearest, beside = from_edge.norm(), from_edge
+                nearest, from_edge_nearest = from_edge.norm(), from_edge
         if over == 0:
-            found = beside
+            found = from_edge_nearest
         return found
 
-    return away
+    return from_nearest
 
 
-def _build_may_answer(state: State) -> Any:
+def _build_may_own(state: State) -> Any:
     """Every length that `contact` decides by changes by no more than the point moves.
 
     Without this a sphere would list all triangles within its radius, where it can touch one or two of them.
@@ -97,39 +105,39 @@ def _build_may_answer(state: State) -> Any:
 
     @ti.func
     def beside_edge(t, k, point, slack):
-        edge, beside = 3 * t + k, 0
-        if mesh.role[edge] != SILENT:
-            away = point - mesh.vertex[edge]
-            along, length = away.dot(mesh.along[edge]), mesh.length[edge]
-            off = away.dot(mesh.inward[edge]) <= slack
-            off = off and (mesh.role[edge] == OPEN or away.dot(mesh.beyond[edge]) <= slack)
-            beside = ti.cast(off and along > -slack and along < length + slack, ti.i32)
-        return beside
+        edge, from_edge_nearest = 3 * t + k, 0
+        if mesh.role[edge] != NOT_OWNED:
+            from_nearest = point - mesh.vertex[edge]
+            edge_direction, length = from_nearest.dot(mesh.edge_direction[edge]), mesh.length[edge]
+            off = from_nearest.dot(mesh.inward[edge]) <= slack
+            off = off and (mesh.role[edge] == OPEN_EDGE or from_nearest.dot(mesh.inward_other[edge]) <= slack)
+            from_edge_nearest = ti.cast(off and edge_direction > -slack and edge_direction < length + slack, ti.i32)
+        return from_edge_nearest
 
     @ti.func
-    def above_corner(t, k, point, slack):
-        corner, above = mesh.point[3 * t + k], 0
-        if mesh.owner[corner] == t:
+    def above_vertex(t, k, point, slack):
+        vertex_index, above = mesh.point[3 * t + k], 0
+        if mesh.owner[vertex_index] == t:
             above = 1
-            away = point - mesh.vertex[3 * t + k]
-            for spoke in range(mesh.spoke_start[corner], mesh.spoke_start[corner + 1]):
-                if mesh.spoke[spoke].dot(away) > slack:
+            from_nearest = point - mesh.vertex[3 * t + k]
+            for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
+                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
                     above = 0
         return above
 
     @ti.func
-    def may_answer(t, point, slack):
+    def may_own(t, point, slack):
         possible = over_face(t, point, slack)
         for k in range(3):
             if possible == 0:
-                possible = ti.max(beside_edge(t, k, point, slack), above_corner(t, k, point, slack))
+                possible = ti.max(beside_edge(t, k, point, slack), above_vertex(t, k, point, slack))
         return possible
 
-    return may_answer
+    return may_own
 
 
 def _build_contact(state: State) -> Any:
-    mesh, own, real = state.mesh, _build_own_contact(state), state.backend.position_real
+    mesh, contact_alone, real = state.mesh, _build_contact_alone(state), state.backend.position_real
 
     @ti.func
     def height(t, point):
@@ -137,54 +145,54 @@ def _build_contact(state: State) -> Any:
 
     @ti.func
     def contact(t, point):
-        gap, mine, normal = ti.cast(FAR_AWAY, real), ti.cast(FAR_AWAY, real), 0.0 * point
+        gap, gap_alone, normal = ti.cast(FAR_AWAY, real), ti.cast(FAR_AWAY, real), 0.0 * point
         row = 2 * t + ti.cast(height(t, point) < 0.0, ti.i32)
-        begin, turn, end = mesh.rival_start[row], -1, mesh.rival_start[row + 1] - mesh.rival_start[row]
-        while turn < end:  # this triangle itself, then its rivals: one loop, so that `own` is compiled once
-            one = t
-            if turn >= 0:
-                one = mesh.rival[begin + turn]
-            if turn < 0 or ti.abs(height(one, point)) <= mine:
-                found, direction = own(one, point)
-                if turn < 0:
-                    gap, mine, normal = found, found, direction
+        begin, entry, end = mesh.competitor_start[row], -1, mesh.competitor_start[row + 1] - mesh.competitor_start[row]
+        while entry < end:  # this triangle itself, then its rivals: one loop, so that `contact_alone` is compiled once
+            candidate = t
+            if entry >= 0:
+                candidate = mesh.competitor[begin + entry]
+            if entry < 0 or ti.abs(height(candidate, point)) <= gap_alone:
+                found, direction = contact_alone(candidate, point)
+                if entry < 0:
+                    gap, gap_alone, normal = found, found, direction
                     if not found < FAR_AWAY:
                         end = 0
-                elif found < mine or (found == mine and one < t):
+                elif found < gap_alone or (found == gap_alone and candidate < t):
                     gap, end = ti.cast(FAR_AWAY, real), 0
-            turn += 1
+            entry += 1
         return gap, normal
 
     return contact
 
 
-def _build_own_contact(state: State) -> Any:
+def _build_contact_alone(state: State) -> Any:
     """As `contact`, before rivals are asked."""
     mesh, real = state.mesh, state.backend.position_real
-    above_corner, beside_edge = _build_above_corner(state), _build_beside_edge(state)
+    above_vertex, beside_edge = _build_above_vertex(state), _build_beside_edge(state)
 
     @ti.func
-    def own(t, point):
+    def contact_alone(t, point):
         height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
         normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
         gap = ti.cast(FAR_AWAY, real)
-        near, over_count, lost = 0.0 * normal, 0, 0
+        near, over_count, is_vertex = 0.0 * normal, 0, 0
         for k in range(3):
             over_count += over_edge(t, k, point)
-            if above_corner(t, k, point) == 1:
-                lost = 1
+            if above_vertex(t, k, point) == 1:
+                is_vertex = 1
                 if mesh.owner[mesh.point[3 * t + k]] == t:
                     near = point - mesh.vertex[3 * t + k]
                     gap = near.norm()
-        if lost == 0 and over_count == 3:
+        if is_vertex == 0 and over_count == 3:
             gap = ti.abs(height)
-        elif lost == 0:
+        elif is_vertex == 0:
             for k in range(3):
-                answers, away = beside_edge(t, k, point)
-                if answers == 1:
-                    near = away
-                    gap = away.norm()
-        if over_count < 3 or lost == 1:
+                owns, from_nearest = beside_edge(t, k, point)
+                if owns == 1:
+                    near = from_nearest
+                    gap = from_nearest.norm()
+        if over_count < 3 or is_vertex == 1:
             if gap > 0.0 and gap < FAR_AWAY:
                 normal = near / gap
         return gap, normal
@@ -193,9 +201,9 @@ def _build_own_contact(state: State) -> Any:
     def over_edge(t, k, point):
         edge = 3 * t + k
         s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
-        return ti.cast(s > 0.0 or (s == 0.0 and mesh.tie[edge] == 1), ti.i32)
+        return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
 
-    return own
+    return contact_alone
 
 
 def _build_beside_edge(state: State) -> Any:
@@ -205,36 +213,39 @@ def _build_beside_edge(state: State) -> Any:
     @ti.func
     def beside_edge(t, k, point):
         edge = 3 * t + k
-        away, answers = point - mesh.vertex[edge], 0
-        if mesh.role[edge] != SILENT:
-            along = away.dot(mesh.along[edge])
+        from_nearest, owns = point - mesh.vertex[edge], 0
+        if mesh.role[edge] != NOT_OWNED:
+            edge_direction = from_nearest.dot(mesh.edge_direction[edge])
             from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
             off = from_base.dot(mesh.inward[edge]) <= 0.0
-            off = off and (mesh.role[edge] == OPEN or from_base.dot(mesh.beyond[edge]) <= 0.0)
-            answers = ti.cast(off and along > 0.0 and along < mesh.length[edge], ti.i32)
-            away -= along * mesh.along[edge]
-        return answers, away
+            off = off and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
+            owns = ti.cast(off and edge_direction > 0.0 and edge_direction < mesh.length[edge], ti.i32)
+            from_nearest -= edge_direction * mesh.edge_direction[edge]
+        return owns, from_nearest
 
     return beside_edge
 
 
-def _build_above_corner(state: State) -> Any:
+def _build_above_vertex(state: State) -> Any:
     """Device function (t, k, point): whether no edge that leaves a corner comes nearer to the point."""
     mesh = state.mesh
     rounding = ROUNDING * EPSILON[state.backend.position_real]
 
     @ti.func
-    def above_corner(t, k, point):
-        corner = mesh.point[3 * t + k]
-        away = point - mesh.vertex[3 * t + k]
-        slack = rounding * (mesh.longest[corner] + away.norm())
+    def above_vertex(t, k, point):
+        vertex_index = mesh.point[3 * t + k]
+        from_nearest = point - mesh.vertex[3 * t + k]
+        slack = rounding * (mesh.longest[vertex_index] + from_nearest.norm())
         above = 1
-        if away.dot(mesh.along[3 * t + k]) > 2.0 * slack or away.dot(mesh.along[3 * t + (k + 2) % 3]) < -2.0 * slack:
+        if (
+            from_nearest.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
+            or from_nearest.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
+        ):
             above = 0
         if above == 1:
-            for spoke in range(mesh.spoke_start[corner], mesh.spoke_start[corner + 1]):
-                if mesh.spoke[spoke].dot(away) > slack:
+            for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
+                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
                     above = 0
         return above
 
-    return above_corner
+    return above_vertex

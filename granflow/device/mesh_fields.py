@@ -7,8 +7,8 @@ import numpy as np
 import taichi as ti
 
 from granflow.plan import Plan
+from granflow.walls.mesh_adjacency import MeshAdjacency
 from granflow.walls.mesh_grid import MeshGrid
-from granflow.walls.mesh_links import Links
 
 
 class MeshFields:
@@ -18,29 +18,31 @@ class MeshFields:
         parts = mesh_parts(plan)
         real, walls = backend.position_real, len(plan.walls)
         sizes = zip(*map(_sizes, parts), strict=True)
-        triangles, points, spokes, rivals, cells, listed = (max(sum(counts), 1) for counts in sizes)
+        triangles, points, spokes, rivals, cells, cell_triangles = (max(sum(counts), 1) for counts in sizes)
         self.wall = block.scalar(ti.i32, triangles)
         self.normal = block.vector(real, triangles)
-        self.vertex, self.along, self.inward, self.beyond = (block.vector(real, 3 * triangles) for _ in range(4))
+        self.vertex, self.edge_direction, self.inward, self.inward_other = (
+            block.vector(real, 3 * triangles) for _ in range(4)
+        )
         self.length = block.scalar(real, 3 * triangles)
-        self.point, self.base, self.tie, self.role = (block.scalar(ti.i32, 3 * triangles) for _ in range(4))
+        self.point, self.base, self.owns_tie, self.role = (block.scalar(ti.i32, 3 * triangles) for _ in range(4))
         self.owner, self.longest = block.scalar(ti.i32, points), block.scalar(real, points)
-        self.spoke_start, self.spoke = block.scalar(ti.i32, points + 1), block.vector(real, spokes)
-        self.rival_start, self.rival = block.scalar(ti.i32, 2 * triangles + 1), block.scalar(ti.i32, rivals)
+        self.vertex_edge_start, self.vertex_edge = block.scalar(ti.i32, points + 1), block.vector(real, spokes)
+        self.competitor_start, self.competitor = block.scalar(ti.i32, 2 * triangles + 1), block.scalar(ti.i32, rivals)
         self.low, self.side = block.vector(real, walls), block.scalar(real, walls)
         self.shape, self.first_cell = block.vector(ti.i32, walls), block.scalar(ti.i32, walls)
-        self.cell_start, self.listed = block.scalar(ti.i32, cells + 1), block.scalar(ti.i32, listed)
+        self.cell_start, self.cell_triangles = block.scalar(ti.i32, cells + 1), block.scalar(ti.i32, cell_triangles)
 
     def fill(self, plan: Plan) -> None:
         """Write everything; none of it ever changes."""
         parts = mesh_parts(plan)
-        arrays = _of_triangles([part.links for part in parts]) | _of_grids(parts, len(plan.walls))
-        arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.links.normal) for part in parts])
+        arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
+        arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
         for name, values in arrays.items():
             field = getattr(self, name)
-            room = np.zeros((field.shape[0], *values.shape[1:]), _numpy_type(field))
-            room[: len(values)] = values
-            field.from_numpy(room)
+            padded = np.zeros((field.shape[0], *values.shape[1:]), _numpy_type(field))
+            padded[: len(values)] = values
+            field.from_numpy(padded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +50,18 @@ class MeshPart:
     """One mesh wall: its number among the walls, what its triangles know, its grid."""
 
     wall: int
-    links: Links
+    adjacency: MeshAdjacency
     grid: MeshGrid
 
 
 def mesh_parts(plan: Plan) -> list[MeshPart]:
     """The mesh walls of a plan, in order."""
-    return [MeshPart(index, mesh.links, plan.mesh_grids[index]) for index, mesh in plan.meshes.items()]
+    return [MeshPart(index, mesh.adjacency, plan.mesh_grids[index]) for index, mesh in plan.meshes.items()]
 
 
 def _sizes(part: MeshPart) -> tuple[int, ...]:
-    links, grid = part.links, part.grid
-    counts = (links.normal, links.owner, links.spoke, links.rival)
+    adjacency, grid = part.adjacency, part.grid
+    counts = (adjacency.normal, adjacency.owner, adjacency.vertex_edge, adjacency.competitor)
     return (*(len(each) for each in counts), len(grid.start) - 1, len(grid.triangle))
 
 
@@ -67,23 +69,26 @@ def _numpy_type(field: Any) -> Any:
     return {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]
 
 
-def _of_triangles(links: list[Links]) -> dict[str, np.ndarray]:
+def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
     """Arrays of all meshes after each other, numbers shifted to what comes before."""
-    triangles = np.cumsum([0, *(len(each.normal) for each in links)])
-    points = np.cumsum([0, *(len(each.owner) for each in links)])
+    triangles = np.cumsum([0, *(len(each.normal) for each in adjacency)])
+    points = np.cumsum([0, *(len(each.owner) for each in adjacency)])
 
     def joined(name: str, *width: int) -> np.ndarray:
-        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in links])
+        return np.concatenate([getattr(each, name).reshape(-1, *width) for each in adjacency])
 
     def shifted(name: str, before: np.ndarray) -> np.ndarray:
-        return np.concatenate([getattr(each, name).reshape(-1) + n for each, n in zip(links, before, strict=False)])
+        return np.concatenate([getattr(each, name).reshape(-1) + n for each, n in zip(adjacency, before, strict=False)])
 
-    vectors, numbers = ("normal", "vertex", "along", "inward", "beyond", "spoke"), ("length", "base", "tie", "role")
+    vectors, numbers = (
+        ("normal", "vertex", "edge_direction", "inward", "inward_other", "vertex_edge"),
+        ("length", "base", "owns_tie", "role"),
+    )
     found = {name: joined(name, 3) for name in vectors} | {name: joined(name) for name in (*numbers, "longest")}
     found["point"] = shifted("point", points)
-    found |= {name: shifted(name, triangles) for name in ("owner", "rival")}
-    for name in ("spoke_start", "rival_start"):
-        found[name] = _starts([getattr(each, name) for each in links])
+    found |= {name: shifted(name, triangles) for name in ("owner", "competitor")}
+    for name in ("vertex_edge_start", "competitor_start"):
+        found[name] = _starts([getattr(each, name) for each in adjacency])
     return found
 
 
@@ -95,14 +100,14 @@ def _starts(starts: list[np.ndarray]) -> np.ndarray:
 
 def _of_grids(parts: list[MeshPart], wall_count: int) -> dict[str, np.ndarray]:
     low, side, shape = np.zeros((wall_count, 3)), np.ones(wall_count), np.zeros((wall_count, 3), np.int64)
-    first_cell, cells, triangles, listed = np.zeros(wall_count, np.int64), 0, 0, []
+    first_cell, cells, triangles, cell_triangles = np.zeros(wall_count, np.int64), 0, 0, []
     for part in parts:
         grid, w = part.grid, part.wall
         low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
-        listed.append(grid.triangle + triangles)
-        cells, triangles = cells + len(grid.start) - 1, triangles + len(part.links.normal)
+        cell_triangles.append(grid.triangle + triangles)
+        cells, triangles = cells + len(grid.start) - 1, triangles + len(part.adjacency.normal)
     start = _starts([part.grid.start for part in parts])
     return {
         "low": low, "side": side, "shape": shape, "first_cell": first_cell, "cell_start": start,
-        "listed": np.concatenate(listed),
+        "cell_triangles": np.concatenate(cell_triangles),
     }  # fmt: skip

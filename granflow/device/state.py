@@ -8,11 +8,11 @@ import taichi as ti
 
 from granflow.device.backend import Backend
 from granflow.device.clock import Clock
-from granflow.device.guards import NO_PARTICLE
+from granflow.device.limits import NO_PARTICLE
 from granflow.device.mesh_fields import MeshFields
 from granflow.plan import Plan
-from granflow.plan.slots import BOUNDS, kept_slots
-from granflow.walls.catalogue import surface_code
+from granflow.plan.capacities import BOUNDS, history_capacity
+from granflow.walls.catalog import surface_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT, Shape
 
@@ -26,7 +26,7 @@ WALL_BATCH = 256
 """Steps whose wall poses are uploaded at a time."""
 
 
-class Block:
+class FieldBlock:
     """Fields that are allocated and freed together: all of the state in one, since each costs a look-up in kernels."""
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Block:
     def together(self, count: int, *fields: Any) -> None:
         """Place fields side by side, entry by entry: whoever reads one of a particle reads the others."""
         wanted = [field for field in fields if field is not None]
-        self._builder.dense(ti.i, count).place(*wanted)
+        self._builder.dense(ti.i, count).position_real(*wanted)
         self.fields += wanted
 
     def parts(self, count: int) -> Any:
@@ -59,7 +59,7 @@ class Block:
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
         """A field [part, entry] with the entries of one part side by side; its numbers do not survive growing."""
         field = ti.field(dtype)
-        parts.dense(ti.j, length).place(field)
+        parts.dense(ti.j, length).position_real(field)
         return field
 
     def finish(self) -> None:
@@ -74,7 +74,7 @@ class Block:
 
     def _placed(self, field: Any, shape: tuple[int, ...]) -> Any:
         axes = ti.i if len(shape) == 1 else ti.ij
-        self._builder.dense(axes, shape).place(field)
+        self._builder.dense(axes, shape).position_real(field)
         self.fields.append(field)
         return field
 
@@ -82,52 +82,61 @@ class Block:
 class Particles:
     """One entry a sphere, in cell order; velocities are half a step behind the positions (leapfrog)."""
 
-    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
         self.capacity = count
         self.position = ti.Vector.field(3, backend.position_real)
         self.velocity = ti.Vector.field(3, real)
         self.radius, self.mass = ti.field(real), ti.field(real)
-        self.spin: Any = ti.Vector.field(3, real) if features.rotation else None
-        self.velocity_now: Any = ti.Vector.field(3, real) if features.rate_dependent else None
-        block.together(count, self.position, self.radius, self.mass, self.velocity, self.spin, self.velocity_now)
+        self.angular_velocity: Any = ti.Vector.field(3, real) if features.rotation else None
+        self.velocity_synchronized: Any = ti.Vector.field(3, real) if features.rate_dependent else None
+        block.together(
+            count,
+            self.position,
+            self.radius,
+            self.mass,
+            self.velocity,
+            self.angular_velocity,
+            self.velocity_synchronized,
+        )
         self.force = ti.Vector.field(3, real)
         self.torque: Any = ti.Vector.field(3, real) if features.rotation else None
         block.together(count, self.force, self.torque)
-        self.position_at_search = block.vector(backend.position_real, count)
+        self.position_at_rebuild = block.vector(backend.position_real, count)
         self.id = block.scalar(ti.i32, count)
         self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
-        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_grains else None
+        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_particles else None
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that travel with a particle when it gets another place."""
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
-        optional = (self.material, self.fixed, self.spin, self.velocity_now)
+        optional = (self.material, self.fixed, self.angular_velocity, self.velocity_synchronized)
         return fields + [field for field in optional if field is not None]
 
 
-class Sorting:
-    """Scratch for the neighbour search: cells and the new order; where sizes differ widely, a grid for each class.
+class CellSort:
+    """Scratch for the neighbor search: cells and the new order; where sizes differ widely, a grid for each class.
 
-    `listed`: particles by class and cell, from listed_start of a cell on; cells of a class begin at its first_cell.
+    `class_order`: particles by class and cell, from listed_start of a cell on; cells of a class begin at its
+    first_cell.
     """
 
-    def __init__(self, block: Block, plan: Plan, particles: Particles) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, particles: Particles) -> None:
         count, cell_capacity = particles.capacity, plan.cell_capacity
-        classes, listed = len(plan.size_classes), plan.listed_cell_capacity
+        classes, class_cells = len(plan.size_classes), plan.class_cell_capacity
         self.cell_capacity = cell_capacity
         self.cell = block.scalar(ti.i32, count)
         self.order = block.scalar(ti.i32, count)
         self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
-        self.cell_fill = block.scalar(ti.i32, max(cell_capacity, listed) + 2)
-        self.block_sum = block.scalar(ti.i32, max(cell_capacity, listed) // SCAN_BLOCK + 2)
+        self.cell_fill = block.scalar(ti.i32, max(cell_capacity, class_cells) + 2)
+        self.block_sum = block.scalar(ti.i32, max(cell_capacity, class_cells) // SCAN_BLOCK + 2)
         self.grid_low, self.cell_side = (block.vector(particles.position.dtype, classes) for _ in range(2))
         self.cells = block.vector(ti.i32, classes)
-        self.listed: Any = block.scalar(ti.i32, count) if listed else None
-        self.listed_start: Any = block.scalar(ti.i32, listed + 2) if listed else None
-        self.first_cell: Any = block.scalar(ti.i32, classes) if listed else None
-        self.radius: Any = block.scalar(particles.position.dtype, classes) if listed else None
+        self.class_order: Any = block.scalar(ti.i32, count) if class_cells else None
+        self.class_start: Any = block.scalar(ti.i32, class_cells + 2) if class_cells else None
+        self.first_cell: Any = block.scalar(ti.i32, classes) if class_cells else None
+        self.radius: Any = block.scalar(particles.position.dtype, classes) if class_cells else None
         self.low = block.vector(particles.position.dtype, BOUNDS)
         self.high = block.vector(particles.position.dtype, BOUNDS)
 
@@ -136,31 +145,33 @@ SCAN_BLOCK = 1024
 """Cells summed by one task of the prefix sum."""
 
 
-class Contacts:
+class NeighborList:
     """Rows of near partners, one row a particle, each chunk of particles in its own segment.
 
     `partner` holds the index of a particle, or -1 - wall; walls stand from row_begin to row_middle, before the
-    others. A pair within one chunk stands in one row, a pair across two chunks in both. `touching` is 1 where there
-    is history. `before` is a copy of those slots, taken when the particles are sorted anew.
+    others. A pair within one chunk stands in one row, a pair across two chunks in both. `in_contact` is 1 where there
+    is history. `saved` is a copy of those slots, taken when the particles are sorted anew.
     """
 
-    def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
         count = max(plan.particle_capacity, 1)
-        self.slots_per_chunk = slots_per_chunk
-        self.capacity = plan.chunk_capacity * slots_per_chunk
-        self.row_begin, self.row_middle, self.row_end = (block.scalar(ti.i32, count) for _ in range(3))
+        self.list_capacity_per_chunk = list_capacity_per_chunk
+        self.capacity = plan.chunk_capacity * list_capacity_per_chunk
+        self.list_begin, self.list_walls_end, self.list_end = (block.scalar(ti.i32, count) for _ in range(3))
         self.partner = block.scalar(ti.i32, self.capacity)
         self.history: dict[str, Any] = {}
-        self.before: dict[str, Any] = {}
+        self.saved: dict[str, Any] = {}
         for name, size in plan.history.items():
             self.history[name] = block.vector(backend.real, self.capacity, count=size)
-        self.kept_per_chunk = kept_slots(slots_per_chunk)
+        self.history_capacity_per_chunk = history_capacity(list_capacity_per_chunk)
         if self.history:
-            kept = plan.chunk_capacity * self.kept_per_chunk
-            self.before = {name: block.vector(backend.real, kept, count=size) for name, size in plan.history.items()}
-            self.touching = block.scalar(ti.i32, self.capacity)
-            self.row_begin_before, self.row_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
-            self.partner_before = block.scalar(ti.i32, kept)
+            history_entries = plan.chunk_capacity * self.history_capacity_per_chunk
+            self.saved = {
+                name: block.vector(backend.real, history_entries, count=size) for name, size in plan.history.items()
+            }
+            self.in_contact = block.scalar(ti.i32, self.capacity)
+            self.list_begin_before, self.list_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
+            self.partner_saved = block.scalar(ti.i32, history_entries)
 
 
 LANES = 16
@@ -170,27 +181,30 @@ STAGGER = 24
 """Columns must not lie a multiple of 4096 bytes apart, or they push each other out of the cache."""
 
 
-class Batch:
+class PairBatch:
     """Columns of numbers, an entry for each contact in work, a part of each column for every CPU thread."""
 
-    def __init__(self, block: Block, plan: Plan, backend: Backend, slots_per_chunk: int) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
         features, real = plan.features, backend.real
         page = 4096 // 8
-        self.capacity = -(-(slots_per_chunk + LANES) // page) * page + STAGGER
-        desk = block.parts(backend.worker_count)
+        self.capacity = -(-(list_capacity_per_chunk + LANES) // page) * page + STAGGER
+        worker_parts = block.parts(backend.worker_count)
 
         def columns(number: int, dtype: Any = real) -> list[Any]:
-            return [block.column(desk, dtype, self.capacity) for _ in range(number)]
+            return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
 
-        self.slot, self.owner, self.partner = columns(3, ti.i32)
+        self.list_index, self.owner, self.partner = columns(3, ti.i32)
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
-        self.apart, self.late = columns(3), columns(3)
-        self.now = columns(3 * features.rate_dependent)
-        self.spin, self.spin_partner = columns(3 * features.rotation), columns(3 * features.rotation)
-        self.memory = columns(plan.history.get("normal", 0))
-        self.slide, self.angle = columns(plan.history.get("lateral", 0)), columns(plan.history.get("rolling", 0))
+        self.branch, self.velocity_rel_half = columns(3), columns(3)
+        self.velocity_rel = columns(3 * features.rate_dependent)
+        self.angular_velocity, self.spin_partner = columns(3 * features.rotation), columns(3 * features.rotation)
+        self.normal_history = columns(plan.history.get("normal", 0))
+        self.tangential_displacement, self.rolling_displacement = (
+            columns(plan.history.get("tangential", 0)),
+            columns(plan.history.get("rolling", 0)),
+        )
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
-        self.losses = columns(3 * features.ledger)
+        self.losses = columns(3 * features.energy_budget)
 
 
 NOT_MEASURED = -1
@@ -200,7 +214,7 @@ NOT_MEASURED = -1
 class Walls:
     """Shapes at rest, what they are made of, and where they stand in the next WALL_BATCH steps."""
 
-    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count = max(len(plan.walls), 1)
         self.kind = block.scalar(ti.i32, count)
         self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
@@ -211,8 +225,8 @@ class Walls:
         self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
         self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
         self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
-        self.load_row = block.scalar(ti.i32, count) if plan.features.loads else None
-        self.spin = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
+        self.angular_velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
@@ -221,55 +235,56 @@ class Walls:
             self.material[index] = wall.material
             if isinstance(wall.shape, Shape):
                 self.parameters[index] = wall.shape.parameters.tolist()
-            if self.load_row is not None:
-                loaded = plan.scene.loaded_walls
-                self.load_row[index] = loaded.index(wall.name) if wall.name in loaded else NOT_MEASURED
+            if self.impulse_row is not None:
+                measured = plan.scene.measured_walls
+                self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
 
 
-class DriveFields:
+class WallDynamicsFields:
     """Driven walls, an entry for each motion: way along its direction, velocity half a step behind, forces of grains.
 
-    `on`: whether it runs in the step that ends at a pose; `was_on`: in the last one; `push` [N]: what each chunk
-    adds up; `given` [J]: work on the grains; `work` [J]: of all but the grains on a free wall.
+    `active`: whether it runs in the step that ends at a pose; `was_active`: in the last one; `wall_force` [N]: what
+    each chunk
+    adds up; `work_on_particles` [J]: work on the grains; `work` [J]: of all but the grains on a free wall.
     """
 
-    def __init__(self, block: Block, plan: Plan) -> None:
-        count = len(plan.drives)
-        self.offset, self.offset_at_search, self.velocity = (block.scalar(ti.f64, count) for _ in range(3))
-        self.given, self.work = block.scalar(ti.f64, count), block.scalar(ti.f64, count)
-        self.was_on, self.on = block.scalar(ti.i32, count), block.scalar(ti.i32, WALL_BATCH, count)
-        self.push = block.scalar(ti.f64, plan.chunk_capacity, count)
+    def __init__(self, block: FieldBlock, plan: Plan) -> None:
+        count = len(plan.controlled_motions)
+        self.offset, self.offset_at_rebuild, self.velocity = (block.scalar(ti.f64, count) for _ in range(3))
+        self.work_on_particles, self.work = block.scalar(ti.f64, count), block.scalar(ti.f64, count)
+        self.was_active, self.active = block.scalar(ti.i32, count), block.scalar(ti.i32, WALL_BATCH, count)
+        self.wall_force = block.scalar(ti.f64, plan.chunk_capacity, count)
 
 
 class Control:
     """Small things that kernels and host tell each other."""
 
-    def __init__(self, block: Block, plan: Plan, backend: Backend) -> None:
-        self.search_due = block.scalar(ti.i32, 1)
-        self.search_wanted = block.scalar(ti.i32, 1)
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        self.rebuild_due = block.scalar(ti.i32, 1)
+        self.rebuild_requested = block.scalar(ti.i32, 1)
         self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
         self.worker_count, self.patience = (block.scalar(ti.i32, 1) for _ in range(2))
         self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
         self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
-        self.slots_needed = block.scalar(ti.i32, 1)
-        self.guard = block.scalar(ti.i32, 1)
-        self.guard_particle = block.scalar(ti.i32, 1)
+        self.list_length_needed = block.scalar(ti.i32, 1)
+        self.abort = block.scalar(ti.i32, 1)
+        self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
-        ledger = plan.features.ledger
-        self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if ledger else None
-        loaded = len(plan.scene.loaded_walls)
-        self.impulses = block.vector(ti.f64, plan.chunk_capacity, loaded, count=IMPULSE_SIZE) if loaded else None
-        turns = ledger and plan.features.periodic != "none"
-        self.border_work = block.scalar(ti.f64, plan.chunk_capacity) if turns else None
-        sheared, place = plan.features.shear, backend.position_real
-        self.border_offset: Any = block.scalar(place, WALL_BATCH) if sheared else None
-        self.border_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
+        energy_budget = plan.features.energy_budget
+        self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if energy_budget else None
+        measured = len(plan.scene.measured_walls)
+        self.impulses = block.vector(ti.f64, plan.chunk_capacity, measured, count=IMPULSE_SIZE) if measured else None
+        has_image_work = energy_budget and plan.features.periodic != "none"
+        self.boundary_work = block.scalar(ti.f64, plan.chunk_capacity) if has_image_work else None
+        sheared, position_real = plan.features.lees_edwards, backend.position_real
+        self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
+        self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
 
     def fill(self, plan: Plan) -> None:
         """Write what never changes."""
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
-        self.guard_particle[0] = NO_PARTICLE
+        self.abort_particle[0] = NO_PARTICLE
 
 
 LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
@@ -290,22 +305,22 @@ class State:
         self.clock = Clock(plan.time_step)
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
-        self._allocate(plan.slots_per_chunk)
+        self._allocate(plan.list_capacity_per_chunk)
         self.walls.fill(plan)
         if self.mesh is not None:
             self.mesh.fill(plan)
         self.control.fill(plan)
 
-    def _allocate(self, slots_per_chunk: int) -> None:
-        plan, backend, block = self.plan, self.backend, Block()
+    def _allocate(self, list_capacity_per_chunk: int) -> None:
+        plan, backend, block = self.plan, self.backend, FieldBlock()
         self._block = block
         self.particles = Particles(block, plan, backend)
-        self.contacts = Contacts(block, plan, backend, slots_per_chunk)
+        self.neighbors = NeighborList(block, plan, backend, list_capacity_per_chunk)
         batched = backend.on_cpu and plan.chunk_size > 1
-        self.batch: Any = Batch(block, plan, backend, slots_per_chunk) if batched else None
-        self.sorting = Sorting(block, plan, self.particles)
+        self.batch: Any = PairBatch(block, plan, backend, list_capacity_per_chunk) if batched else None
+        self.cell_sort = CellSort(block, plan, self.particles)
         self.walls = Walls(block, plan, backend)
-        self.drive: Any = DriveFields(block, plan) if plan.drives else None
+        self.wall_dynamics: Any = WallDynamicsFields(block, plan) if plan.controlled_motions else None
         self.mesh: Any = MeshFields(block, plan, backend) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
@@ -320,19 +335,19 @@ class State:
         """Chunks that hold particles now."""
         return -(-self.count // self.plan.chunk_size)
 
-    def grow_contacts(self, slots_per_chunk: int, build: Callable[[], None]) -> None:
+    def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
         """Allocate anew with longer contact rows, build all kernels anew, and only then copy everything over.
 
         `build` may launch kernels over nothing: what they write, such as empty cells, does not stay.
         """
-        kept = [field.to_numpy() for field in self._block.fields]
+        saved = [field.to_numpy() for field in self._block.fields]
         self._block.free()
-        self._allocate(slots_per_chunk)
+        self._allocate(list_capacity_per_chunk)
         build()
-        for field, values in zip(self._block.fields, kept, strict=True):
-            room = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
-            room[: len(values)] = values
-            field.from_numpy(room)
+        for field, values in zip(self._block.fields, saved, strict=True):
+            padded = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
+            padded[: len(values)] = values
+            field.from_numpy(padded)
 
     def free(self) -> None:
         """Give all memory back."""

@@ -1,6 +1,6 @@
 """The compiled phases of one plan, in order: motion, search when it is due, contact forces.
 
-One launch does many steps on a CPU, one on a GPU. Once a particle has travelled half the skin every later phase of
+One launch does many steps on a CPU, one on a GPU. Once a particle has traveled half the skin every later phase of
 the launch does nothing until the host has run the search: no transfer per step.
 """
 
@@ -11,25 +11,25 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.apart import build_wrap, upload_offsets
 from granflow.device.barrier import build_barrier, seconds_per_look
-from granflow.device.contacts import build_forces
-from granflow.device.crew import Crew
-from granflow.device.drive import build_drive, mark_search
-from granflow.device.grid import lay_grids
-from granflow.device.leaving import check_coordinates
-from granflow.device.motion import build_move
-from granflow.device.search import (
+from granflow.device.cell_grid import update_cell_grids
+from granflow.device.contact_forces import build_forces
+from granflow.device.deletion import check_coordinates
+from granflow.device.integrate import build_integrate
+from granflow.device.neighbor_list import (
     build_bounds,
     build_class_lists,
-    build_gather,
-    build_rows,
-    build_set_aside,
+    build_neighbor_list,
+    build_reorder,
+    build_save_history,
     build_sort,
 )
+from granflow.device.periodic_box import build_wrap, upload_offsets
 from granflow.device.state import CACHE_LINE, CPU_STRIDE, WALL_BATCH, State
+from granflow.device.wall_dynamics import build_wall_dynamics, mark_rebuild
 from granflow.device.walls import upload_poses
-from granflow.plan.slots import slots_to_keep
+from granflow.device.worker_tuner import WorkerTuner
+from granflow.plan.capacities import list_capacity_for
 
 GPU_BATCH = 16
 """Steps launched between two looks at the flags on a GPU, where every step is a launch of its own."""
@@ -40,11 +40,11 @@ LAUNCH_SECONDS = 0.05
 FIRST_LAUNCH = 50_000
 """Particle-steps of the first launch on a CPU, whose rate is not known."""
 
-PATIENCE, PATIENCE_CHUNKS = 3e-4, 4.0
+CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
 """A worker leaves the launch after waiting this many seconds plus the time for this many chunks: longer than chunks of
 different cost explain, and shorter than the time for which an operating system takes a core away."""
 
-ONE_WORKER = 512
+SINGLE_WORKER_PARTICLES = 512
 """Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
 
 SAMPLE_EVERY = 256
@@ -53,13 +53,13 @@ SAMPLE_EVERY = 256
 
 @dataclass
 class Timing:
-    """Wall seconds by phase. `forces` and `motion` come from sampled steps: their share of `advance` is theirs."""
+    """Wall seconds by phase. `forces` and `integration` come from sampled steps: their share of `advance` is theirs."""
 
-    search: float = 0.0
+    neighbor_list: float = 0.0
     advance: float = 0.0
     sampled_forces: float = 0.0
-    sampled_motion: float = 0.0
-    search_count: int = 0
+    sampled_integration: float = 0.0
+    rebuild_count: int = 0
     step_count: int = 0
     particle_steps: int = 0
     growth_count: int = 0
@@ -68,27 +68,27 @@ class Timing:
     @property
     def forces(self) -> float:
         """Wall seconds spent on contact forces."""
-        sampled = self.sampled_forces + self.sampled_motion
+        sampled = self.sampled_forces + self.sampled_integration
         return self.advance * self.sampled_forces / sampled if sampled else self.advance
 
     @property
-    def motion(self) -> float:
+    def integration(self) -> float:
         """Wall seconds spent on motion."""
         return self.advance - self.forces
 
 
 class Stepper:
-    """Advances a State by steps. `on_gone` is told the index range of particles that left the domain."""
+    """Advances a State by steps. `on_deleted` is told the index range of particles that left the domain."""
 
-    def __init__(self, state: State, on_gone: Callable[[int, int], None]) -> None:
+    def __init__(self, state: State, on_deleted: Callable[[int, int], None]) -> None:
         self.state = state
         self.timing = Timing()
-        self._on_gone = on_gone
-        self.steps_since_search = 0
+        self._on_deleted = on_deleted
+        self.steps_since_rebuild = 0
         self.interrupted = False
         self._since_sample = 0
-        self._crew = Crew(state.backend.worker_count)
-        self._pose = WALL_BATCH if state.plan.poses else 0
+        self._worker_tuner = WorkerTuner(state.backend.worker_count)
+        self._pose = WALL_BATCH if state.plan.has_poses else 0
         self._step_seconds = self._chunk_seconds = 0.0
         self._build()
 
@@ -97,86 +97,88 @@ class Stepper:
         began, state = clock.perf_counter(), self.state
         periodic = state.plan.features.periodic != "none"
         self._wrap = build_wrap(state) if periodic else lambda count, pose, step: None
-        self._bounds, self._sort, self._gather = build_bounds(state), build_sort(state), build_gather(state)
-        self._list_classes = build_class_lists(state) if state.sorting.listed is not None else lambda count, cells: None
-        self._set_aside = build_set_aside(state) if state.contacts.history else lambda count: None
-        self._rows = build_rows(state)
+        self._bounds, self._sort, self._reorder = build_bounds(state), build_sort(state), build_reorder(state)
+        self._sort_classes = (
+            build_class_lists(state) if state.cell_sort.class_order is not None else lambda count, cells: None
+        )
+        self._save_contacts = build_save_history(state) if state.neighbors.history else lambda count: None
+        self._fill_neighbor_list = build_neighbor_list(state)
         build = _build_cpu_steps if state.backend.on_cpu else _build_gpu_step
-        self._step = build(state, build_move(state), build_forces(state))
+        self._step = build(state, build_integrate(state), build_forces(state))
         self._bounds(0)
         self._wrap(0, 0, 1.0)
         self._sort(0, 0)
-        self._list_classes(0, 0)
-        self._gather(0)
-        self._rows(0, 0.0, 0)
-        self._set_aside(0)
+        self._sort_classes(0, 0)
+        self._reorder(0)
+        self._fill_neighbor_list(0, 0.0, 0)
+        self._save_contacts(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         if state.backend.on_cpu:
             self._seconds_per_look = seconds_per_look(state.control)
-            state.control.patience[0] = self._patience = int(PATIENCE / self._seconds_per_look)
+            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_look)
         self.timing.compile += clock.perf_counter() - began
 
-    def search(self, pose: int = 0) -> None:
+    def rebuild_neighbor_lists(self, pose: int = 0) -> None:
         """Sort, let go of what left the domain, and list who is near whom."""
         began, compiled = clock.perf_counter(), self.timing.compile
         state = self.state
         if state.count:
-            gone = self._sort_particles(pose)
-            if gone:
-                self._on_gone(state.count - gone, state.count)
-                state.count -= gone
-        self._fill_rows(pose)
-        self.steps_since_search = 0
-        self.timing.search += clock.perf_counter() - began - (self.timing.compile - compiled)
-        self.timing.search_count += 1
+            deleted = self._sort_particles(pose)
+            if deleted:
+                self._on_deleted(state.count - deleted, state.count)
+                state.count -= deleted
+        self._rebuild_neighbor_list(pose)
+        self.steps_since_rebuild = 0
+        self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
+        self.timing.rebuild_count += 1
 
     def _sort_particles(self, pose: int) -> int:
         """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
         state = self.state
         self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
-        if state.plan.scene.domain.leaving == "grow":
+        if state.plan.scene.domain.on_exit == "expand":
             check_coordinates(state)
-        grids = lay_grids(state)
+        grids = update_cell_grids(state)
         self._sort(state.count, grids[0].cell_count)
-        self._set_history_aside()
-        self._gather(state.count)
-        there = int(state.sorting.cell_start[grids[0].cell_count])
-        self._list_classes(there, sum(grid.cell_count for grid in grids))
-        return state.count - there
+        self._save_history()
+        self._reorder(state.count)
+        present = int(state.cell_sort.cell_start[grids[0].cell_count])
+        self._sort_classes(present, sum(grid.cell_count for grid in grids))
+        return state.count - present
 
-    def _set_history_aside(self) -> None:
+    def _save_history(self) -> None:
         state = self.state
-        if not state.contacts.history:
+        if not state.neighbors.history:
             return
         while True:
-            self._set_aside(state.count)
-            need = self._largest_need()
-            if need <= state.contacts.kept_per_chunk:
+            self._save_contacts(state.count)
+            needed = self._length_needed()
+            if needed <= state.neighbors.history_capacity_per_chunk:
                 return
-            self.grow(slots_to_keep(need))
+            self.grow_neighbor_lists(list_capacity_for(needed))
 
-    def _largest_need(self) -> int:
-        return int(self.state.control.slots_needed[0])
+    def _length_needed(self) -> int:
+        return int(self.state.control.list_length_needed[0])
 
-    def grow(self, need: int) -> None:
+    def grow_neighbor_lists(self, needed: int) -> None:
         """Make room for so many contact slots in every chunk, and build all kernels anew."""
         self.timing.growth_count += 1
-        self.state.grow_contacts(int(1.3 * need) + 8, self._build)
+        self.state.grow_neighbor_list(int(1.3 * needed) + 8, self._build)
 
-    def _fill_rows(self, pose: int) -> None:
+    def _rebuild_neighbor_list(self, pose: int) -> None:
         state = self.state
-        mark_search(state)
+        mark_rebuild(state)
         if not state.count:
-            state.control.search_due[0] = 0
-            state.control.search_wanted[0] = 0
+            state.control.rebuild_due[0] = 0
+            state.control.rebuild_requested[0] = 0
             return
         while True:
-            self._rows(state.count, state.plan.skin, pose)
-            need = self._largest_need()
-            if need <= state.contacts.slots_per_chunk:
+            self._fill_neighbor_list(state.count, state.plan.skin, pose)
+            needed = self._length_needed()
+            if needed <= state.neighbors.list_capacity_per_chunk:
                 return
-            self.grow(need)
+            self.grow_neighbor_lists(needed)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
@@ -186,13 +188,13 @@ class Stepper:
 
     def refresh(self, step: int) -> None:
         """Search and forces anew after step number `step`, without a step: after grains or walls came or went."""
-        self.stand_walls(step)
-        self.search()
+        self.place_walls(step)
+        self.rebuild_neighbor_lists()
         self.forces(history_step=0.0)
 
-    def stand_walls(self, step: int) -> None:
+    def place_walls(self, step: int) -> None:
         """Pose 0 on the device becomes that after step number `step`."""
-        if self.state.plan.poses:
+        if self.state.plan.has_poses:
             self._upload(step)
             self._pose = WALL_BATCH
 
@@ -200,31 +202,31 @@ class Stepper:
         """Bring to the device where walls and images stand from step number `step` on."""
         if self.state.plan.features.moving_walls:
             upload_poses(self.state, step)
-        if self.state.plan.features.shear:
+        if self.state.plan.features.lees_edwards:
             upload_offsets(self.state, step)
 
     def advance(self, steps: int, step: int) -> int:
         """Do `steps` steps after step number `step`; returns those done.
 
         Fewer if a guard tripped, if `interrupted` is set (by a signal handler),
-        or after a search where the time step follows the scene: it lists new neighbours.
+        or after a search where the time step follows the scene: it lists new neighbors.
         """
-        done, searches = 0, self.timing.search_count
-        follows = self.state.plan.pace is not None
-        while done < steps and not self.guard_code and not (follows and self.timing.search_count > searches):
+        done, rebuilds = 0, self.timing.rebuild_count
+        is_adaptive = self.state.plan.adaptive_time_step is not None
+        while done < steps and not self.abort_code and not (is_adaptive and self.timing.rebuild_count > rebuilds):
             if self.interrupted:
                 break
             done += self._advance_batch(steps - done, step + done)
         return done
 
     @property
-    def guard_code(self) -> int:
+    def abort_code(self) -> int:
         """0, or why the run must stop."""
-        return int(self.state.control.guard[0])
+        return int(self.state.control.abort[0])
 
     def _advance_batch(self, steps: int, step: int) -> int:
         state, plan = self.state, self.state.plan
-        if plan.poses:
+        if plan.has_poses:
             if self._steps_walls_allow() < 1:
                 self.refresh(step)
             if self._pose == WALL_BATCH:
@@ -232,18 +234,18 @@ class Stepper:
                 self._pose = 0
             steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
         state.control.steps_done[0] = 0
-        began, searched = clock.perf_counter(), self.timing.search
+        began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         done = self._launch(steps)
-        if state.control.search_due[0] and not self.guard_code:
-            self.search(pose=self._pose + done)
+        if state.control.rebuild_due[0] and not self.abort_code:
+            self.rebuild_neighbor_lists(pose=self._pose + done)
             self.forces(pose=self._pose + done)
             done += int(state.control.steps_done[0])
         else:
-            self.steps_since_search += done
-        if plan.poses:
+            self.steps_since_rebuild += done
+        if plan.has_poses:
             self._pose += done
         self._since_sample += done
-        self.timing.advance += clock.perf_counter() - began - (self.timing.search - searched)
+        self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
         self.timing.step_count += done
         self.timing.particle_steps += done * state.count
         return done
@@ -275,21 +277,21 @@ class Stepper:
         """Choose length, workers and patience of the next launch from a launch of `done` steps."""
         self._step_seconds = seconds / done
         state = self.state
-        if state.count <= ONE_WORKER:
+        if state.count <= SINGLE_WORKER_PARTICLES:
             return
-        workers = self._crew.next_size
+        workers = self._worker_tuner.next_size
         contended = int(state.control.worker_count[0]) < workers
-        self._crew.record(done * state.count, seconds, contended)
+        self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        looks = int((PATIENCE + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_look)
-        if not 0.8 * self._patience < looks < 1.25 * self._patience:
-            state.control.patience[0] = self._patience = looks
+        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_look)
+        if not 0.8 * self._patience < spins < 1.25 * self._patience:
+            state.control.patience[0] = self._patience = spins
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU; one step of either phase alone where the other is 0."""
         state = self.state
-        workers = 1 if state.count <= ONE_WORKER else self._crew.next_size
+        workers = 1 if state.count <= SINGLE_WORKER_PARTICLES else self._worker_tuner.next_size
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
@@ -299,13 +301,13 @@ class Stepper:
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
         moved = clock.perf_counter()
-        if state.control.search_due[0] or self.guard_code:
+        if state.control.rebuild_due[0] or self.abort_code:
             return 0
-        looked = clock.perf_counter()
+        forces_began = clock.perf_counter()
         self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
-        self.timing.sampled_motion += moved - began
-        self.timing.sampled_forces += clock.perf_counter() - looked
+        self.timing.sampled_integration += moved - began
+        self.timing.sampled_forces += clock.perf_counter() - forces_began
         return int(state.control.steps_done[0])
 
     def _steps_walls_allow(self) -> int:
@@ -314,16 +316,20 @@ class Stepper:
         Driven walls see to it themselves.
         """
         plan = self.state.plan
-        way, speed = (plan.wall_way, plan.wall_speed) if not plan.features.shear else (plan.skin, plan.border_speed)
+        displacement_limit, speed = (
+            (plan.wall_displacement_limit, plan.wall_speed)
+            if not plan.features.lees_edwards
+            else (plan.skin, plan.image_speed)
+        )
         if speed == 0.0:
             return WALL_BATCH
-        return int(way / (speed * plan.longest_time_step)) - self.steps_since_search
+        return int(displacement_limit / (speed * plan.longest_time_step)) - self.steps_since_rebuild
 
 
-def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]:
+def _build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
     """One step, every chunk a task of its own."""
-    control, real, driven = state.control, state.backend.real, state.plan.features.driven_walls
-    drive = build_drive(state) if driven else None
+    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
+    move_walls = build_wall_dynamics(state) if force_controlled else None
 
     @ti.kernel
     def step_on_gpu(
@@ -331,31 +337,31 @@ def _build_gpu_step(state: State, move: Any, forces: Any) -> Callable[..., None]
         forcing: ti.i32
     ):  # fmt: skip
         for chunk in range(moving * chunks):
-            if control.search_due[0] == 0 and control.guard[0] == 0:
-                move(chunk, count, dt)
-        if ti.static(driven):
+            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
+                integrate(chunk, count, dt)
+        if ti.static(force_controlled):
             for _ in range(moving):
-                if control.search_due[0] == 0 and control.guard[0] == 0:
-                    drive(chunks, pose + control.steps_done[0], dt)
+                if control.rebuild_due[0] == 0 and control.abort[0] == 0:
+                    move_walls(chunks, pose + control.steps_done[0], dt)
         if moving == 1:
-            control.search_due[0] = control.search_wanted[0]
+            control.rebuild_due[0] = control.rebuild_requested[0]
         for chunk in range(forcing * chunks):
-            if control.search_due[0] == 0 and control.guard[0] == 0:
+            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
                 forces(0, chunk, count, pose + control.steps_done[0], dt)
-        if forcing == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
+        if forcing == 1 and control.rebuild_due[0] == 0 and control.abort[0] == 0:
             control.steps_done[0] = control.steps_done[0] + 1
 
     return step_on_gpu
 
 
-def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None]:
+def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
     """Many steps in one launch. Workers take chunk after chunk; a barrier separates the phases."""
-    control, real, driven = state.control, state.backend.real, state.plan.features.driven_walls
-    drive = build_drive(state) if driven else None
+    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
+    move_walls = build_wall_dynamics(state) if force_controlled else None
     arrive, release, wait = build_barrier(control)
 
     @ti.func
-    def barrier(number, forced, steps_wanted, chunks, pose, dt):
+    def barrier(number, computes_forces, steps_wanted, chunks, pose, dt):
         """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
 
         Spinning on atomic counters takes a microsecond; waking Taichi's threads for every phase takes sixty.
@@ -363,14 +369,14 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
         left = 0
         if arrive(number) == 1:
             control.next_chunk[CACHE_LINE] = 0
-            if ti.static(driven):
-                if forced == 0:
-                    drive(chunks, pose, dt)
-            if forced == 1 and control.search_due[0] == 0 and control.guard[0] == 0:
+            if ti.static(force_controlled):
+                if computes_forces == 0:
+                    move_walls(chunks, pose, dt)
+            if computes_forces == 1 and control.rebuild_due[0] == 0 and control.abort[0] == 0:
                 control.steps_done[0] = control.steps_done[0] + 1
-            control.search_due[0] = control.search_wanted[0]
-            on = control.steps_done[0] < steps_wanted and control.search_due[0] == 0 and control.guard[0] == 0
-            control.running[0] = ti.cast(on, ti.i32)
+            control.rebuild_due[0] = control.rebuild_requested[0]
+            continues = control.steps_done[0] < steps_wanted and control.rebuild_due[0] == 0 and control.abort[0] == 0
+            control.running[0] = ti.cast(continues, ti.i32)
             release(number)
         else:
             left = wait(number)
@@ -387,7 +393,7 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
             if moving == 1:
                 chunk = next_chunk()
                 while chunk < chunks:
-                    move(chunk, count, dt)
+                    integrate(chunk, count, dt)
                     chunk = next_chunk()
                 barrier_number += 1
                 left = barrier(barrier_number, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
@@ -410,7 +416,7 @@ def _build_cpu_steps(state: State, move: Any, forces: Any) -> Callable[..., None
         control.arrived[CACHE_LINE] = 0
         control.arrived[2 * CACHE_LINE] = 0
         control.released[CACHE_LINE] = 0
-        control.running[0] = ti.cast(steps > 0 and control.search_due[0] == 0 and control.guard[0] == 0, ti.i32)
+        control.running[0] = ti.cast(steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 work(task // CPU_STRIDE, chunks, count, pose, dt, moving, forcing, steps)

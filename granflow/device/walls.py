@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.apart import build_inside
-from granflow.device.drive import build_displacement, upload_running
 from granflow.device.mesh import build_mesh_geometry
+from granflow.device.periodic_box import build_wrap_position
 from granflow.device.state import WALL_BATCH, State
-from granflow.walls.catalogue import SHAPE_KINDS
+from granflow.device.wall_dynamics import build_wall_displacement, upload_running
+from granflow.walls.catalog import SHAPE_KINDS
 from granflow.walls.motion import pose
 from granflow.walls.shape import FAR_AWAY, Shape
 
@@ -19,7 +19,7 @@ from granflow.walls.shape import FAR_AWAY, Shape
 class WallGeometry:
     """Device functions of (face, pose, point); a face is a wall, or the number of walls and that of a triangle."""
 
-    to_rest: Any
+    to_wall_frame: Any
     """(wall, pose, point) -> the point as seen from the wall at rest."""
     distance: Any
     """Distance [m] of the bare surface of a wall that is no mesh, for the list of near walls."""
@@ -27,7 +27,7 @@ class WallGeometry:
     """(distance, normal) of the contact."""
     surface_velocity: Any
     """Velocity [m/s] of the wall's material at the point."""
-    given_velocity: Any
+    prescribed_velocity: Any
     """That part of it that the scene gives, without what a driven wall does."""
 
 
@@ -36,41 +36,45 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
     In a periodic box a point meets walls where its image in the box stands.
     """
-    walls, moving, driven = state.walls, state.plan.features.moving_walls, state.plan.features.driven_walls
-    displacement, driven_velocity = build_displacement(state) if driven else (None, None)
-    inside = build_inside(state)
+    walls, moving, force_controlled = (
+        state.walls,
+        state.plan.features.moving_walls,
+        state.plan.features.force_controlled_walls,
+    )
+    controlled_displacement, controlled_velocity = build_wall_displacement(state) if force_controlled else (None, None)
+    wrap_position = build_wrap_position(state)
     used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls if isinstance(wall.shape, Shape)})
     mesh = build_mesh_geometry(state) if state.plan.features.mesh_walls else None
     wall_count, wall_of, has_mesh = len(state.plan.walls), build_wall_of(state), mesh is not None
 
     @ti.func
     def center(w, pose):
-        stand = walls.center[pose, w]
-        if ti.static(driven):
-            stand += displacement(w)
-        return stand
+        center_now = walls.center[pose, w]
+        if ti.static(force_controlled):
+            center_now += controlled_displacement(w)
+        return center_now
 
     @ti.func
-    def to_rest(w, pose, point):
-        local = inside(point)
+    def to_wall_frame(w, pose, point):
+        local = wrap_position(point)
         if ti.static(moving):
             local = walls.rotation[pose, w].transpose() @ (local - center(w, pose)) + walls.pivot[w]
         return local
 
     @ti.func
     def distance(w, pose, point):
-        local = to_rest(w, pose, point)
+        local = to_wall_frame(w, pose, point)
         parameters = walls.parameters[w]
         result = 0.0 * point[0] + FAR_AWAY
         for code in ti.static(used):
             if walls.kind[w] == code:
-                result = SHAPE_KINDS[code].bare_distance(local, parameters)
+                result = SHAPE_KINDS[code].surface_distance(local, parameters)
         return result
 
     @ti.func
     def closest(face, pose, point):
         w = wall_of(-1 - face)
-        local = to_rest(w, pose, point)
+        local = to_wall_frame(w, pose, point)
         parameters = walls.parameters[w]
         gap = 0.0 * point[0]
         normal = 0.0 * point
@@ -85,21 +89,21 @@ def build_wall_geometry(state: State) -> WallGeometry:
         return gap, normal
 
     @ti.func
-    def given_velocity(face, pose, point):
+    def prescribed_velocity(face, pose, point):
         velocity = 0.0 * point
         if ti.static(moving):
             w = wall_of(-1 - face)
-            velocity = walls.velocity[pose, w] + walls.spin[pose, w].cross(point - center(w, pose))
+            velocity = walls.velocity[pose, w] + walls.angular_velocity[pose, w].cross(point - center(w, pose))
         return velocity
 
     @ti.func
     def surface_velocity(face, pose, point):
-        velocity = given_velocity(face, pose, point)
-        if ti.static(driven):
-            velocity += driven_velocity(wall_of(-1 - face))
+        velocity = prescribed_velocity(face, pose, point)
+        if ti.static(force_controlled):
+            velocity += controlled_velocity(wall_of(-1 - face))
         return velocity
 
-    return WallGeometry(to_rest, distance, closest, surface_velocity, given_velocity)
+    return WallGeometry(to_wall_frame, distance, closest, surface_velocity, prescribed_velocity)
 
 
 def build_wall_of(state: State) -> Any:
@@ -143,8 +147,8 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
     """Index (n,) of the triangle within its wall that each partner (n,) below 0 is; -1 for a wall that is no mesh."""
     plan = state.plan
     first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
-    over_all = -1 - partner - len(plan.walls)
-    return np.where(over_all < 0, -1, over_all - first[walls_of(state, partner)])
+    triangle = -1 - partner - len(plan.walls)
+    return np.where(triangle < 0, -1, triangle - first[walls_of(state, partner)])
 
 
 def upload_poses(state: State, step: int) -> None:
@@ -166,4 +170,4 @@ def upload_poses(state: State, step: int) -> None:
     upload(walls.center, [p.offset + p.pivot for p in now], position_real)
     upload(walls.rotation, [p.rotation for p in now], position_real)
     upload(walls.velocity, [p.velocity for p in middle], real)
-    upload(walls.spin, [p.angular_velocity for p in middle], real)
+    upload(walls.angular_velocity, [p.angular_velocity for p in middle], real)

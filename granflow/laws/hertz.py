@@ -4,10 +4,10 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import Asked, NormalLaw, Touch
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
-from granflow.laws.within_step import build_step_mean, mean_power
+from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "viscosity")
 DAMPING_POWER = 0.25
@@ -54,8 +54,8 @@ def build(damped: bool) -> NormalLaw:
         elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap
         viscous = 0.0 * elastic
         if ti.static(damped):
-            place, weight = root_over_step(overlap, overlap_rate, time_step)
-            secant = stiffness * ti.sqrt(radius_eff * place)
+            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            secant = stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = ti.max(constants[2] * weight * ti.sqrt(mass_eff * secant) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history
 
@@ -66,14 +66,14 @@ def build(damped: bool) -> NormalLaw:
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=damped,
-        lateral_grows=True,
+        tangential_stiffness_grows=True,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=mindlin_stiffness,
-        twin=twin,
+        tangential_stiffness=mindlin_stiffness,
+        reference=reference,
         phase_durations=phase_durations,
         unloading_stiffness=theory.hertz_tangent,
         stable_stiffness=theory.hertz_tangent,
@@ -81,18 +81,18 @@ def build(damped: bool) -> NormalLaw:
     )
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    return build(any(pair.restitution != 1.0 for pair in asked.pairs))
+    return build(any(pair.restitution != 1.0 for pair in request.pairs))
 
 
-def twin(touch: Touch) -> tuple[float, np.ndarray]:
+def reference(contact: ContactState) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`."""
-    k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
-    root = mean_power(DAMPING_POWER, touch.overlap, touch.overlap_rate, touch.time_step)
-    viscous = touch.constants[2] * np.sqrt(touch.mass_eff * k) * root * touch.overlap_rate
-    elastic = k * touch.overlap**1.5
-    return float(elastic if touch.constants[2] == 0.0 else max(elastic + viscous, 0.0)), touch.history
+    k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
+    root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
+    viscous = contact.constants[2] * np.sqrt(contact.mass_eff * k) * root * contact.overlap_rate
+    elastic = k * contact.overlap**1.5
+    return float(elastic if contact.constants[2] == 0.0 else max(elastic + viscous, 0.0)), contact.history
 
 
 def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:

@@ -12,10 +12,10 @@ import taichi as ti
 
 from granflow.laws import theory
 from granflow.laws.hertz import lost_energy, stored_energy
-from granflow.laws.law import Asked, NormalLaw, Touch
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
-from granflow.laws.within_step import build_step_mean, mean_power
+from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
 DAMPING_POWER = 0.5
@@ -28,9 +28,9 @@ LARGEST_DISSIPATION = 64.0
 """Where e is 0.0013."""
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    return build(asked.settings["reference_velocity"])
+    return build(request.settings["reference_velocity"])
 
 
 def build(reference_velocity: float) -> NormalLaw:
@@ -69,13 +69,13 @@ def build(reference_velocity: float) -> NormalLaw:
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=True,
-        lateral_grows=True,
+        tangential_stiffness_grows=True,
         pair_constants=pair_constants,
         force=force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=mindlin_stiffness,
-        twin=twin,
+        tangential_stiffness=mindlin_stiffness,
+        reference=reference,
         phase_durations=phase_durations,
         unloading_stiffness=theory.hertz_tangent,
         stable_stiffness=theory.hertz_tangent,
@@ -95,19 +95,19 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
     """
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     elastic = k * ti.sqrt(overlap) * overlap
-    place, weight = _root_over_step(overlap, overlap_rate, time_step)
-    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(place) * overlap_rate
+    overlap_at, weight = _root_over_step(overlap, overlap_rate, time_step)
+    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at) * overlap_rate
     viscous = ti.max(viscous, -elastic)
     return elastic + viscous, viscous, history
 
 
-def twin(touch: Touch) -> tuple[float, np.ndarray]:
+def reference(contact: ContactState) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`."""
-    k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
-    damping = touch.constants[2] * k**0.6 * touch.mass_eff**0.4
-    root = mean_power(DAMPING_POWER, touch.overlap, touch.overlap_rate, touch.time_step)
-    dissipative = damping * root * touch.overlap_rate
-    return float(max(k * touch.overlap**1.5 + dissipative, 0.0)), touch.history
+    k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
+    damping = contact.constants[2] * k**0.6 * contact.mass_eff**0.4
+    root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
+    dissipative = damping * root * contact.overlap_rate
+    return float(max(k * contact.overlap**1.5 + dissipative, 0.0)), contact.history
 
 
 @cache

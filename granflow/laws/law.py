@@ -10,7 +10,7 @@ from granflow.laws.material import PairMaterial
 
 
 @dataclass(frozen=True)
-class Asked:
+class ModelRequest:
     """What a scene asks of its normal law: settings as in `contact.normal`, its pairs, and what bounds the law."""
 
     settings: Mapping[str, Any]
@@ -20,7 +20,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Touch:
+class ContactState:
     """One contact at one step, SI: what `force` gets, for its numpy twin. `overlap_rate` > 0 approaching."""
 
     constants: np.ndarray
@@ -32,7 +32,7 @@ class Touch:
     history: np.ndarray
 
 
-Twin = Callable[[Touch], tuple[float, np.ndarray]]
+ReferenceForce = Callable[[ContactState], tuple[float, np.ndarray]]
 """Numpy twin of `force`: normal force [N] and history."""
 
 
@@ -43,7 +43,7 @@ class PhaseDurations(Protocol):
         """Loading and unloading duration at an approach velocity [m/s]."""
 
 
-class CollisionFigure(Protocol):
+class CollisionNumber(Protocol):
     """One number that a binary collision has."""
 
     def __call__(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
@@ -59,7 +59,7 @@ class LeastRestitution(Protocol):
         """The restitution at an approach velocity [m/s]."""
 
 
-def asked_restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+def requested_restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
     """Restitution that the pair asks for, where the law promises to reach it."""
     return pair.restitution_at(velocity)
 
@@ -90,29 +90,29 @@ class NormalLaw:
     constant_names: tuple[str, ...]
     history_names: tuple[str, ...]
     rate_dependent: bool
-    lateral_grows: bool
+    tangential_stiffness_grows: bool
     """True where the lateral stiffness goes with the square root of the overlap."""
     pair_constants: Callable[[PairMaterial], tuple[float, ...]]
     force: Any
     stored_energy: Any
     lost_energy: Any
-    lateral_stiffness: Any
-    twin: Twin
+    tangential_stiffness: Any
+    reference: ReferenceForce
     """Numpy twin of `force`, written from the source and not from the kernel."""
     phase_durations: PhaseDurations
-    unloading_stiffness: CollisionFigure
+    unloading_stiffness: CollisionNumber
     """Steepest tangent [N/m] met in a binary collision."""
-    stable_stiffness: CollisionFigure
+    stable_stiffness: CollisionNumber
     """Tangent [N/m] that a grain held between others can feel at the largest overlap; it bounds the time step."""
-    lateral_tangent: CollisionFigure | None = None
+    loading_tangent: CollisionNumber | None = None
     """Tangent [N/m] that 4 G/E of is the lateral stiffness at the largest overlap; None: `stable_stiffness`."""
-    damping: CollisionFigure | None = None
+    damping: CollisionNumber | None = None
     """Viscous force over the rate of overlap, at the largest overlap of a collision [N s/m]; None: there is none."""
     unloading_angle: float = 0.0
     """theta of a law that bounds its unloading tangent by theta^2 M/dt^2; 0 where there is no such bound."""
     unresolved_unloading: float = 0.0
     """Unloading faster than this share of loading needs no resolving steps: the law bounds its tangent itself."""
-    restitution: CollisionFigure = asked_restitution
+    restitution: CollisionNumber = requested_restitution
     """Restitution that the law promises in a binary collision, at a time step that resolves it."""
     least_restitution: LeastRestitution | None = None
     """For a law that bounds its unloading by the time step."""
@@ -128,7 +128,7 @@ class NormalLaw:
 
     def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Tangent [N/m] at the largest overlap that the lateral stiffness goes with."""
-        tangent = self.lateral_tangent or self.stable_stiffness
+        tangent = self.loading_tangent or self.stable_stiffness
         return tangent(pair, radius_eff, mass_eff, velocity)
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
@@ -156,4 +156,4 @@ class NormalLaw:
         history: np.ndarray,
     ) -> tuple[float, np.ndarray]:
         """Normal force [N] and history by the numpy twin, with the arguments of `force`."""
-        return self.twin(Touch(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history))
+        return self.reference(ContactState(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history))

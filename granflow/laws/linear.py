@@ -4,10 +4,10 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw, ReferenceForce
 from granflow.laws.material import PairMaterial
-from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
-from granflow.laws.within_step import build_step_mean, mean_power
+from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
+from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
@@ -19,9 +19,9 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
     return pair.modulus_eff, pair.shear_modulus_eff, theory.damping_ratio_for(pair.restitution)
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    return build(spring_for(asked, place=0))
+    return build(spring_for(request, history_index=0))
 
 
 def build(spring: Spring) -> NormalLaw:
@@ -34,31 +34,31 @@ def build(spring: Spring) -> NormalLaw:
 
         In the first step the dashpot counts for the time since first touch.
         """
-        memory = history
-        stiffness = spring.held(memory)
+        history_new = history
+        stiffness = spring.stiffness_of(history_new)
         elastic = stiffness * overlap
         _place, share = share_of_step(overlap, overlap_rate, time_step)
         viscous = ti.max(2.0 * constants[2] * share * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
-        return elastic + viscous, viscous, memory
+        return elastic + viscous, viscous, history_new
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        return 0.5 * spring.held(history) * overlap * overlap
+        return 0.5 * spring.stiffness_of(history) * overlap * overlap
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
         return 0.0 * overlap
 
     @ti.func
-    def lateral_stiffness(constants, radius_eff, overlap, history):
-        return lateral_spring(constants, spring.held(history))
+    def tangential_stiffness(constants, radius_eff, overlap, history):
+        return tangential_spring(constants, spring.stiffness_of(history))
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-        quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
+        quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, quarter
 
     def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        stiffness = spring.of(pair, radius_eff, mass_eff, velocity)
+        stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
         return 2.0 * pair_constants(pair)[2] * float(np.sqrt(stiffness * mass_eff))
 
     return NormalLaw(
@@ -68,29 +68,29 @@ def build(spring: Spring) -> NormalLaw:
         constant_names=CONSTANTS,
         history_names=spring.history_names,
         rate_dependent=True,
-        lateral_grows=False,
+        tangential_stiffness_grows=False,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=lateral_stiffness,
-        twin=_twin(spring),
+        tangential_stiffness=tangential_stiffness,
+        reference=_reference(spring),
         phase_durations=phase_durations,
-        unloading_stiffness=spring.of,
-        stable_stiffness=spring.of,
+        unloading_stiffness=spring.stiffness,
+        stable_stiffness=spring.stiffness,
         damping=damping,
     )
 
 
-def _twin(spring: Spring) -> Twin:
+def _reference(spring: Spring) -> ReferenceForce:
     """Numpy twin of `force`."""
 
-    def twin(touch: Touch) -> tuple[float, np.ndarray]:
-        stiffness, kept = spring.touched(touch)
-        rate = mean_power(0.0, touch.overlap, touch.overlap_rate, touch.time_step) * touch.overlap_rate
-        viscous = 2.0 * touch.constants[2] * np.sqrt(stiffness * touch.mass_eff) * rate
-        return float(max(stiffness * touch.overlap + viscous, 0.0)), np.array(kept or touch.history)
+    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
+        stiffness, spring_history = spring.reference_stiffness(contact)
+        rate = reference_step_mean(0.0, contact.overlap, contact.overlap_rate, contact.time_step) * contact.overlap_rate
+        viscous = 2.0 * contact.constants[2] * np.sqrt(stiffness * contact.mass_eff) * rate
+        return float(max(stiffness * contact.overlap + viscous, 0.0)), np.array(spring_history or contact.history)
 
-    return twin
+    return reference

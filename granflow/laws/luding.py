@@ -10,17 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw, ReferenceForce
 from granflow.laws.material import PairMaterial
-from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
+from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "growth", "limit")
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    depth, tension = (asked.settings[key] for key in ("plasticity_depth", "tension"))
-    return build(spring_for(asked, place=2 if tension > 0.0 else 1), depth, tension)
+    depth, tension = (request.settings[key] for key in ("plasticity_depth", "tension"))
+    return build(spring_for(request, history_index=2 if tension > 0.0 else 1), depth, tension)
 
 
 def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
@@ -28,7 +28,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     Each pair's restitution is that of the limit: kp = k1 / e^2.
     """
-    pulls = tension > 0.0
+    has_tension = tension > 0.0
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
         """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R."""
@@ -40,75 +40,77 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         return pair.modulus_eff, pair.shear_modulus_eff, growth, limit
 
     @ti.func
-    def virgin_loss(growth, stiffness, largest):
+    def loading_loss(growth, stiffness, largest):
         """Energy that first loading to an overlap loses [J]: k1 dmax^2 (1 - k1/k2) / 2."""
         steeper = growth * largest
         return 0.5 * stiffness * largest * largest * steeper / (1.0 + steeper)
 
     @ti.func
-    def pulled_loss(growth, stiffness, largest, overlap):
+    def tension_loss(growth, stiffness, largest, overlap):
         """Energy lost along -kc d from where the unloading line of `largest` meets it down to an overlap [J]."""
-        lost = 0.0 * stiffness
-        if ti.static(pulls):
+        energy_lost = 0.0 * stiffness
+        if ti.static(has_tension):
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
-            held = tension * tension * (begin * begin / (1.0 + growth * largest))
-            held -= tension * tension * overlap * overlap / (1.0 + growth * pulled_largest(growth, overlap))
-            heat = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + held)
-            lost = ti.select(overlap < begin, heat, lost)
-        return lost
+            energy_held = tension * tension * (begin * begin / (1.0 + growth * largest))
+            energy_held -= tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, overlap))
+            heat = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + energy_held)
+            energy_lost = ti.select(overlap < begin, heat, energy_lost)
+        return energy_lost
 
     @ti.func
-    def pulled_largest(growth, overlap):
+    def tension_overlap_max(growth, overlap):
         """The largest overlap whose unloading line meets -kc d at this overlap."""
         return 0.5 * (overlap + ti.sqrt(overlap * overlap + 4.0 * (1.0 + tension) * overlap / growth))
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """F = max(k1 dmax - k2 (dmax - d), -kc d); dmax grows with the overlap up to the limit."""
-        memory = history
-        stiffness, growth = spring.held(memory), constants[2] / radius_eff
-        largest = ti.max(memory[0], ti.min(overlap, constants[3] * radius_eff))
+        history_new = history
+        stiffness, growth = spring.stiffness_of(history_new), constants[2] / radius_eff
+        largest = ti.max(history_new[0], ti.min(overlap, constants[3] * radius_eff))
         normal_force = stiffness * (largest + (1.0 + growth * largest) * (overlap - largest))
         least = -tension * stiffness * overlap
-        if ti.static(pulls):
-            pulled = normal_force < least
-            lost = ti.select(pulled, pulled_loss(growth, stiffness, largest, overlap), 0.0)
-            memory[1] += virgin_loss(growth, stiffness, largest) - virgin_loss(growth, stiffness, memory[0]) + lost
-            largest = ti.select(pulled, pulled_largest(growth, overlap), largest)
-        memory[0] = largest
+        if ti.static(has_tension):
+            in_tension = normal_force < least
+            energy_lost = ti.select(in_tension, tension_loss(growth, stiffness, largest, overlap), 0.0)
+            history_new[1] += (
+                loading_loss(growth, stiffness, largest) - loading_loss(growth, stiffness, history_new[0]) + energy_lost
+            )
+            largest = ti.select(in_tension, tension_overlap_max(growth, overlap), largest)
+        history_new[0] = largest
         normal_force = ti.max(normal_force, least)
-        return normal_force, 0.0 * normal_force, memory
+        return normal_force, 0.0 * normal_force, history_new
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness, steeper = spring.held(history), 1.0 + constants[2] / radius_eff * history[0]
-        held = history[0] + steeper * (overlap - history[0])
-        held = ti.max(held, -tension * overlap)
-        return 0.5 * stiffness * held * held / steeper
+        stiffness, steeper = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
+        energy_held = history[0] + steeper * (overlap - history[0])
+        energy_held = ti.max(energy_held, -tension * overlap)
+        return 0.5 * stiffness * energy_held * energy_held / steeper
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness, growth = spring.held(history), constants[2] / radius_eff
-        lost = pulled_loss(growth, stiffness, history[0], overlap)
-        if ti.static(pulls):
-            lost += history[1]
+        stiffness, growth = spring.stiffness_of(history), constants[2] / radius_eff
+        energy_lost = tension_loss(growth, stiffness, history[0], overlap)
+        if ti.static(has_tension):
+            energy_lost += history[1]
         else:
-            lost += virgin_loss(growth, stiffness, history[0])
-        return lost
+            energy_lost += loading_loss(growth, stiffness, history[0])
+        return energy_lost
 
     @ti.func
-    def lateral_stiffness(constants, radius_eff, overlap, history):
-        return lateral_spring(constants, spring.held(history))
+    def tangential_stiffness(constants, radius_eff, overlap, history):
+        return tangential_spring(constants, spring.stiffness_of(history))
 
     @ti.func
     def attraction(constants, radius_eff, overlap, history):
         """Tension that does not count for friction: its cap is mu (F + kc d) (Luding 2008)."""
-        return tension * spring.held(history) * overlap
+        return tension * spring.stiffness_of(history) * overlap
 
-    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> Collision:
+    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> LudingCollision:
         _, _, growth, limit = pair_constants(pair)
-        stiffness = spring.of(pair, radius_eff, mass_eff, velocity)
-        return Collision(stiffness, growth / radius_eff, limit * radius_eff, tension, mass_eff, velocity)
+        stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
+        return LudingCollision(stiffness, growth / radius_eff, limit * radius_eff, tension, mass_eff, velocity)
 
     return NormalLaw(
         name="luding",
@@ -116,28 +118,28 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         limits="e falls with velocity only up to the limit overlap and rises again above it; stiffness and plasticity "
         "depth are fitted, no constants of the material",
         constant_names=CONSTANTS,
-        history_names=("overlap_max", *(("plastic_work",) if pulls else ()), *spring.history_names),
+        history_names=("overlap_max", *(("plastic_work",) if has_tension else ()), *spring.history_names),
         rate_dependent=False,
-        lateral_grows=False,
+        tangential_stiffness_grows=False,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=lateral_stiffness,
-        twin=_twin(spring, tension),
+        tangential_stiffness=tangential_stiffness,
+        reference=_reference(spring, tension),
         phase_durations=lambda *bodies: collision(*bodies).durations(),
         unloading_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
         stable_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
-        lateral_tangent=spring.of,
+        loading_tangent=spring.stiffness,
         restitution=lambda *bodies: collision(*bodies).restitution,
-        attraction=attraction if pulls else None,
+        attraction=attraction if has_tension else None,
     )
 
 
 @dataclass(frozen=True)
-class Collision:
+class LudingCollision:
     """A binary collision in closed form; `growth` [1/m], `limit` overlap [m], `tension` kc / k1."""
 
     stiffness: float
@@ -158,76 +160,88 @@ class Collision:
         return self.stiffness * (1.0 + self.growth * self.overlap_max)
 
     @property
-    def pulled(self) -> float:
+    def overlap_in_tension(self) -> float:
         """Overlap [m] at which unloading meets the tension line: (k2 - k1) dmax / (k2 + kc)."""
-        steep = self.unloading_stiffness
-        return (steep - self.stiffness) * self.overlap_max / (steep + self.tension * self.stiffness)
+        unloading_stiffness_now = self.unloading_stiffness
+        return (
+            (unloading_stiffness_now - self.stiffness)
+            * self.overlap_max
+            / (unloading_stiffness_now + self.tension * self.stiffness)
+        )
 
     @property
     def elastic_energy(self) -> float:
         """Energy [J] that unloading gives back before it pulls."""
         largest = self.overlap_max
-        lost = 0.5 * self.stiffness * largest**2 * (1.0 - self.stiffness / self.unloading_stiffness)
-        return 0.5 * self.mass_eff * self.velocity**2 - lost
+        energy_lost = 0.5 * self.stiffness * largest**2 * (1.0 - self.stiffness / self.unloading_stiffness)
+        return 0.5 * self.mass_eff * self.velocity**2 - energy_lost
 
     @property
     def restitution(self) -> float:
         """Restitution coefficient; 0 where the tension holds the spheres."""
-        pull = self.tension * self.stiffness * self.pulled
-        work = 0.5 * pull * self.pulled + 0.5 * pull**2 / self.unloading_stiffness
+        pull = self.tension * self.stiffness * self.overlap_in_tension
+        work = 0.5 * pull * self.overlap_in_tension + 0.5 * pull**2 / self.unloading_stiffness
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
         """Loading and unloading duration [s]; unloading of spheres that stay together up to where they would pull."""
         quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
-        return self._loading(), quarter + (self._pulling() if self.restitution > 0.0 else 0.0)
+        return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
 
-    def _loading(self) -> float:
+    def _loading_duration(self) -> float:
         omega = math.sqrt(self.stiffness / self.mass_eff)
         if self.velocity <= omega * self.limit:
             return 0.5 * math.pi / omega
         stiffer = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        left = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
+        velocity_left = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
         elastic = self.limit * self.stiffness / self.unloading_stiffness
-        return math.asin(omega * self.limit / self.velocity) / omega + math.atan2(left, stiffer * elastic) / stiffer
+        return (
+            math.asin(omega * self.limit / self.velocity) / omega
+            + math.atan2(velocity_left, stiffer * elastic) / stiffer
+        )
 
-    def _pulling(self) -> float:
+    def _tension_duration(self) -> float:
         """Time under tension [s]: first on the unloading line, then along -kc d."""
-        if self.tension == 0.0 or self.pulled == 0.0:
+        if self.tension == 0.0 or self.overlap_in_tension == 0.0:
             return 0.0
         omega = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        stretch = self.tension * self.stiffness * self.pulled / self.unloading_stiffness
-        parting = math.sqrt(2.0 * self.elastic_energy / self.mass_eff)
-        slowed = math.sqrt(parting**2 - (omega * stretch) ** 2)
-        growing = math.sqrt(self.tension * self.stiffness / self.mass_eff)
-        return math.asin(omega * stretch / parting) / omega + math.atanh(growing * self.pulled / slowed) / growing
+        stretch = self.tension * self.stiffness * self.overlap_in_tension / self.unloading_stiffness
+        velocity_at_zero = math.sqrt(2.0 * self.elastic_energy / self.mass_eff)
+        velocity_in_tension = math.sqrt(velocity_at_zero**2 - (omega * stretch) ** 2)
+        rate = math.sqrt(self.tension * self.stiffness / self.mass_eff)
+        return (
+            math.asin(omega * stretch / velocity_at_zero) / omega
+            + math.atanh(rate * self.overlap_in_tension / velocity_in_tension) / rate
+        )
 
 
-def _twin(spring: Spring, tension: float) -> Twin:
+def _reference(spring: Spring, tension: float) -> ReferenceForce:
     """Numpy twin of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
 
-    def steep(k1: float, growth: float, largest: float) -> float:
+    def unloading_stiffness(k1: float, growth: float, largest: float) -> float:
         return k1 * (1.0 + growth * largest)
 
     def loss(k1: float, growth: float, largest: float) -> float:
         residual = growth * largest**2 / (1.0 + growth * largest)
         return 0.5 * k1 * largest * residual
 
-    def twin(touch: Touch) -> tuple[float, np.ndarray]:
-        (k1, kept), growth = spring.touched(touch), touch.constants[2] / touch.radius_eff
-        before, kc = touch.history[0], tension * k1
-        largest = max(before, min(touch.overlap, touch.constants[3] * touch.radius_eff))
-        work = (touch.history[1] if tension else 0.0) + loss(k1, growth, largest) - loss(k1, growth, before)
-        k2 = steep(k1, growth, largest)
-        force = k2 * (touch.overlap - (1.0 - k1 / k2) * largest)
-        if force < -kc * touch.overlap:
-            force = -kc * touch.overlap
+    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
+        (k1, spring_history), growth = spring.reference_stiffness(contact), contact.constants[2] / contact.radius_eff
+        largest_before, kc = contact.history[0], tension * k1
+        largest = max(largest_before, min(contact.overlap, contact.constants[3] * contact.radius_eff))
+        work = (contact.history[1] if tension else 0.0) + loss(k1, growth, largest) - loss(k1, growth, largest_before)
+        k2 = unloading_stiffness(k1, growth, largest)
+        force = k2 * (contact.overlap - (1.0 - k1 / k2) * largest)
+        if force < -kc * contact.overlap:
+            force = -kc * contact.overlap
             if tension:
-                begin, end = (k2 - k1) * largest / (k2 + kc), touch.overlap
+                begin, end = (k2 - k1) * largest / (k2 + kc), contact.overlap
                 # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the line through (d, -kc d)
                 largest = max(np.roots([growth, -growth * end, -(1.0 + tension) * end]))
-                held = (kc * end) ** 2 / (2.0 * steep(k1, growth, largest)) - (kc * begin) ** 2 / (2.0 * k2)
-                work += 0.5 * kc * (begin**2 - end**2) - held
-        return float(force), np.array([largest, *([work] if tension else []), *kept])
+                energy_held = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (kc * begin) ** 2 / (
+                    2.0 * k2
+                )
+                work += 0.5 * kc * (begin**2 - end**2) - energy_held
+        return float(force), np.array([largest, *([work] if tension else []), *spring_history])
 
-    return twin
+    return reference

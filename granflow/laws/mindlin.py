@@ -17,7 +17,7 @@ def mindlin_stiffness(constants, radius_eff, overlap, history):
 
 
 @ti.func
-def carried_displacement(displacement, normal, normal_middle):
+def rotated_displacement(displacement, normal, normal_middle):
     """Displacement turned with the contact plane over one step.
 
         s' = s - (s . n) (n_before + n) / 2
@@ -29,32 +29,35 @@ def carried_displacement(displacement, normal, normal_middle):
 
 
 @ti.func
-def elastic_plastic_spring(stiffness, share, cap, carried, step):
+def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
     """Spring force -k s after one more step of displacement, held at `cap`; returns (force, displacement kept).
 
-    `share` is the stiffness one step ago over the present one: below 1 the force is kept, above 1 the displacement.
+    `stiffness_ratio` is the stiffness one step ago over the present one: below 1 the force is kept, above 1 the
+    displacement.
     Selected without a branch, which would keep the compiler from doing several contacts at once.
     """
-    kept = ti.min(share, 1.0) * carried + step
-    force = -stiffness * kept
+    displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
+    force = -stiffness * displacement_new
     square = force.dot(force)
     ratio = ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
-    return ratio * force, ratio * kept
+    return ratio * force, ratio * displacement_new
 
 
 @ti.func
-def spring_loss(stiffness, share, carried, step, force, kept):
+def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
     """Energy the spring took for good in one step [J]: work put in, less what it stores more than before."""
-    before = share * stiffness
-    work = 0.5 * (before * carried - force).dot(step)
-    return work + 0.5 * before * carried.dot(carried) - 0.5 * stiffness * kept.dot(kept)
+    stiffness_before = stiffness_ratio * stiffness
+    work = 0.5 * (stiffness_before * rotated - force).dot(step)
+    return (
+        work + 0.5 * stiffness_before * rotated.dot(rotated) - 0.5 * stiffness * displacement_new.dot(displacement_new)
+    )
 
 
 def reference_spring(
-    stiffness: float, share: float, cap: float, carried: np.ndarray, step: np.ndarray
+    stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Numpy twin of `elastic_plastic_spring`."""
-    trial = (carried * share if share < 1.0 else carried) + step
+    trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
     size = stiffness * float(np.sqrt(trial @ trial))
-    kept = trial if size <= cap else trial * (cap / size)
-    return -stiffness * kept, kept
+    displacement_new = trial if size <= cap else trial * (cap / size)
+    return -stiffness * displacement_new, displacement_new

@@ -12,7 +12,7 @@ import taichi as ti
 from numpy.polynomial.legendre import leggauss
 
 from granflow.laws import theory
-from granflow.laws.law import Asked, NormalLaw, Touch
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw
 from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
 
@@ -37,7 +37,7 @@ def loading_force(constants, radius_eff, overlap):
 
 
 @ti.func
-def flattened(constants, radius_eff, overlap_max):
+def unloading_contact(constants, radius_eff, overlap_max):
     """Unloading stiffness [N/m^1.5] and residual overlap [m]: R_p F* = R F_e*, where F_e* = k d*^1.5."""
     hertz = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap_max) * overlap_max
     ratio = hertz / loading_force(constants, radius_eff, overlap_max)
@@ -47,19 +47,19 @@ def flattened(constants, radius_eff, overlap_max):
 @ti.func
 def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
     """Loading branch beyond the largest overlap so far, Hertz on the flattened contact below it."""
-    memory = history
-    memory[0] = ti.max(overlap, history[0])
-    stiffness, residual = flattened(constants, radius_eff, memory[0])
+    history_new = history
+    history_new[0] = ti.max(overlap, history[0])
+    stiffness, residual = unloading_contact(constants, radius_eff, history_new[0])
     above = ti.max(overlap - residual, 0.0)
     loading = loading_force(constants, radius_eff, overlap)
     normal_force = ti.select(overlap >= history[0], loading, stiffness * above * ti.sqrt(above))
-    return normal_force, 0.0 * normal_force, memory
+    return normal_force, 0.0 * normal_force, history_new
 
 
 @ti.func
 def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
     """Work that unloading gives back, (2/5) of force times overlap above the residual one."""
-    stiffness, residual = flattened(constants, radius_eff, history[0])
+    stiffness, residual = unloading_contact(constants, radius_eff, history[0])
     above = ti.max(overlap - residual, 0.0)
     return 0.4 * stiffness * above * above * ti.sqrt(above)
 
@@ -69,19 +69,19 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
     """Work of loading to the largest overlap, less what unloading gives back."""
     largest = history[0]
     overlap_yield, force_yield = yield_point(constants, radius_eff)
-    lost = 0.0 * largest
+    energy_lost = 0.0 * largest
     if largest > overlap_yield:
         beyond = largest - overlap_yield
-        put_in = 0.4 * force_yield * overlap_yield
-        put_in += beyond * (force_yield + 0.5 * math.pi * constants[2] * radius_eff * beyond)
-        stiffness, residual = flattened(constants, radius_eff, largest)
+        work = 0.4 * force_yield * overlap_yield
+        work += beyond * (force_yield + 0.5 * math.pi * constants[2] * radius_eff * beyond)
+        stiffness, residual = unloading_contact(constants, radius_eff, largest)
         above = largest - residual
-        lost = put_in - 0.4 * stiffness * above * above * ti.sqrt(above)
-    return lost
+        energy_lost = work - 0.4 * stiffness * above * above * ti.sqrt(above)
+    return energy_lost
 
 
 @dataclass(frozen=True)
-class Collision:
+class ThorntonCollision:
     """A binary collision of elastic, perfectly plastic spheres in closed form; SI."""
 
     hertz: float
@@ -149,9 +149,9 @@ class Collision:
         if self.velocity <= self.yield_velocity:
             return theory.LOADING_DURATION * scale, unloading
         elastic = scale * _hertz_time(self.overlap_yield * self.velocity**-1 / scale)
-        left = math.sqrt(self.velocity**2 - self.yield_velocity**2)
+        velocity_left = math.sqrt(self.velocity**2 - self.yield_velocity**2)
         omega = math.sqrt(self.plastic_slope / self.mass_eff)
-        plastic = math.atan2(left * omega * self.mass_eff, self.force_yield) / omega
+        plastic = math.atan2(velocity_left * omega * self.mass_eff, self.force_yield) / omega
         return elastic + plastic, unloading
 
 
@@ -164,9 +164,9 @@ def _hertz_time(share: float) -> float:
     return float(0.5 * end * np.sum(weights * integrand))
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    return build(asked.settings["yield_ratio"])
+    return build(request.settings["yield_ratio"])
 
 
 def build(yield_ratio: float) -> NormalLaw:
@@ -180,10 +180,10 @@ def build(yield_ratio: float) -> NormalLaw:
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
         return pair.modulus_eff, pair.shear_modulus_eff, pressure(pair)
 
-    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> Collision:
+    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> ThorntonCollision:
         hertz = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         overlap_yield = radius_eff * (0.5 * math.pi * pressure(pair) / pair.modulus_eff) ** 2
-        return Collision(hertz, radius_eff, mass_eff, velocity, pressure(pair), overlap_yield)
+        return ThorntonCollision(hertz, radius_eff, mass_eff, velocity, pressure(pair), overlap_yield)
 
     def tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         return collision(pair, radius_eff, mass_eff, velocity).unloading_tangent
@@ -196,14 +196,14 @@ def build(yield_ratio: float) -> NormalLaw:
         constant_names=CONSTANTS,
         history_names=("overlap_max",),
         rate_dependent=False,
-        lateral_grows=True,
+        tangential_stiffness_grows=True,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=mindlin_stiffness,
-        twin=twin,
+        tangential_stiffness=mindlin_stiffness,
+        reference=reference,
         phase_durations=lambda *bodies: collision(*bodies).durations(),
         unloading_stiffness=tangent,
         stable_stiffness=tangent,
@@ -211,10 +211,10 @@ def build(yield_ratio: float) -> NormalLaw:
     )
 
 
-def twin(touch: Touch) -> tuple[float, np.ndarray]:
+def reference(contact: ContactState) -> tuple[float, np.ndarray]:
     """Numpy twin of `force`, by contact radii as in the paper: a^2 = R d and a^2 = R_p (d - d_p)."""
-    modulus, _, pressure = touch.constants
-    radius, largest = touch.radius_eff, max(touch.overlap, touch.history[0])
+    modulus, _, pressure = contact.constants
+    radius, largest = contact.radius_eff, max(contact.overlap, contact.history[0])
     yield_radius = math.pi * pressure * radius / (2.0 * modulus)
 
     def loaded(overlap: float) -> float:
@@ -222,9 +222,9 @@ def twin(touch: Touch) -> tuple[float, np.ndarray]:
         elastic = 4.0 * modulus * min(contact_radius, yield_radius) ** 3 / (3.0 * radius)
         return elastic + math.pi * pressure * max(contact_radius**2 - yield_radius**2, 0.0)
 
-    if touch.overlap >= touch.history[0]:
-        return loaded(touch.overlap), np.array([touch.overlap])
+    if contact.overlap >= contact.history[0]:
+        return loaded(contact.overlap), np.array([contact.overlap])
     equivalent = 4.0 * modulus * (radius * largest) ** 1.5 / (3.0 * radius)
     flat_radius = radius * equivalent / loaded(largest)
-    above = max(touch.overlap - (largest - radius * largest / flat_radius), 0.0)
+    above = max(contact.overlap - (largest - radius * largest / flat_radius), 0.0)
     return 4.0 / 3.0 * modulus * math.sqrt(flat_radius) * above**1.5, np.array([largest])

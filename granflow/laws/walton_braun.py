@@ -5,9 +5,9 @@ import math
 import numpy as np
 import taichi as ti
 
-from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw, ReferenceForce
 from granflow.laws.material import PairMaterial
-from granflow.laws.spring import Spring, lateral_spring, quarter_period, spring_for
+from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
 
@@ -19,10 +19,10 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
     return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for."""
-    given = asked.settings["unloading"]
-    return build(spring_for(asked, place=1), None if given == "constant" else given["reference_velocity"])
+    given = request.settings["unloading"]
+    return build(spring_for(request, history_index=1), None if given == "constant" else given["reference_velocity"])
 
 
 def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
@@ -44,28 +44,28 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """F = k1 d beyond the largest overlap so far, k2 (d - d0) below it, never below 0."""
-        memory, stiffness = history, spring.held(history)
-        memory[0] = ti.max(overlap, history[0])
-        steep = unloading_stiffness(constants, mass_eff, stiffness, memory[0])
-        normal_force = ti.max(stiffness * memory[0] - steep * (memory[0] - overlap), 0.0)
-        return normal_force, 0.0 * normal_force, memory
+        history_new, stiffness = history, spring.stiffness_of(history)
+        history_new[0] = ti.max(overlap, history[0])
+        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history_new[0])
+        normal_force = ti.max(stiffness * history_new[0] - unloading_stiffness_now * (history_new[0] - overlap), 0.0)
+        return normal_force, 0.0 * normal_force, history_new
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness = spring.held(history)
-        steep = unloading_stiffness(constants, mass_eff, stiffness, history[0])
-        held = ti.max(stiffness * history[0] - steep * (history[0] - overlap), 0.0)
-        return 0.5 * held * held / steep
+        stiffness = spring.stiffness_of(history)
+        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
+        force = ti.max(stiffness * history[0] - unloading_stiffness_now * (history[0] - overlap), 0.0)
+        return 0.5 * force * force / unloading_stiffness_now
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness = spring.held(history)
-        steep = unloading_stiffness(constants, mass_eff, stiffness, history[0])
-        return 0.5 * stiffness * history[0] * history[0] * (1.0 - stiffness / steep)
+        stiffness = spring.stiffness_of(history)
+        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
+        return 0.5 * stiffness * history[0] * history[0] * (1.0 - stiffness / unloading_stiffness_now)
 
     @ti.func
-    def lateral_stiffness(constants, radius_eff, overlap, history):
-        return lateral_spring(constants, spring.held(history))
+    def tangential_stiffness(constants, radius_eff, overlap, history):
+        return tangential_spring(constants, spring.stiffness_of(history))
 
     def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """e(v) = 1 / sqrt(1 + (1/e^2 - 1) v / v_ref), or e (Walton & Braun 1986)."""
@@ -73,11 +73,11 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         return 1.0 / math.sqrt(1.0 + pair_constants(pair)[2] * share)
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-        quarter = quarter_period(spring.of(pair, radius_eff, mass_eff, velocity), mass_eff)
+        quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, restitution(pair, radius_eff, mass_eff, velocity) * quarter
 
     def steepest(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        stiffness = spring.of(pair, radius_eff, mass_eff, velocity)
+        stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
         return stiffness / restitution(pair, radius_eff, mass_eff, velocity) ** 2
 
     return NormalLaw(
@@ -88,35 +88,37 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         constant_names=CONSTANTS,
         history_names=("overlap_max", *spring.history_names),
         rate_dependent=False,
-        lateral_grows=False,
+        tangential_stiffness_grows=False,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=spring.prepare,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=lateral_stiffness,
-        twin=_twin(spring, reference_velocity),
+        tangential_stiffness=tangential_stiffness,
+        reference=_reference(spring, reference_velocity),
         phase_durations=phase_durations,
         unloading_stiffness=steepest,
         stable_stiffness=steepest,
-        lateral_tangent=spring.of,
+        loading_tangent=spring.stiffness,
         restitution=restitution,
     )
 
 
-def _twin(spring: Spring, reference_velocity: float | None) -> Twin:
+def _reference(spring: Spring, reference_velocity: float | None) -> ReferenceForce:
     """Numpy twin of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as Walton & Braun have it."""
 
-    def twin(touch: Touch) -> tuple[float, np.ndarray]:
-        (stiffness, kept), largest = spring.touched(touch), touch.history[0]
-        memory = np.array([max(largest, touch.overlap), *kept])
-        if touch.overlap >= largest:
-            return stiffness * touch.overlap, memory
-        steep = stiffness * (1.0 + touch.constants[2])
+    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
+        (stiffness, spring_history), largest = spring.reference_stiffness(contact), contact.history[0]
+        history_new = np.array([max(largest, contact.overlap), *spring_history])
+        if contact.overlap >= largest:
+            return stiffness * contact.overlap, history_new
+        unloading_stiffness_now = stiffness * (1.0 + contact.constants[2])
         if reference_velocity is not None:
-            slope = touch.constants[2] / (reference_velocity * math.sqrt(stiffness * touch.mass_eff))
-            steep = stiffness * (1.0 + slope * stiffness * largest)
-        return max(steep * (touch.overlap - largest * (1.0 - stiffness / steep)), 0.0), memory
+            slope = contact.constants[2] / (reference_velocity * math.sqrt(stiffness * contact.mass_eff))
+            unloading_stiffness_now = stiffness * (1.0 + slope * stiffness * largest)
+        return max(
+            unloading_stiffness_now * (contact.overlap - largest * (1.0 - stiffness / unloading_stiffness_now)), 0.0
+        ), history_new
 
-    return twin
+    return reference

@@ -11,12 +11,19 @@ import numpy as np
 import taichi as ti
 
 from granflow.laws import theory
-from granflow.laws.law import Asked, NormalLaw, Touch, Twin
+from granflow.laws.law import ContactState, ModelRequest, NormalLaw, ReferenceForce
 from granflow.laws.material import PairMaterial, VelocityRestitution
 from granflow.laws.mindlin import mindlin_stiffness
-from granflow.laws.within_step import build_step_mean, mean_above, mean_positive, mean_power, turned_at, turning_point
+from granflow.laws.substep_corrections import (
+    build_step_mean,
+    mean_above,
+    reference_mean_above,
+    reference_step_mean,
+    reference_turning_point,
+    turning_point,
+)
 
-RestitutionFrom = Literal["onset", "peak", "constant"]
+RestitutionAt = Literal["impact", "max_overlap", "constant"]
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
 HISTORY = ("overlap_max", "restitution", "recovery")
@@ -101,23 +108,23 @@ def unloading_energy(k, overlap_max, e, y, overlap):
     return energy
 
 
-def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float = 0.0) -> NormalLaw:
+def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_ratio: float = 0.0) -> NormalLaw:
     """Zhou's law with its restitution taken at the onset, from the peak overlap, or constant.
 
     `unloading_angle` is the bound theta on sqrt(K/M) dt of the unloading tangent. `damping_ratio` adds a viscous
     force 2 zeta sqrt(K M) times the rate of overlap on the elastic branch, with K the Hertz tangent.
     """
-    peak, damped = restitution_from == "peak", damping_ratio > 0.0
+    from_max_overlap, damped = restitution_at_choice == "max_overlap", damping_ratio > 0.0
     root_over_step = build_step_mean(DAMPING_POWER)
 
     @ti.func
-    def resolve(constants, radius_eff, mass_eff, time_step, history):
+    def unloading_parameters(constants, radius_eff, mass_eff, time_step, history):
         """Restitution and recovery for the unloading that starts from the present largest overlap."""
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e = history[1]
         y = history[2]
         if y == 0.0:
-            if ti.static(peak):
+            if ti.static(from_max_overlap):
                 e = restitution_at(constants, ti.sqrt(0.8 * k * history[0] ** 2 * ti.sqrt(history[0]) / mass_eff))
             e = ti.max(e, ti.min(least_restitution(k, mass_eff, history[0], time_step, unloading_angle), 1.0))
             y = recovery_of(e)
@@ -126,20 +133,20 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
     @ti.func
     def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
         """Restitution of a contact that opens; largest overlap, restitution and recovery where unloading begins."""
-        memory = history
-        if ti.static(not peak):
-            if memory[0] == 0.0:
-                memory[1] = restitution_at(constants, overlap_rate)
-        if overlap < memory[0] and memory[2] == 0.0:
-            largest_force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * memory[0]) * memory[0]
-            late_rate = overlap_rate
+        history_new = history
+        if ti.static(not from_max_overlap):
+            if history_new[0] == 0.0:
+                history_new[1] = restitution_at(constants, overlap_rate)
+        if overlap < history_new[0] and history_new[2] == 0.0:
+            largest_force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * history_new[0]) * history_new[0]
+            overlap_rate_half = overlap_rate
             if ti.static(damped):  # the rate is that of the moment itself
-                late_rate += 0.5 * time_step * largest_force / mass_eff
-            memory[0] = turning_point(memory[0], largest_force, mass_eff, time_step, late_rate)
-            e, y = resolve(constants, radius_eff, mass_eff, time_step, memory)
-            memory[1] = e
-            memory[2] = y
-        return memory
+                overlap_rate_half += 0.5 * time_step * largest_force / mass_eff
+            history_new[0] = turning_point(history_new[0], largest_force, mass_eff, time_step, overlap_rate_half)
+            e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history_new)
+            history_new[1] = e
+            history_new[2] = y
+        return history_new
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
@@ -153,23 +160,23 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
         if ti.static(damped):
-            place, weight = root_over_step(overlap, overlap_rate, time_step)
-            tangent = 1.5 * stiffness * ti.sqrt(radius_eff * place)
+            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            tangent = 1.5 * stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = 2.0 * damping_ratio * weight * ti.sqrt(tangent * mass_eff) * overlap_rate
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
-        memory = ti.Vector([ti.max(overlap, overlap_max), e, ti.select(loading, 0.0, recovery)])
-        return normal_force + viscous, viscous, memory
+        history_new = ti.Vector([ti.max(overlap, overlap_max), e, ti.select(loading, 0.0, recovery)])
+        return normal_force + viscous, viscous, history_new
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-        e, y = resolve(constants, radius_eff, mass_eff, time_step, history)
+        e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history)
         return unloading_energy(k, history[0], e, y, overlap)
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-        e, y = resolve(constants, radius_eff, mass_eff, time_step, history)
+        e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history)
         put_in = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
         return put_in - unloading_energy(k, history[0], e, y, history[0])
 
@@ -192,15 +199,15 @@ def build(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
         constant_names=CONSTANTS,
         history_names=HISTORY,
         rate_dependent=damped,
-        lateral_grows=True,
+        tangential_stiffness_grows=True,
         branch_free=True,
         pair_constants=pair_constants,
         force=force,
         prepare=prepare,
         stored_energy=stored_energy,
         lost_energy=lost_energy,
-        lateral_stiffness=mindlin_stiffness,
-        twin=_twin(restitution_from, unloading_angle, damping_ratio),
+        tangential_stiffness=mindlin_stiffness,
+        reference=_reference(restitution_at_choice, unloading_angle, damping_ratio),
         phase_durations=phase_durations,
         unloading_stiffness=unloading_stiffness,
         stable_stiffness=theory.hertz_tangent,
@@ -226,14 +233,14 @@ def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, 
     return k * np.sqrt(largest) * float(theory.unloading_tangent(pair.restitution_at(velocity)))
 
 
-def law_for(asked: Asked) -> NormalLaw:
+def law_for(request: ModelRequest) -> NormalLaw:
     """The law that a scene asks for; a number in every pair makes the restitution constant."""
-    fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in asked.pairs)
-    source: RestitutionFrom = asked.settings["restitution"] if fitted else "constant"
-    return build(source, asked.unloading_angle, asked.settings["damping_ratio"])
+    fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
+    source: RestitutionAt = request.settings["restitution_at"] if fitted else "constant"
+    return build(source, request.unloading_angle, request.settings["damping_ratio"])
 
 
-def _twin(restitution_from: RestitutionFrom, unloading_angle: float, damping_ratio: float) -> Twin:
+def _reference(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_ratio: float) -> ReferenceForce:
     """Numpy twin of the law, one contact at a time in plain float64."""
 
     def restitution(constants: np.ndarray, velocity: float) -> float:
@@ -241,30 +248,32 @@ def _twin(restitution_from: RestitutionFrom, unloading_angle: float, damping_rat
             return float(constants[2])
         return float(VelocityRestitution(*constants[3:6])(max(velocity, 0.0)))
 
-    def twin(touch: Touch) -> tuple[float, np.ndarray]:
-        overlap, mass = touch.overlap, touch.mass_eff
-        k = theory.hertz_stiffness(touch.constants[0], touch.radius_eff)
-        largest, e, y = touch.history
-        if restitution_from != "peak" and largest == 0.0:
-            e = restitution(touch.constants, touch.overlap_rate)
+    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
+        overlap, mass = contact.overlap, contact.mass_eff
+        k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
+        largest, e, y = contact.history
+        if restitution_at_choice != "max_overlap" and largest == 0.0:
+            e = restitution(contact.constants, contact.overlap_rate)
         if overlap >= largest:
-            elastic, memory = k * overlap**1.5, np.array([overlap, e, 0.0])
+            elastic, history_new = k * overlap**1.5, np.array([overlap, e, 0.0])
         else:
             if y == 0.0:
                 force = k * largest**1.5
-                late = touch.overlap_rate + (0.5 * touch.time_step * force / mass if damping_ratio > 0.0 else 0.0)
-                largest = turned_at(largest, force, mass, touch.time_step, late)
-                if restitution_from == "peak":
-                    e = restitution(touch.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
-                bound = theory.least_restitution(k, mass, largest, touch.time_step, unloading_angle)
-                e = min(max(e, bound), 1.0)
+                overlap_rate_half = contact.overlap_rate + (
+                    0.5 * contact.time_step * force / mass if damping_ratio > 0.0 else 0.0
+                )
+                largest = reference_turning_point(largest, force, mass, contact.time_step, overlap_rate_half)
+                if restitution_at_choice == "max_overlap":
+                    e = restitution(contact.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
+                e_min = theory.least_restitution(k, mass, largest, contact.time_step, unloading_angle)
+                e = min(max(e, e_min), 1.0)
                 y = float(theory.recovery(e))
-            above = mean_positive(overlap - largest * (1.0 - y), touch.overlap_rate, touch.time_step)
+            above = reference_mean_above(overlap - largest * (1.0 - y), contact.overlap_rate, contact.time_step)
             lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
-            elastic, memory = lam * above + e**3 * k * above**1.5, np.array([largest, e, y])
+            elastic, history_new = lam * above + e**3 * k * above**1.5, np.array([largest, e, y])
         if elastic > 0.0 and damping_ratio > 0.0:
-            root = mean_power(DAMPING_POWER, overlap, touch.overlap_rate, touch.time_step)
-            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(1.5 * k * mass) * root * touch.overlap_rate, 0.0)
-        return float(elastic), memory
+            root = reference_step_mean(DAMPING_POWER, overlap, contact.overlap_rate, contact.time_step)
+            elastic = max(elastic + 2.0 * damping_ratio * np.sqrt(1.5 * k * mass) * root * contact.overlap_rate, 0.0)
+        return float(elastic), history_new
 
-    return twin
+    return reference

@@ -4,23 +4,22 @@ from granflow.observe.build import observers_for, progress_for, time_series_for
 from granflow.observe.checkpoint import (
     Checkpoint,
     CheckpointError,
-    keep_last,
     newest_checkpoint,
     read_checkpoint,
     remove_after,
+    remove_old_checkpoints,
     write_checkpoint,
 )
 from granflow.observe.checkpoint_observers import check_observers, check_streams
-from granflow.observe.earlier import earlier_grains
-from granflow.observe.every import Every, every
-from granflow.observe.expect import Judgement, judge
+from granflow.observe.every import PeriodicObserver, every
+from granflow.observe.expectations import ExpectationResult, evaluate
 from granflow.observe.files import remove_parts, replacing, write_text
-from granflow.observe.inputs import copy_inputs
-from granflow.observe.loads import LoadMeter
+from granflow.observe.flow_meters import FlowMeter
+from granflow.observe.initial_from_run import particles_from_run
+from granflow.observe.input_copies import copy_inputs
 from granflow.observe.lock import locked
 from granflow.observe.log import run_log, versions, write_scene_as_run
-from granflow.observe.meters import FlowMeter
-from granflow.observe.observer import Keepable, Observer
+from granflow.observe.observer import Checkpointable, Observer
 from granflow.observe.previous import (
     RESULT_FILES,
     refuse_inputs_inside,
@@ -30,10 +29,11 @@ from granflow.observe.previous import (
 )
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.report import Result, closing_table, write_result
-from granflow.observe.resume import Change, CheckpointWriter, accepted_change, decided
+from granflow.observe.resume import Change, CheckpointWriter, accepted_change, plan_fingerprint
 from granflow.observe.schedule import Schedule
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.observe.wall_forces import WallForceMeter
 
 __all__ = [
     "RESULT_FILES",
@@ -42,11 +42,11 @@ __all__ = [
     "CheckpointError",
     "CheckpointWriter",
     "ContactFrames",
-    "Every",
+    "PeriodicObserver",
     "FlowMeter",
-    "Judgement",
-    "Keepable",
-    "LoadMeter",
+    "ExpectationResult",
+    "Checkpointable",
+    "WallForceMeter",
     "Observer",
     "ParticleFrames",
     "ProgressDisplay",
@@ -59,11 +59,11 @@ __all__ = [
     "check_streams",
     "closing_table",
     "copy_inputs",
-    "decided",
-    "earlier_grains",
+    "plan_fingerprint",
+    "particles_from_run",
     "every",
-    "judge",
-    "keep_last",
+    "evaluate",
+    "remove_old_checkpoints",
     "locked",
     "newest_checkpoint",
     "observers_for",

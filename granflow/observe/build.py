@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from granflow.observe.coarse import FieldFrames, Kernel, grid_in
-from granflow.observe.indices.build import index_meters
-from granflow.observe.loads import LoadMeter
-from granflow.observe.meters import FlowMeter
+from granflow.observe.coarse_graining import FieldFrames, GaussianKernel, grid_for
+from granflow.observe.flow_meters import FlowMeter
+from granflow.observe.metrics.build import metric_meters
 from granflow.observe.observer import Observer
 from granflow.observe.progress import ProgressDisplay
 from granflow.observe.timeseries import TimeSeries
 from granflow.observe.vtu import ContactFrames, ParticleFrames, WallFrames
-from granflow.plan.sizes import diameter_range
-from granflow.plan.walls import loaded_areas
-from granflow.scene.border import Border
+from granflow.observe.wall_forces import WallForceMeter
+from granflow.plan.size_classes import diameter_range
+from granflow.plan.walls import measured_areas
+from granflow.scene.periodic_box import PeriodicBox
 
 
 def observers_for(
@@ -31,36 +31,44 @@ def observers_for(
     interval = output.interval
     observers: list[Observer] = [time_series_for(scene, out_dir)]
     if output.particles:
-        observers.append(ParticleFrames(out_dir, interval, reach=_reach(scene)))
+        observers.append(ParticleFrames(out_dir, interval, reach=_max_coordinate(scene)))
     if output.contacts:
         observers.append(ContactFrames(out_dir, interval))
     if output.walls and wall_triangles:
-        observers.append(WallFrames(out_dir, interval, wall_triangles, loaded=loaded_areas(scene)))
-    observers += [field_frames(scene, name, asked, out_dir) for name, asked in output.fields.items()]
+        observers.append(WallFrames(out_dir, interval, wall_triangles, measured=measured_areas(scene)))
+    observers += [field_frames(scene, name, spec, out_dir) for name, spec in output.fields.items()]
     return observers
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
     """Make the time series of the scene with its flow meters and wall loads."""
-    border = Border.of(scene.domain)
-    meters = {
-        name: FlowMeter(meter.point, meter.normal, meter.radius, border, meter.sides, meter.by, scene.meter_parts(name))
-        for name, meter in (scene.output.meters or {}).items()
+    periodic_box = PeriodicBox.of(scene.domain)
+    flow_meters = {
+        name: FlowMeter(
+            meter.point,
+            meter.normal,
+            meter.radius,
+            periodic_box,
+            meter.sides,
+            meter.group_by,
+            scene.flow_meter_parts(name),
+        )
+        for name, meter in (scene.output.flow_meters or {}).items()
     }
-    loads = {name: LoadMeter(name, area) for name, area in loaded_areas(scene).items()}
+    wall_forces = {name: WallForceMeter(name, area) for name, area in measured_areas(scene).items()}
     interval = scene.output.timeseries_interval or scene.output.interval
-    return TimeSeries(out_dir, interval, meters, loads=loads, indices=index_meters(scene))
+    return TimeSeries(out_dir, interval, flow_meters, wall_forces=wall_forces, metrics=metric_meters(scene))
 
 
-def field_frames(scene: Any, name: str, asked: Any, out_dir: Path) -> FieldFrames:
+def field_frames(scene: Any, name: str, spec: Any, out_dir: Path) -> FieldFrames:
     """Make the frames of the fields `name` that the scene asks for."""
-    grid = grid_in(scene.domain, asked)
-    width = asked.width
+    grid = grid_for(scene.domain, spec)
+    width = spec.width
     if width == "auto":
         width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
-    interval = asked.interval or scene.output.interval
+    interval = spec.interval or scene.output.interval
     return FieldFrames(
-        out_dir, name, interval, grid, Kernel(width, asked.cut_off), asked.quantities, asked.stages or ()
+        out_dir, name, interval, grid, GaussianKernel(width, spec.cut_off), spec.quantities, spec.stages or ()
     )
 
 
@@ -73,11 +81,13 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
     """Name and longest duration [s] of every stage; without stages, one named "run"."""
     if not scene.stages:
         return [("run", scene.run.duration)]
-    return [(stage.name, stage.duration if stage.duration is not None else stage.at_most) for stage in scene.stages]
+    return [
+        (stage.name, stage.duration if stage.duration is not None else stage.max_duration) for stage in scene.stages
+    ]
 
 
-def _reach(scene: Any) -> float | None:
+def _max_coordinate(scene: Any) -> float | None:
     """Largest coordinate that occurs [m]; None where the domain grows."""
-    if scene.domain.leaving == "grow":
+    if scene.domain.on_exit == "expand":
         return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

@@ -27,8 +27,8 @@ FORMAT = 2
 """Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
 
 PATTERN = "checkpoint_*.npz"
-PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
-PIECE = 2**20
+CHECKSUM_PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
+READ_SIZE = 2**20
 """Bytes that are read at a time to take the checksum."""
 
 
@@ -44,24 +44,24 @@ class DamagedCheckpoint(CheckpointError):
 class Checkpoint:
     """A checkpoint that was read: its file, the version of granflow and the scene it was written with, and the rest.
 
-    `kept`: numbers, texts and numpy arrays in dictionaries within dictionaries.
+    `saved`: numbers, texts and numpy arrays in dictionaries within dictionaries.
     """
 
     path: Path
     version: str
     scene: str
     time: float
-    kept: dict[str, Any]
+    saved: dict[str, Any]
 
 
-def write_checkpoint(directory: Path, scene: str, time: float, step: int, kept: dict[str, Any]) -> Path:
+def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved: dict[str, Any]) -> Path:
     """Write `checkpoint_STEP.npz`, whole or not at all, and onto the disk before it gets its name."""
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
-    rest, arrays = _parted(kept)
-    header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "kept": rest}
-    with replacing(path, settled=True) as temporary:
+    plain, arrays = _split_arrays(saved)
+    header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "saved": plain}
+    with replacing(path, durable=True) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
-            archive.comment = PLACEHOLDER
+            archive.comment = CHECKSUM_PLACEHOLDER
             archive.writestr(zipfile.ZipInfo(HEADER), json.dumps(header))
             for name, array in arrays.items():
                 # Given a bare name, zipfile asks for the date, and fails where the computer's clock stands before 1980.
@@ -77,7 +77,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """Read one. Raises DamagedCheckpoint, or CheckpointError for another format and where the system cannot read it."""
     try:
         with open_regular(path) as file:
-            if _checksum(file) != file.read(len(PLACEHOLDER) + 1):
+            if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):
                 raise DamagedCheckpoint(f"{path} is damaged: it is cut short, or bits of it have changed.")
             return _from_archive(path, *read_archive(file))
     except ArchiveError as error:
@@ -98,13 +98,13 @@ def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
 
     Raises CheckpointError for an intact one that this version or this user cannot read: older ones are no substitute.
     """
-    passed_over: list[str] = []
+    skipped: list[str] = []
     for path in checkpoints(directory):
         try:
-            return read_checkpoint(path), passed_over
+            return read_checkpoint(path), skipped
         except DamagedCheckpoint as error:
-            passed_over.append(str(error))
-    return None, passed_over
+            skipped.append(str(error))
+    return None, skipped
 
 
 def remove_after(directory: Path, path: Path | None) -> None:
@@ -114,7 +114,7 @@ def remove_after(directory: Path, path: Path | None) -> None:
             other.unlink()
 
 
-def keep_last(directory: Path, count: int) -> None:
+def remove_old_checkpoints(directory: Path, count: int) -> None:
     """Remove all checkpoints but the newest `count`."""
     for path in checkpoints(directory)[count:]:
         path.unlink(missing_ok=True)
@@ -128,47 +128,47 @@ def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarr
             f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; granflow "
             f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
         )
-    kept = header.get("kept")
-    if not (isinstance(version, str) and isinstance(scene, str) and isinstance(kept, dict)):
+    saved = header.get("saved")
+    if not (isinstance(version, str) and isinstance(scene, str) and isinstance(saved, dict)):
         raise ArchiveError("lacks the version, the scene or the state of the run")
     if not (isinstance(time, int | float) and isfinite(time)):
         raise ArchiveError("lacks the time of the run")
     for name, array in arrays.items():
-        _put(kept, name, array)
-    return Checkpoint(path, version, scene, time, kept)
+        _insert_array(saved, name, array)
+    return Checkpoint(path, version, scene, time, saved)
 
 
 def _checksum(file: BinaryIO) -> bytes:
     """Checksum of all but the room for it at the end, to whose beginning the file is moved."""
-    end = max(file.seek(0, 2) - len(PLACEHOLDER), 0)
+    end = max(file.seek(0, 2) - len(CHECKSUM_PLACEHOLDER), 0)
     file.seek(0)
     digest = hashlib.sha256()
     while file.tell() < end:
-        digest.update(file.read(min(PIECE, end - file.tell())))
+        digest.update(file.read(min(READ_SIZE, end - file.tell())))
     return digest.hexdigest().encode()
 
 
-def _parted(kept: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _split_arrays(saved: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The same dictionaries without arrays, and the arrays by their path of keys."""
-    rest: dict[str, Any] = {}
+    plain: dict[str, Any] = {}
     arrays: dict[str, np.ndarray] = {}
-    for key, value in kept.items():
+    for key, value in saved.items():
         if isinstance(value, dict):
-            rest[key], within = _parted(value, f"{path}{key}/")
+            plain[key], within = _split_arrays(value, f"{path}{key}/")
             arrays |= within
         elif isinstance(value, np.ndarray):
             arrays[f"{path}{key}"] = value
         else:
-            rest[key] = value
-    return rest, arrays
+            plain[key] = value
+    return plain, arrays
 
 
-def _put(kept: dict[str, Any], path: str, array: np.ndarray) -> None:
-    *around, key = path.split("/")
-    for name in around:
-        kept = kept.get(name)  # type: ignore[assignment]
-        if not isinstance(kept, dict):
+def _insert_array(saved: dict[str, Any], path: str, array: np.ndarray) -> None:
+    *parents, key = path.split("/")
+    for name in parents:
+        saved = saved.get(name)  # type: ignore[assignment]
+        if not isinstance(saved, dict):
             raise ArchiveError(f"has the unexpected entry {path[:80]}")
-    if key in kept:
+    if key in saved:
         raise ArchiveError(f"has two values for {path[:80]}")
-    kept[key] = array
+    saved[key] = array

@@ -4,8 +4,8 @@ import numpy as np
 
 from granflow.observe.checkpoint_parts import Part
 from granflow.plan import Plan
-from granflow.plan.memory import memory_of
-from granflow.plan.room import MOST_SLOTS, memory_free
+from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
+from granflow.plan.memory_estimate import estimate_memory
 
 LARGEST_STATE = 2
 """`touching` is 0 (apart), 1 (touching) or 2 (history for another slot to take over)."""
@@ -45,8 +45,8 @@ def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, count: int,
         raise part.wrong("names a particle as its own partner")
     if _repeats(owner * (count + surfaces) + partner + surfaces):
         raise part.wrong("names a partner twice in one row")
-    grains = partner >= 0
-    owner, partner = owner[grains], partner[grains]
+    particles = partner >= 0
+    owner, partner = owner[particles], partner[particles]
     within = owner // chunk == partner // chunk
     if _repeats(np.minimum(owner, partner)[within] * count + np.maximum(owner, partner)[within]):
         raise part.wrong("lists a pair of one chunk in two rows")
@@ -63,9 +63,9 @@ def _check_room(part: Part, length: np.ndarray, plan: Plan) -> None:
     """Every chunk gets as many slots as the longest needs: that must fit into the memory."""
     chunk = np.arange(len(length)) // plan.chunk_size
     need = int(np.bincount(chunk, weights=length, minlength=1).max())
-    if need <= plan.slots_per_chunk:
+    if need <= plan.list_capacity_per_chunk:
         return
     slots = int(plan.chunk_capacity * SPARE * need)
-    needed, free = slots * memory_of(plan, plan.scene.run.precision).per_slot, memory_free()
-    if slots > MOST_SLOTS or (free is not None and needed > free):
+    needed, free = slots * estimate_memory(plan, plan.scene.run.precision).per_neighbor, available_memory()
+    if slots > MAX_LIST_ENTRIES or (free is not None and needed > free):
         raise part.wrong(f"needs room for {slots} contacts, {needed / 1e9:.3g} GB")

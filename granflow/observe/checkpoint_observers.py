@@ -27,7 +27,7 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
 
 def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
     """Check the state of every stream by group; `counts`: particles of each group. Raises CheckpointError."""
-    feeds = Part.of(checkpoint)["feeds"]
+    feeds = Part.of(checkpoint)["insertion"]
     feeds.mapping(fresh)
     for name, template in fresh.items():
         feeds[name].mapping(template)
@@ -35,7 +35,7 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
         waiting = feeds[name]["waiting"]
         size = waiting.value.size if isinstance(waiting.value, np.ndarray) else 0
         waiting.distinct(size, high=due - 1)
-        feeds[name]["pour_count"].whole()
+        feeds[name]["batch_count"].whole()
         feeds[name]["next_time"].number(0.0)
 
 

@@ -17,10 +17,10 @@ LOSS_KINDS, IMPULSE_SIZE = 5, 7
 """Energies that the ledger adds up, and numbers of a wall load, as on the device."""
 
 COUNTS = ("inserted_count", "deleted_count")
-MASSES = ("deleted_mass", "brought_energy", "removed_energy", "removed_kinetic_energy")
+MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy")
 SECONDS = ("search", "advance", "sampled_forces", "sampled_motion")
-TALLIES = ("search_count", "step_count", "particle_steps")
-KEYS = ("course", "wall_clock", "plan", "earlier", "feeds", "observers", "engine")
+TALLIES = ("rebuild_count", "step_count", "particle_steps")
+KEYS = ("course", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
@@ -38,7 +38,7 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
             raise each.unlike("a number or a text")
     for name in part["earlier"].items():
         name.text(list(before.particles))
-    for key in ("feeds", "observers", "engine"):
+    for key in ("insertion", "observers", "engine"):
         part[key].mapping()
     clock = part["engine"]["clock"]
     _check_clock(clock, checkpoint.time)
@@ -49,27 +49,32 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].whole()
-    for name in ("steps_since_look", "steps_since_search"):
+    for name in ("steps_since_update", "steps_since_rebuild"):
         engine[name].whole(0, steps)
     for wall in engine["walls_present"].items(len(plan.walls)):
         wall.flag()
-    _check_books(engine["books"], count, plan)
+    _check_books(engine["accounting"], count, plan)
     _check_timing(engine["clocks"])
-    _check_particles(engine["particles"], engine["books"], plan, before)
+    _check_particles(engine["particles"], engine["accounting"], plan, before)
     check_contacts(engine["contacts"], count, plan)
     _check_drive(engine["drive"], plan)
-    _check_ledger(engine["ledger"], plan)
+    _check_energy_budget(engine["energy_budget"], plan)
 
 
 def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
     """Check what another run takes over with `start_from`: particles and their groups. Raises CheckpointError."""
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, 2**31 - 1)
-    inserted = len(group) if isinstance(group := engine["books"]["group"].value, np.ndarray) else 0
-    engine["books"]["group"].wholes(inserted, high=len(before.particles) - 1)
+    inserted = len(group) if isinstance(group := engine["accounting"]["group"].value, np.ndarray) else 0
+    engine["accounting"]["group"].wholes(inserted, high=len(before.particles) - 1)
     engine["clock"]["time_step"].number(0.0, LARGEST_REAL)
     particles = engine["particles"]
-    for name in ("position", "velocity", "force", *(("spin", "torque") if "spin" in particles.mapping() else ())):
+    for name in (
+        "position",
+        "velocity",
+        "force",
+        *(("angular_velocity", "torque") if "angular_velocity" in particles.mapping() else ()),
+    ):
         particles[name].reals(count, 3)
     for name in ("radius", "mass"):
         particles[name].reals(count, low=float(np.finfo(np.float32).tiny))
@@ -106,17 +111,17 @@ def _check_clock(clock: Part, time: float) -> None:
         raise clock.wrong(f"gives the time {now:.6g} s, but the header {time:.6g} s")
 
 
-def _check_books(books: Part, count: int, plan: Plan) -> None:
-    books.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
-    inserted = books["inserted_count"].whole(count, plan.particle_capacity)
-    books["deleted_count"].whole(inserted - count, inserted - count)
+def _check_books(accounting: Part, count: int, plan: Plan) -> None:
+    accounting.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
+    inserted = accounting["inserted_count"].whole(count, plan.particle_capacity)
+    accounting["deleted_count"].whole(inserted - count, inserted - count)
     for name in MASSES:
-        books[name].number(-LARGEST_REAL, LARGEST_REAL)
-    for outlet in books["outlets"].parts(plan.scene.outlets):
+        accounting[name].number(-LARGEST_REAL, LARGEST_REAL)
+    for outlet in accounting["outlets"].parts(plan.scene.outlets):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
-    books["material"].wholes(inserted, high=len(plan.scene.materials) - 1)
-    books["group"].wholes(inserted, high=len(plan.scene.particles) - 1)
+    accounting["material"].wholes(inserted, high=len(plan.scene.materials) - 1)
+    accounting["group"].wholes(inserted, high=len(plan.scene.particles) - 1)
 
 
 def _check_timing(clocks: Part) -> None:
@@ -130,15 +135,15 @@ def _check_timing(clocks: Part) -> None:
 def particle_arrays(plan: Plan) -> dict[str, int]:
     """Names of the arrays of particles in a checkpoint of this plan, each with the numbers for one particle."""
     features = plan.features
-    vectors = ["position", "velocity", "force", "position_at_search"]
-    vectors += ["spin", "torque"] * features.rotation + ["velocity_now"] * features.rate_dependent
-    whole = ["id"] + ["material"] * (not features.one_material) + ["fixed"] * features.fixed_grains
+    vectors = ["position", "velocity", "force", "position_at_rebuild"]
+    vectors += ["angular_velocity", "torque"] * features.rotation + ["velocity_synchronized"] * features.rate_dependent
+    whole = ["id"] + ["material"] * (not features.one_material) + ["fixed"] * features.fixed_particles
     return dict.fromkeys(vectors, 3) | dict.fromkeys((*whole, "radius", "mass"), 1)
 
 
-def _check_particles(particles: Part, books: Part, plan: Plan, before: Scene) -> None:
-    inserted = books["inserted_count"].whole()
-    count = inserted - books["deleted_count"].whole()
+def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scene) -> None:
+    inserted = accounting["inserted_count"].whole()
+    count = inserted - accounting["deleted_count"].whole()
     arrays = particle_arrays(plan)
     particles.mapping(arrays)
     for name in (name for name, width in arrays.items() if width == 3):
@@ -147,14 +152,14 @@ def _check_particles(particles: Part, books: Part, plan: Plan, before: Scene) ->
     sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
     radius = particles["radius"].reals(count, low=sizes[0], high=sizes[1]).astype(float)
     materials = list(before.materials.values())
-    number = books["material"].wholes(inserted, high=len(materials) - 1)[ids]
+    number = accounting["material"].wholes(inserted, high=len(materials) - 1)[ids]
     mass = 4.0 / 3.0 * pi * radius**3 * np.array([material.density for material in materials])[number]
     if np.any(np.abs(particles["mass"].reals(count) - mass) > ROUNDING * mass):
         raise particles["mass"].wrong("differs from density times volume")
     if "fixed" in arrays:
         particles["fixed"].wholes(count, high=1)
     if "material" in arrays:
-        known = {name: index for index, name in enumerate(plan.materials)}
+        known = {name: metric for metric, name in enumerate(plan.materials)}
         expected = np.array([known.get(name, 0) for name in before.materials])[number]
         if np.any(particles["material"].wholes(count, high=plan.material_count - 1) != expected):
             raise particles["material"].wrong("differs from the materials in books")
@@ -164,21 +169,21 @@ def _check_particles(particles: Part, books: Part, plan: Plan, before: Scene) ->
 def _check_places(particles: Part, count: int, plan: Plan) -> None:
     """Particles were inside the domain at the last search, and have gone no farther than the skin since."""
     place = particles["position"].reals(count, 3).astype(float)
-    there = particles["position_at_search"].reals(count, 3).astype(float)
+    there = particles["position_at_rebuild"].reals(count, 3).astype(float)
     rounding = np.abs(there).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(place - there, axis=1) > 2.0 * plan.skin + rounding):
         raise particles["position"].wrong("is farther from position_at_search than the skin allows")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
-    if plan.scene.domain.leaving != "grow" and np.any((there < low) | (there > high)):
-        raise particles["position_at_search"].wrong("is outside the domain")
+    if plan.scene.domain.on_exit != "expand" and np.any((there < low) | (there > high)):
+        raise particles["position_at_rebuild"].wrong("is outside the domain")
 
 
 def _check_drive(drive: Part, plan: Plan) -> None:
     """Driven walls, unless they are others: that has a message of its own."""
-    if [each.text() for each in drive["drives"].items()] != [each.key for each in plan.drives]:
+    if [each.text() for each in drive["drives"].items()] != [each.key for each in plan.controlled_motions]:
         return
-    count = len(plan.drives)
-    names = ("offset", "offset_at_search", "velocity", "given", "work", "push", "was_on") if count else ()
+    count = len(plan.controlled_motions)
+    names = ("offset", "offset_at_rebuild", "velocity", "given", "work", "push", "was_on") if count else ()
     drive.mapping(("drives", *names))
     for name in names:
         if name == "was_on":
@@ -187,15 +192,15 @@ def _check_drive(drive: Part, plan: Plan) -> None:
             drive[name].reals(*((plan.chunk_capacity, count) if name == "push" else (count,)))
 
 
-def _check_ledger(ledger: Part, plan: Plan) -> None:
-    features, chunks, loaded = plan.features, plan.chunk_capacity, len(plan.scene.loaded_walls)
+def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
+    features, chunks, loaded = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
     shapes: dict[str, tuple[int, ...]] = {}
-    if features.ledger:
+    if features.energy_budget:
         shapes["losses"] = (chunks, LOSS_KINDS)
-    if features.ledger and features.periodic != "none":
-        shapes["border_work"] = (chunks,)
+    if features.energy_budget and features.periodic != "none":
+        shapes["boundary_work"] = (chunks,)
     if loaded:
         shapes["impulses"] = (chunks, loaded, IMPULSE_SIZE)
-    ledger.mapping(shapes)
+    energy_budget.mapping(shapes)
     for name, shape in shapes.items():
-        ledger[name].reals(*shape)
+        energy_budget[name].reals(*shape)

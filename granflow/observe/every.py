@@ -8,7 +8,7 @@ from granflow.observe.schedule import Schedule
 from granflow.snapshot import Snapshot
 
 
-class Every:
+class PeriodicObserver:
     """Shows a snapshot to a function at a regular interval; see `every`."""
 
     def __init__(self, schedule: Schedule, function: Callable[[Snapshot], None], wants: frozenset[str]) -> None:
@@ -22,18 +22,18 @@ class Every:
 
     def observe(self, snapshot: Snapshot) -> None:
         """Call the function."""
-        if self._schedule.take(snapshot.time):
+        if self._schedule.mark_done(snapshot.time):
             self._function(snapshot)
 
-    def keep(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """When the function was called last."""
         return {"last_time": self._schedule.last_time}
 
-    def put_back(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on after that."""
-        self._schedule.go_on_after(kept["last_time"])
+        self._schedule.resume_after(saved["last_time"])
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """It has no files."""
 
     def finish(self) -> None:
@@ -45,10 +45,10 @@ def every(
     function: Callable[[Snapshot], None],
     wants: Iterable[str] = (PARTICLES, WALLS, TOTALS),
     start: float = 0.0,
-) -> Every:
+) -> PeriodicObserver:
     """Call `function(snapshot)` every `interval` [s] of simulated time from `start` [s] on, and at the end.
 
     `wants` names the parts that must be in the snapshot; add "contacts" to see contacts. Raises ValueError for an
     interval that is not positive.
     """
-    return Every(Schedule(interval, start), function, frozenset(wants))
+    return PeriodicObserver(Schedule(interval, start), function, frozenset(wants))

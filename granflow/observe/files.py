@@ -10,21 +10,21 @@ PART = ".part"
 
 
 @contextmanager
-def replacing(path: Path, settled: bool = False) -> Iterator[Path]:
+def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
     """Give a temporary path in the same directory and rename it to `path` when the block ends well.
 
-    With `settled` what was written is on the disk before the name changes, so that even a machine without power finds
+    With `durable` what was written is on the disk before the name changes, so that even a machine without power finds
     the one file or the other. If the block raises, the temporary file goes and an older file under `path` stays as it
     was.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
         yield temporary
-        if settled:
-            settle(temporary)
+        if durable:
+            sync(temporary)
         os.replace(temporary, path)
-        if settled:
-            settle(path.parent)
+        if durable:
+            sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -41,7 +41,7 @@ def remove_parts(directory: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def settle(path: Path) -> None:
+def sync(path: Path) -> None:
     """Have a file, or the names in a directory, on the disk; Windows has no such call for directories."""
     if sys.platform == "win32" and path.is_dir():
         return

@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 import meshio
 import numpy as np
 
-from granflow.observe.files import replacing, settle
+from granflow.observe.files import replacing, sync
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
@@ -28,18 +28,18 @@ class FrameSeries:
         self.frames: list[tuple[float, str]] = []
         self.frame_count = 0
         self._listing_size = 0
-        self._unsettled: list[Path] = []
+        self._unsynced: list[Path] = []
 
     def write(self, mesh: meshio.Mesh, time: float) -> Path:
         """Write the mesh as the next frame, at `time` [s]; return its path."""
         if not self.frame_count:
             self.directory.mkdir(parents=True, exist_ok=True)
-            self.cut_back()
+            self.truncate()
         path = self.directory / f"{self.stem}_{self.frame_count:04d}.vtu"
         write_vtu(path, mesh)
         self._list((float(time), path.name))
         self.frame_count += 1
-        self._unsettled.append(path)
+        self._unsynced.append(path)
         return path
 
     @property
@@ -64,17 +64,17 @@ class FrameSeries:
             temporary.write_bytes(listing)
         self._listing_size = len(listing)
 
-    def settle(self) -> None:
+    def sync(self) -> None:
         """Have all frames on the disk; those that somebody has taken away are left out."""
-        for path in self._unsettled:
+        for path in self._unsynced:
             with suppress(FileNotFoundError):
-                settle(path)
-        self._unsettled = []
+                sync(path)
+        self._unsynced = []
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """Make the files those of the frames written so far: list those that exist, then remove all others."""
-        own = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
-        there = {path.name for path in self.directory.iterdir() if own.fullmatch(path.name)}
+        own_pattern = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
+        there = {path.name for path in self.directory.iterdir() if own_pattern.fullmatch(path.name)}
         self.frames = [frame for frame in self.frames if frame[1] in there]
         if self.frame_count:
             self._write_listing(self.frames)

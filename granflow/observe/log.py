@@ -12,7 +12,7 @@ from granflow.observe.files import write_text
 from granflow.visible_text import VisibleFormatter
 
 
-class HasText(Protocol):
+class HasYamlText(Protocol):
     """Something that can be written as YAML: a scene."""
 
     def text(self) -> str:
@@ -20,14 +20,14 @@ class HasText(Protocol):
 
 
 @contextmanager
-def run_log(directory: Path, go_on: bool = False) -> Iterator[logging.Logger]:
+def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
     """Write what the logger `granflow` says at INFO and above to `run.log` in the directory, while inside.
 
     An older log is replaced, or gone on with. The exception that ends the block, if any, is the last entry.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level
-    handler = _file_handler(Path(directory), "a" if go_on else "w")
+    handler = _file_handler(Path(directory), "a" if append else "w")
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
@@ -56,7 +56,7 @@ def version_of(package: str) -> str:
         return "not installed"
 
 
-def write_scene_as_run(directory: Path, scene: HasText) -> Path:
+def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     """Write `scene_as_run.yaml`, the scene with all its defaults; loading it gives the same scene again."""
     path = Path(directory) / "scene_as_run.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -26,14 +26,14 @@ class Observer(Protocol):
 
 
 @runtime_checkable
-class Keepable(Protocol):
+class Checkpointable(Protocol):
     """An observer whose state goes into checkpoints, so that a run can go on where it was."""
 
-    def keep(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """What it must know to go on: numbers, texts, numpy arrays, and dictionaries of them."""
 
-    def put_back(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from what was kept; files are not touched yet."""
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """Bring its files back to what they held when that was kept."""

@@ -16,12 +16,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from granflow.errors import GranflowError
-from granflow.observe.inputs import input_files
+from granflow.observe.input_copies import input_files
 from granflow.scene import Scene
 
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),
-    *("fields_*.pvd", "fields_*.vtu", "measured/fields_*.pvd", "measured/fields_*.vtu", "measured/measured.csv"),
+    *("fields_*.pvd", "fields_*.vtu", "analysis/fields_*.pvd", "analysis/fields_*.vtu", "analysis/metrics.csv"),
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
     *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
 )
@@ -84,18 +84,18 @@ def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
     if results:
         os.replace(directory / MOVING, directory / PREVIOUS)
 
-    def begun() -> None:
+    def prepared_simulation() -> None:
         if (directory / PREVIOUS).is_dir():
             os.replace(directory / PREVIOUS, directory / DISCARDED)
             shutil.rmtree(directory / DISCARDED, ignore_errors=True)
 
     try:
-        yield begun
+        yield prepared_simulation
     except BaseException:
         with suppress(OSError):
             restore_previous_run(directory)
         raise
-    begun()
+    prepared_simulation()
 
 
 def _move(path: Path, target: Path) -> None:

@@ -13,10 +13,10 @@ from granflow.observe.schedule import Schedule
 from granflow.snapshot import Snapshot
 
 # Looks per run: fixed in simulated time and not by the clock, so that watching never changes a run.
-LOOK_COUNT = 500
+UPDATE_COUNT = 500
 SECONDS_BETWEEN_LINES = 10.0
 # Rates are taken over this many looks: long enough to be steady, short enough to follow a filling scene.
-RATE_LOOKS = 25
+RATE_SAMPLES = 25
 
 
 class ProgressDisplay:
@@ -30,9 +30,9 @@ class ProgressDisplay:
 
     def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)
-        self._plan = StagePlan(stages)
-        self._schedule = Schedule(self._plan.end / LOOK_COUNT)
-        self._rates = Rates()
+        self._stage_plan = StagePlan(stages)
+        self._schedule = Schedule(self._stage_plan.end / UPDATE_COUNT)
+        self._rates = StepRates()
         self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
 
     def next_time(self) -> float:
@@ -41,21 +41,21 @@ class ProgressDisplay:
 
     def observe(self, snapshot: Snapshot) -> None:
         """Show how far the run is."""
-        self._schedule.take(snapshot.time)
-        self._plan.pass_to(snapshot.stage, snapshot.time)
+        self._schedule.mark_done(snapshot.time)
+        self._stage_plan.enter(snapshot.stage, snapshot.time)
         self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
-        self._display.show(snapshot, self._plan.end, self._rates)
+        self._display.show(snapshot, self._stage_plan.end, self._rates)
 
-    def keep(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Looks are part of a run: when the last one was; and when the run will be over."""
-        return {"last_time": self._schedule.last_time, "stage": self._plan.stage, "end": self._plan.end}
+        return {"last_time": self._schedule.last_time, "stage": self._stage_plan.stage, "end": self._stage_plan.end}
 
-    def put_back(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on after that; the end is worked out anew where the stages have changed."""
-        self._schedule.go_on_after(kept["last_time"])
-        self._plan.go_on_in(kept["stage"], kept["end"])
+        self._schedule.resume_after(saved["last_time"])
+        self._stage_plan.resume_in(saved["stage"], saved["end"])
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """It has no files."""
 
     def finish(self) -> None:
@@ -71,7 +71,7 @@ class StagePlan:
         self.stage = self._stages[0][0]
         self.end = sum(duration for _, duration in self._stages)
 
-    def pass_to(self, stage: str, time: float) -> None:
+    def enter(self, stage: str, time: float) -> None:
         """Note that at `time` [s] the run is in this stage; its beginning moves the end."""
         names = [name for name, _ in self._stages]
         if stage == self.stage or stage not in names:
@@ -79,32 +79,32 @@ class StagePlan:
         self.stage = stage
         self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
 
-    def go_on_in(self, stage: str, end: float) -> None:
+    def resume_in(self, stage: str, end: float) -> None:
         """Go on in a stage of a run that was to be over at `end` [s]."""
         self.stage, self.end = stage, max(end, self.end)
 
 
-class Rates:
+class StepRates:
     """Steps and particle-steps per second of wall clock over the latest looks."""
 
     def __init__(self) -> None:
-        self._looks: deque[tuple[float, int, float]] = deque(maxlen=RATE_LOOKS)
+        self._samples: deque[tuple[float, int, float]] = deque(maxlen=RATE_SAMPLES)
 
     def add(self, seconds: float, step: int, particle_count: float) -> None:
         """Note a look at the wall clock `seconds` [s]."""
-        self._looks.append((seconds, step, particle_count))
+        self._samples.append((seconds, step, particle_count))
 
     def steps_per_second(self) -> float:
         """Steps per second, 0 while unknown."""
-        if len(self._looks) < 2:
+        if len(self._samples) < 2:
             return 0.0
-        (first_seconds, first_step, _), (last_seconds, last_step, _) = self._looks[0], self._looks[-1]
+        (first_seconds, first_step, _), (last_seconds, last_step, _) = self._samples[0], self._samples[-1]
         elapsed = last_seconds - first_seconds
         return (last_step - first_step) / elapsed if elapsed > 0 else 0.0
 
     def particle_steps_per_second(self) -> float:
         """Particle-steps per second with the present number of particles, 0 while unknown."""
-        return self.steps_per_second() * self._looks[-1][2] if self._looks else 0.0
+        return self.steps_per_second() * self._samples[-1][2] if self._samples else 0.0
 
 
 class _Bar:
@@ -121,7 +121,7 @@ class _Bar:
         self._progress = Progress(*columns, console=console)
         self._task: TaskID | None = None
 
-    def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
+    def show(self, snapshot: Snapshot, end: float, rates: StepRates) -> None:
         if self._task is None:
             self._progress.start()
             self._task = self._progress.add_task("run", total=end, stage=snapshot.stage, rates="", reached="")
@@ -147,7 +147,7 @@ class _Lines:
         self._printed_at = -SECONDS_BETWEEN_LINES
         self._pending: str | None = None
 
-    def show(self, snapshot: Snapshot, end: float, rates: Rates) -> None:
+    def show(self, snapshot: Snapshot, end: float, rates: StepRates) -> None:
         reached = _time_text(snapshot.time, end)
         self._pending = f"{snapshot.stage}: {reached}, step {snapshot.step}, {_rates_text(rates)}"
         now = clock.monotonic()
@@ -170,6 +170,6 @@ def _time_text(time: float, end: float) -> str:
     return f"{time:.{decimals}f} of {end:.4g} s"
 
 
-def _rates_text(rates: Rates) -> str:
+def _rates_text(rates: StepRates) -> str:
     steps, particle_steps = rates.steps_per_second(), rates.particle_steps_per_second()
     return f"{steps:.0f} steps/s, {particle_steps / 1e6:.2f} M particle-steps/s"

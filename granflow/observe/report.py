@@ -9,14 +9,14 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from granflow.observe.expect import Expectation, Judgement, judge
+from granflow.observe.expectations import Expectation, ExpectationResult, evaluate
 from granflow.observe.files import write_text
 from granflow.quantities import unit_of
 
-_COUNTS = ("particle_count", "inserted_count", "waiting_count", "deleted_count", "contact_count")
-_WHOLE = "wall_clock"
+_COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
+_TOTAL = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
-_LOADS = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
+_WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
 
 
 @dataclass(frozen=True)
@@ -24,35 +24,36 @@ class Result:
     """Numbers of a finished run, all SI.
 
     `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
-    `seconds`: wall clock by part, in the order to be shown: search, forces, motion, output, compile.
-    `totals`: those of the last snapshot. `meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter. `loads`: wall_force_x and so on by the name of the wall. `indices`: likewise by the name of the index.
-    `feeds`: came_count, came_mass and missing_count by the name of a group that comes in.
+    `timings`: wall clock by part [s], in the order to be shown: neighbor_list, forces, integration, output, compile.
+    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by the name of the
+    meter. `wall_forces`: wall_force_x and so on by the name of the wall. `metrics`: likewise by the name of the index.
+    `insertion`: inserted_count, inserted_mass and not_inserted_count by the name of a group that comes in.
     """
 
     run: Mapping[str, float]
-    seconds: Mapping[str, float]
+    timings: Mapping[str, float]
     totals: Mapping[str, float]
-    meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    loads: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    indices: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    feeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    expectations: tuple[Judgement, ...] = ()
+    flow_meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    wall_forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    metrics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    insertion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    expectations: tuple[ExpectationResult, ...] = ()
 
-    def held_to(self, expectations: Iterable[Expectation]) -> "Result":
+    def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Give the same result with the expectations of the scene judged."""
-        return replace(self, expectations=tuple(judge(expectations, self.numbers)))
+        return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
 
     @property
     def numbers(self) -> dict[str, float]:
         """All numbers by the names that a scene's `expect:` block uses.
 
-        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `seconds.search`; of meters, walls and
-        groups that come in as `mass_flow.outlet`, `wall_force.floor`, `came_mass.beads`.
+        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `timings.neighbor_list`; of meters,
+        walls and
+        groups that come in as `mass_flow.outlet`, `wall_force.floor`, `inserted_mass.beads`.
         """
         named = {**self.run, **self.totals}
-        named.update({f"seconds.{part}": seconds for part, seconds in self.seconds.items()})
-        parts = (self.meters, self.loads, self.indices, self.feeds)
+        named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
+        parts = (self.flow_meters, self.wall_forces, self.metrics, self.insertion)
         for part, readings in (reading for each in parts for reading in each.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
@@ -62,12 +63,12 @@ def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json`, whole or not at all; a number that is not finite becomes null. Return its path."""
     sections = {
         "run": _finite(result.run),
-        "seconds": _finite(result.seconds),
+        "timings": _finite(result.timings),
         "totals": _finite(result.totals),
-        "meters": {name: _finite(readings) for name, readings in result.meters.items()},
-        "loads": {name: _finite(readings) for name, readings in result.loads.items()},
-        "indices": {name: _finite(readings) for name, readings in result.indices.items()},
-        "feeds": {name: _finite(readings) for name, readings in result.feeds.items()},
+        "flow_meters": {name: _finite(readings) for name, readings in result.flow_meters.items()},
+        "wall_forces": {name: _finite(readings) for name, readings in result.wall_forces.items()},
+        "metrics": {name: _finite(readings) for name, readings in result.metrics.items()},
+        "insertion": {name: _finite(readings) for name, readings in result.insertion.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
     }
     path = Path(directory) / "result.json"
@@ -82,9 +83,14 @@ def closing_table(result: Result, title: str = "Result") -> Table:
     table.add_column(justify="right")
     table.add_column(justify="left")
     for section in (
-        _run_rows(result), _time_rows(result), _total_rows(result), _part_rows(result.meters), _load_rows(result),
-        _part_rows(result.indices), _part_rows(result.feeds),
-    ):  # fmt: skip
+        _run_rows(result),
+        _time_rows(result),
+        _total_rows(result),
+        _part_rows(result.flow_meters),
+        _wall_force_rows(result),
+        _part_rows(result.metrics),
+        _part_rows(result.insertion),
+    ):
         for row in section:
             table.add_row(*row)
         table.add_section()
@@ -101,55 +107,55 @@ def readable(number: float) -> str:
 
 
 def _run_rows(result: Result) -> list[tuple[str, str, str]]:
-    rows = {name: number for name, number in result.run.items() if name != _WHOLE}
-    return [(_words(name), readable(number), unit_of(name)) for name, number in rows.items()]
+    rows = {name: number for name, number in result.run.items() if name != _TOTAL}
+    return [(_label(name), readable(number), unit_of(name)) for name, number in rows.items()]
 
 
 def _time_rows(result: Result) -> list[tuple[str, str, str]]:
-    named = sum(result.seconds.values())
-    total = max(result.run.get(_WHOLE, named), named)
-    parts = dict(result.seconds) | ({"other": total - named} if total > named else {})
+    named = sum(result.timings.values())
+    total = max(result.run.get(_TOTAL, named), named)
+    parts = dict(result.timings) | ({"other": total - named} if total > named else {})
     rows = [
-        (_words(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
+        (_label(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
         for part, seconds in parts.items()
     ]
-    return [*rows, (_words(_WHOLE), f"{total:.2f} s", "")]
+    return [*rows, (_label(_TOTAL), f"{total:.2f} s", "")]
 
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
     names += [name for name in result.totals if "." in name]
-    return [(_words(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
+    return [(_label(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
     """Rows of meters or walls by name."""
     return [
-        (f"{_words(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
+        (f"{_label(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
         for part, readings in parts.items()
         for quantity, number in readings.items()
     ]
 
 
-def _load_rows(result: Result) -> list[tuple[str, str, str]]:
+def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
     """Magnitudes alone; components stand in result.json."""
     shown = {
-        wall: {name: number for name, number in readings.items() if name in _LOADS}
-        for wall, readings in result.loads.items()
+        wall: {name: number for name, number in readings.items() if name in _WALL_FORCE_NAMES}
+        for wall, readings in result.wall_forces.items()
     }
     return _part_rows(shown)
 
 
-def _words(name: str) -> str:
+def _label(name: str) -> str:
     return name.replace("_", " ")
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
     # json writes NaN as a word that is not JSON; numpy numbers it does not write at all.
-    return {name: _plain(number) for name, number in numbers.items()}
+    return {name: _json_number(number) for name, number in numbers.items()}
 
 
-def _plain(number: float) -> float | None:
+def _json_number(number: float) -> float | None:
     if not math.isfinite(number):
         return None
     return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.observe.checkpoint import Checkpoint, keep_last, write_checkpoint
+from granflow.observe.checkpoint import Checkpoint, remove_old_checkpoints, write_checkpoint
 from granflow.observe.checkpoint_validation import check_engine, check_run
 from granflow.observe.schedule import Schedule
 from granflow.plan import Plan
@@ -23,30 +23,30 @@ from granflow.scene.reader import scene_of
 from granflow.scene.schema import Checkpoints
 from granflow.walls.motion import Motion, pose
 
-DECIDED = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
+PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must be those of the run so far: positions and what contacts remember rest on them."""
 
-SWITCHES = (
-    *("friction", "rolling", "rotation", "rate_dependent", "adhesion", "one_material", "ledger", "loads"),
-    "fixed_grains",
+FEATURE_SWITCHES = (
+    *("friction", "rolling", "rotation", "rate_dependent", "cohesion", "one_material", "energy_budget", "wall_forces"),
+    "fixed_particles",
 )
 """Features on which it depends which arrays there are."""
 
-LARGEST_JUMP = 1e-3
+MAX_JUMP = 1e-3
 """Share of the smallest radius by which a wall may stand elsewhere once its motion has been changed."""
 
 
-def decided(plan: Plan) -> dict[str, Any]:
+def plan_fingerprint(plan: Plan) -> dict[str, Any]:
     """The numbers and features of a plan that go into checkpoints."""
-    numbers = {name: getattr(plan, name) for name in DECIDED} | {"mesh_print": mesh_print(plan)}
-    return numbers | {name: getattr(plan.features, name) for name in SWITCHES}
+    numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
+    return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
 
 
-def mesh_print(plan: Plan) -> str:
+def mesh_digest(plan: Plan) -> str:
     """Digest of what numbers the triangles of mesh walls and says where they are; empty without any."""
     digest = hashlib.sha256(str(len(plan.walls)).encode())
-    for index, mesh in plan.meshes.items():
-        digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
+    for metric, mesh in plan.meshes.items():
+        digest.update(f"{metric} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
     return digest.hexdigest() if plan.meshes else ""
 
 
@@ -57,39 +57,39 @@ class Change:
     differences: tuple[Difference, ...]
 
     @property
-    def of_contacts(self) -> bool:
+    def affects_contacts(self) -> bool:
         """Whether forces must be worked out anew before the next step: walls or pairs are others."""
         return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
 
-    def of_stage(self, index: int) -> bool:
+    def moves_stage_end(self, metric: int) -> bool:
         """Whether the end of that stage has been moved."""
-        return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
+        return any(each.key.startswith((f"stages.{metric}.", "run.duration")) for each in self.differences)
 
 
-def accepted_change(checkpoint: Checkpoint, plan: Plan, anyway: bool) -> Change:
+def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
     """How the plan's scene differs from the checkpoint's.
 
-    Raises GranflowError, naming all that is not allowed to differ, unless `anyway`; and always where the plan's
+    Raises GranflowError, naming all that is not allowed to differ, unless `allow_changes`; and always where the plan's
     numbers are others, or a wall would jump.
     """
-    kept = checkpoint.kept
+    saved = checkpoint.saved
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
-    check_run(checkpoint, before, decided(plan))
-    stages_over = [stage.name for stage in before.schedule].index(kept["course"]["stage"])
+    check_run(checkpoint, before, plan_fingerprint(plan))
+    stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
-    if refused and not anyway:
+    if refused and not allow_changes:
         named = "\n".join(f"{checkpoint.path}: {each}, which cannot change while a run goes on." for each in refused)
-        raise GranflowError(f"{named}\nRun the scene anew, or go on all the same with --anyway.")
+        raise GranflowError(f"{named}\nRun the scene anew, or go on all the same with --allow-changes.")
     _refuse_other_numbers(checkpoint, plan)
-    _refuse_jumps(before, plan, kept["course"]["stage_times"], checkpoint.time)
+    _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
     check_engine(checkpoint, plan, before)
     return Change(differences(before, now))
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
-    for name, before in checkpoint.kept["plan"].items():
-        now = decided(plan)[name]
-        if now != before and name == "mesh_print":
+    for name, before in checkpoint.saved["plan"].items():
+        now = plan_fingerprint(plan)[name]
+        if now != before and name == "mesh_digest":
             raise GranflowError(
                 f"{checkpoint.path}: the triangles of the mesh walls are others than those of the run so far, but they "
                 "must stay the same while a run goes on; put the mesh files back as they were."
@@ -107,17 +107,17 @@ def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: floa
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
     motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
-        moved = np.linalg.norm(_moved(first, time, corners) - _moved(second, time, corners), axis=1).max()
-        if moved > LARGEST_JUMP * plan.radius_min:
+        moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
+        if moved > MAX_JUMP * plan.radius_min:
             raise GranflowError(
                 f"walls.{wall.name}.motion would move the wall by {moved:.3g} m at once at {time:.6g} s. Let the "
                 "motion so far end then (end:), and add another that starts then (start:)."
             )
 
 
-def _moved(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
-    there = pose(motions, np.array([time]))
-    return (points - there.pivot) @ there.rotation[0].T + there.pivot + there.offset[0]
+def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
+    pose_at_time = pose(motions, np.array([time]))
+    return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
 
 
 class CheckpointWriter:
@@ -136,7 +136,7 @@ class CheckpointWriter:
         """Begin to count at `time` [s]."""
         self._written_at = clock.monotonic()
         if self._schedule is not None:
-            self._schedule.take(time)
+            self._schedule.mark_done(time)
 
     def next_time(self) -> float:
         """Simulated time [s] at which the next one is due, whatever the wall clock says."""
@@ -146,9 +146,9 @@ class CheckpointWriter:
         """Whether it is time for the next one, by the simulated `time` [s] or by the wall clock."""
         return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
 
-    def write(self, scene: Scene, time: float, step: int, kept: dict[str, Any]) -> None:
+    def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
         """Write one and remove those that are too many; if that fails, the next is due as if it had not."""
         self.start(time)
-        write_checkpoint(self._directory, scene.text(), time, step, kept)
-        keep_last(self._directory, self._settings.keep)
+        write_checkpoint(self._directory, scene.text(), time, step, saved)
+        remove_old_checkpoints(self._directory, self._settings.keep)
         self.last_time = time

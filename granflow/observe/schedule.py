@@ -30,12 +30,12 @@ class Schedule:
         """The moment [s] taken last: all that a schedule remembers."""
         return self._last_time
 
-    def go_on_after(self, last_time: float | None) -> None:
+    def resume_after(self, last_time: float | None) -> None:
         """Count on after a moment [s] of an earlier run, whatever the interval was there."""
         if last_time is not None:
-            self.take(last_time)
+            self.mark_done(last_time)
 
-    def take(self, time: float) -> bool:
+    def mark_done(self, time: float) -> bool:
         """Mark all moments up to `time` [s] as done; False if this very time was taken before."""
         if time == self._last_time:
             return False

@@ -7,17 +7,17 @@ from io import FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
-from granflow.observe.indices.meter import IndexMeter
-from granflow.observe.loads import LoadMeter
-from granflow.observe.meters import FlowMeter, Tally
+from granflow.observe.flow_meters import FlowCount, FlowMeter
+from granflow.observe.metrics.meter import MetricMeter
 from granflow.observe.observer import PARTICLES, TOTALS
 from granflow.observe.schedule import Schedule
+from granflow.observe.wall_forces import WallForceMeter
 from granflow.quantities import (
-    INDEX_QUANTITIES,
-    LOAD_QUANTITIES,
-    METER_QUANTITIES,
+    FLOW_METER_QUANTITIES,
+    METRIC_QUANTITIES,
     OUTLET_QUANTITIES,
     TOTAL_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
 from granflow.snapshot import Snapshot
@@ -36,14 +36,18 @@ class TimeSeries:
         self,
         directory: Path | None,
         interval: float,
-        meters: Mapping[str, FlowMeter] | None = None,
+        flow_meters: Mapping[str, FlowMeter] | None = None,
         start: float = 0.0,
-        loads: Mapping[str, LoadMeter] | None = None,
-        indices: Mapping[str, IndexMeter] | None = None,
+        wall_forces: Mapping[str, WallForceMeter] | None = None,
+        metrics: Mapping[str, MetricMeter] | None = None,
     ) -> None:
-        self.meters, self.loads, self.indices = dict(meters or {}), dict(loads or {}), dict(indices or {})
-        self.wants = frozenset({TOTALS, PARTICLES} if self.meters else {TOTALS})
-        self.wants = self.wants.union(*(index.wants for index in self.indices.values()))
+        self.flow_meters, self.wall_forces, self.metrics = (
+            dict(flow_meters or {}),
+            dict(wall_forces or {}),
+            dict(metrics or {}),
+        )
+        self.wants = frozenset({TOTALS, PARTICLES} if self.flow_meters else {TOTALS})
+        self.wants = self.wants.union(*(metric.wants for metric in self.metrics.values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
         self._schedule = Schedule(interval, start)
         self._names: list[str] = []
@@ -57,18 +61,18 @@ class TimeSeries:
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one row; the same moment shown twice gives one."""
-        if not self._schedule.take(snapshot.time):
+        if not self._schedule.mark_done(snapshot.time):
             return
-        for meter in self.meters.values():
-            meter.look(snapshot)
-        for load in self.loads.values():
-            load.look(snapshot)
-        for index in self.indices.values():
-            index.look(snapshot)
+        for meter in self.flow_meters.values():
+            meter.update(snapshot)
+        for wall_force in self.wall_forces.values():
+            wall_force.update(snapshot)
+        for metric in self.metrics.values():
+            metric.update(snapshot)
         if self.path is None:
             return
         if not self._size and not self._unwritten:
-            self._head(snapshot)
+            self._write_header(snapshot)
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._write_row([snapshot.time, snapshot.stage, *totals, *self._readings()])
 
@@ -80,20 +84,24 @@ class TimeSeries:
 
     def results(self) -> dict[str, dict[str, float]]:
         """Numbers of every meter at the end, by the meter's name, and of its parts, as `outlet.glass`."""
-        return {name: tally.result() for name, tally in self._tallies().items()}
+        return {name: flow_count.result() for name, flow_count in self._flow_counts().items()}
 
-    def _tallies(self) -> dict[str, Tally]:
+    def _flow_counts(self) -> dict[str, FlowCount]:
         """What the meters count, by their names and those of the parts."""
-        meters = self.meters.items()
-        return {f"{name}.{part}".rstrip("."): tally for name, each in meters for part, tally in each.tallies().items()}
+        flow_meters = self.flow_meters.items()
+        return {
+            f"{name}.{part}".rstrip("."): flow_count
+            for name, each in flow_meters
+            for part, flow_count in each.flow_counts().items()
+        }
 
-    def all_results(self) -> dict[str, dict[str, dict[str, float]]]:
+    def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
         """Numbers at the end of every meter, measured wall and index, by its name."""
-        loads = {name: load.result() for name, load in self.loads.items()}
-        indices = {name: index.result() for name, index in self.indices.items()}
-        return {"meters": self.results(), "loads": loads, "indices": indices}
+        wall_forces = {name: wall_force.result() for name, wall_force in self.wall_forces.items()}
+        metrics = {name: metric.result() for name, metric in self.metrics.items()}
+        return {"flow_meters": self.results(), "wall_forces": wall_forces, "metrics": metrics}
 
-    def keep(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """The size of the file, all rows of which are brought to the disk first, and what the meters counted."""
         if self._file is not None:
             os.fsync(self._file.fileno())
@@ -102,28 +110,28 @@ class TimeSeries:
             "columns": self._names,
             "size": self._size,
             "unwritten": self._unwritten.decode(),
-            "meters": {name: meter.keep() for name, meter in self.meters.items()},
-            "loads": {name: load.keep() for name, load in self.loads.items()},
-            "indices": {name: index.keep() for name, index in self.indices.items()},
+            "flow_meters": {name: meter.state_dict() for name, meter in self.flow_meters.items()},
+            "wall_forces": {name: wall_force.state_dict() for name, wall_force in self.wall_forces.items()},
+            "metrics": {name: metric.state_dict() for name, metric in self.metrics.items()},
         }
 
-    def put_back(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on with the same columns behind those rows."""
-        self._schedule.go_on_after(kept["last_time"])
-        self._names, self._size, self._unwritten = kept["columns"], kept["size"], kept["unwritten"].encode()
-        for name, meter in self.meters.items():
-            meter.put_back(kept["meters"][name])
-        for name, load in self.loads.items():
-            load.put_back(kept["loads"][name])
-        for name, index in self.indices.items():
-            index.put_back(kept["indices"][name])
+        self._schedule.resume_after(saved["last_time"])
+        self._names, self._size, self._unwritten = saved["columns"], saved["size"], saved["unwritten"].encode()
+        for name, meter in self.flow_meters.items():
+            meter.load_state_dict(saved["flow_meters"][name])
+        for name, wall_force in self.wall_forces.items():
+            wall_force.load_state_dict(saved["wall_forces"][name])
+        for name, metric in self.metrics.items():
+            metric.load_state_dict(saved["metrics"][name])
 
     @property
-    def rows_are_there(self) -> bool:
+    def rows_intact(self) -> bool:
         """Whether the file still holds all rows that were written when the state was kept."""
         return self.path is None or _size_of(self.path) >= self._size
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """Remove the rows that came after; where rows before are gone, go on with those that are left."""
         if self.path is not None and self._size:
             self._size = min(self._size, _size_of(self.path))
@@ -134,10 +142,10 @@ class TimeSeries:
         path.parent.mkdir(parents=True, exist_ok=True)
         return FileIO(path, "a" if self._size else "w")
 
-    def _head(self, snapshot: Snapshot) -> None:
+    def _write_header(self, snapshot: Snapshot) -> None:
         known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
         self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
-        self._write_row(["time [s]", "stage", *map(_label, self._names), *self._meter_labels()])
+        self._write_row(["time [s]", "stage", *map(_column_label, self._names), *self._meter_labels()])
 
     def _write_row(self, row: list[Any]) -> None:
         line = StringIO()
@@ -150,23 +158,31 @@ class TimeSeries:
             self._size, self._unwritten = self._size + written, self._unwritten[written:]
 
     def _readings(self) -> list[float]:
-        flows = [number for tally in self._tallies().values() for number in tally.readings()]
-        loads = [number for load in self.loads.values() for number in load.readings().values()]
-        return flows + loads + [number for index in self.indices.values() for number in index.readings().values()]
+        flows = [number for flow_count in self._flow_counts().values() for number in flow_count.readings()]
+        wall_forces = [number for wall_force in self.wall_forces.values() for number in wall_force.readings().values()]
+        return (
+            flows + wall_forces + [number for metric in self.metrics.values() for number in metric.readings().values()]
+        )
 
     def _meter_labels(self) -> list[str]:
-        quantities = METER_QUANTITIES.values()
-        flows = [quantity.label_of(name) for name in self._tallies() for quantity in quantities]
-        loads = [LOAD_QUANTITIES[each].label_of(name) for name, load in self.loads.items() for each in load.readings()]
-        known, indices = INDEX_QUANTITIES, self.indices.items()
-        return flows + loads + [known[each].label_of(name) for name, index in indices for each in index.readings()]
+        quantities = FLOW_METER_QUANTITIES.values()
+        flows = [quantity.label_of(name) for name in self._flow_counts() for quantity in quantities]
+        wall_forces = [
+            WALL_FORCE_QUANTITIES[each].label_of(name)
+            for name, wall_force in self.wall_forces.items()
+            for each in wall_force.readings()
+        ]
+        known, metrics = METRIC_QUANTITIES, self.metrics.items()
+        return (
+            flows + wall_forces + [known[each].label_of(name) for name, metric in metrics for each in metric.readings()]
+        )
 
 
 def _size_of(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
-def _label(name: str) -> str:
+def _column_label(name: str) -> str:
     quantity, _, part = name.partition(".")
     of_parts = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
     if quantity in of_parts:

@@ -9,8 +9,8 @@ import numpy as np
 
 from granflow.observe.frames import FrameSeries, mesh_of_cells, mesh_of_points
 from granflow.observe.observer import CONTACTS, PARTICLES, WALLS
-from granflow.observe.pressed import traction_and_pressure
 from granflow.observe.schedule import Schedule
+from granflow.observe.wall_traction import traction_and_pressure
 from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.snapshot import Snapshot
 from granflow.walls.mesh import triangle_areas
@@ -23,7 +23,7 @@ _PARTICLE_ARRAYS = (
     "radius",
     "diameter",
     "velocity",
-    "spin",
+    "angular_velocity",
     "force",
     "material",
     "group",
@@ -31,7 +31,7 @@ _PARTICLE_ARRAYS = (
     "fixed",
     "kinetic_energy",
 )
-_CONTACT_POINTS = ("first_position", "second_position")
+_CONTACT_POINTS = ("position_i", "position_j")
 
 
 class Frames:
@@ -52,26 +52,26 @@ class Frames:
         """Write one frame, due or not; the same moment shown twice gives one."""
         if snapshot.time != self._schedule.last_time:
             self.series.write(self.mesh(snapshot), snapshot.time)
-            self._schedule.take(snapshot.time)
+            self._schedule.mark_done(snapshot.time)
 
     def finish(self) -> None:
         """Nothing is open: every frame is whole on disk once `observe` returns."""
 
-    def keep(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """The frames written so far, which are brought to the disk first."""
         series = self.series
-        series.settle()
+        series.sync()
         return {"last_time": self._schedule.last_time, "frames": list(series.frames), "frame_count": series.frame_count}
 
-    def put_back(self, kept: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on after those frames."""
-        self._schedule.go_on_after(kept["last_time"])
-        self.series.frames = [(time, name) for time, name in kept["frames"]]
-        self.series.frame_count = kept["frame_count"]
+        self._schedule.resume_after(saved["last_time"])
+        self.series.frames = [(time, name) for time, name in saved["frames"]]
+        self.series.frame_count = saved["frame_count"]
 
-    def cut_back(self) -> None:
+    def truncate(self) -> None:
         """Remove the frames that came after."""
-        self.series.cut_back()
+        self.series.truncate()
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
         """Make the mesh of one frame."""
@@ -111,7 +111,7 @@ class ParticleFrames(Frames):
 
 
 class ContactFrames(Frames):
-    """`contacts_NNNN.vtu`: a line per contact from centre to centre (or to the foot point on a wall)."""
+    """`contacts_NNNN.vtu`: a line per contact from center to center (or to the foot point on a wall)."""
 
     wants = frozenset({CONTACTS})
     stem = "contacts"
@@ -134,7 +134,7 @@ class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the walls that are present, moved to where they stand.
 
     `triangles`: name -> (rest points (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array
-    `wall` holds the index of the wall in that order. `loaded`: areas [m2] of the walls whose loads are shown, None
+    `wall` holds the index of the wall in that order. `measured`: areas [m2] of the walls whose loads are shown, None
     for what has no end; the cell arrays `traction` and `pressure` hold them as they are at that moment.
     """
 
@@ -146,38 +146,40 @@ class WallFrames(Frames):
         interval: float,
         triangles: Mapping[str, tuple[np.ndarray, np.ndarray]],
         start: float = 0.0,
-        loaded: Mapping[str, float | None] | None = None,
+        measured: Mapping[str, float | None] | None = None,
     ) -> None:
         super().__init__(directory, interval, start)
-        self._triangles, self._loaded = dict(triangles), dict(loaded or {})
-        self._areas = {name: triangle_areas(*triangles[name]) for name in self._loaded}
-        self.wants = frozenset({WALLS, CONTACTS} if self._loaded else {WALLS})
+        self._triangles, self._measured = dict(triangles), dict(measured or {})
+        self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
+        self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
         """Make the mesh of one frame."""
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
-        loads = [(np.zeros((0, 3)), np.zeros(0))]
+        wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
         point_count = 0
-        for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
+        for metric, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
             if pose is None or not pose.present:
                 continue
             points.append(pose.moved(rest_points))
             corners.append(rest_corners + point_count)
-            walls.append(np.full(len(rest_corners), index, np.int32))
-            loads.append(self._loads(snapshot, index, name, len(rest_corners)))
+            walls.append(np.full(len(rest_corners), metric, np.int32))
+            wall_forces.append(self._traction_and_pressure(snapshot, metric, name, len(rest_corners)))
             point_count += len(rest_points)
         cell_data = {"wall": np.concatenate(walls)}
-        if self._loaded:
-            for name, parts in zip(("traction", "pressure"), zip(*loads, strict=True), strict=True):
+        if self._measured:
+            for name, parts in zip(("traction", "pressure"), zip(*wall_forces, strict=True), strict=True):
                 cell_data[name] = np.concatenate(parts).astype(np.float32)
         return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
 
-    def _loads(self, snapshot: Snapshot, index: int, name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def _traction_and_pressure(
+        self, snapshot: Snapshot, metric: int, name: str, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Traction (count, 3) and pressure (count,) [Pa] on a wall; not numbers where its loads are not asked for."""
-        if name not in self._loaded:
+        if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
-        return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._loaded[name])
+        return traction_and_pressure(snapshot.contacts or {}, metric, self._areas[name], self._measured[name])
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -8,64 +8,69 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.plan.walls import PlannedWall, wall_motions
 from granflow.scene import Scene
-from granflow.scene.border import AXES, Border
-from granflow.walls.catalogue import distance_from, reach_about
+from granflow.scene.periodic_box import AXES, PeriodicBox
+from granflow.walls.catalog import distance_from, reach_about
 from granflow.walls.motion import single_rotation
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
 
-SAME = 1e-3
+DISTANCE_TOLERANCE = 1e-3
 """Share of the reach by which the distance of a wall may differ from face to face."""
 
 
-def refuse_narrow(scene: Scene, radius_max: float, skin: float) -> None:
+def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
     """Raise SceneError where a particle could be near two images of another."""
-    border, needed = Border.of(scene.domain), 4.0 * radius_max + 2.0 * skin
-    more = "" if border.shear is None else ", which is double under shear"
-    for axis in border.axes:
-        if border.width[axis] < needed:
+    periodic_box, needed = PeriodicBox.of(scene.domain), 4.0 * radius_max + 2.0 * skin
+    remark = "" if periodic_box.image_motion is None else ", which is double under shear"
+    for axis in periodic_box.axes:
+        if periodic_box.width[axis] < needed:
             raise SceneError(
-                f"{scene.place('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the domain is "
-                f"{border.width[axis]:.4g} m wide, but a particle could touch two images of another there. Make it at "
-                f"least {needed:.4g} m wide, two of the largest diameters and twice the skin{more}."
+                f"{scene.locate('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the domain is "
+                f"{periodic_box.width[axis]:.4g} m wide, but a particle could touch two images of another there. "
+                f"Make it at "
+                f"least {needed:.4g} m wide, two of the largest diameters and twice the skin{remark}."
             )
 
 
-def refuse_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
+def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
     """Raise SceneError for a wall that particles within `reach` [m] of it would meet on one side of a border only."""
-    border = Border.of(scene.domain)
-    for axis in border.axes:
-        face = _face(border, axis)
+    periodic_box = PeriodicBox.of(scene.domain)
+    for axis in periodic_box.axes:
+        face = _face(periodic_box, axis)
         for wall in walls:
-            opposite = face + border.width[axis] * np.eye(3)[axis]
-            here, there = (distance_from(wall.shape, points, reach) for points in (face, opposite))
-            near = np.minimum(np.abs(here), np.abs(there)) < reach
-            if np.any(near & ~(np.abs(here - there) <= SAME * reach)):
+            opposite = face + periodic_box.width[axis] * np.eye(3)[axis]
+            distance_low, distance_high = (distance_from(wall.shape, points, reach) for points in (face, opposite))
+            is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
+            if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
-                    f"{scene.place('walls', wall.name)}: walls.{wall.name} stands otherwise at one end of the "
+                    f"{scene.locate('walls', wall.name)}: walls.{wall.name} stands otherwise at one end of the "
                     f"periodic axis {AXES[axis]} than at the other. Let it run straight through from end to end, or "
                     f"keep {reach:.4g} m clear of both."
                 )
 
 
-def refuse_endless_turns(scene: Scene, walls: Sequence[PlannedWall]) -> None:
+def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> None:
     """Raise SceneError for an endless wall that turns in a domain that grows: far out it moves as fast as it likes."""
-    if scene.domain.leaving != "grow":
+    if scene.domain.on_exit != "expand":
         return
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
-        turning = single_rotation(motions)
-        if turning and isinf(reach_about(wall.shape, np.array(turning.point), np.array(turning.axis), inf)):
+        rotation = single_rotation(motions)
+        if rotation and isinf(reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)):
             raise SceneError(
-                f"{scene.place('walls', wall.name, 'motion')}: walls.{wall.name} is endless and turns, which cannot be "
-                "followed in a domain that grows. Give it an end (shape: rectangle), or let domain.leaving be delete "
+                f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is endless and turns, which "
+                f"cannot be "
+                "followed in a domain that grows. Give it an end (shape: rectangle), or let domain.on_exit be delete "
                 "or error."
             )
 
 
-def _face(border: Border, axis: int) -> np.ndarray:
+def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
     """Points (n, 3) [m] of the low face along an axis, evenly spread."""
     shares = np.linspace(0.0, 1.0, SAMPLES)
-    along = [np.zeros(1) if each == axis else shares for each in range(3)]
-    return border.low + np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 3) * border.width
+    coordinates = [np.zeros(1) if each == axis else shares for each in range(3)]
+    return (
+        periodic_box.low
+        + np.stack(np.meshgrid(*coordinates, indexing="ij"), axis=-1).reshape(-1, 3) * periodic_box.width
+    )

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from granflow.plan.sizes import WIDE, diameter_range, size_classes
-from granflow.plan.walls import is_driven
+from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
+from granflow.plan.walls import is_force_controlled
 from granflow.scene import Scene
 
 
@@ -16,19 +16,19 @@ class Features:
     rolling: Literal["none", "epsd", "cdt"]
     rotation: bool
     rate_dependent: bool
-    adhesion: Literal["none", "sjkr"]
+    cohesion: Literal["none", "sjkr"]
     walls: bool
     moving_walls: bool
-    driven_walls: bool
+    force_controlled_walls: bool
     mesh_walls: bool
     one_material: bool
-    ledger: bool
-    loads: bool
+    energy_budget: bool
+    wall_forces: bool
     adaptive_step: bool
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
-    shear: bool
-    fixed_grains: bool
+    lees_edwards: bool
+    fixed_particles: bool
     outlets: bool
     size_classes: str
     """Number of classes of sizes that the search takes one by one, or "none"."""
@@ -54,53 +54,58 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
         rolling=rolling,
         rotation=friction or rolling != "none",
         rate_dependent=law_is_damped,
-        adhesion=adhesion_of(scene),
+        cohesion=cohesion_of(scene),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
-        driven_walls=any(is_driven(wall) for wall in scene.walls.values()),
+        force_controlled_walls=any(is_force_controlled(wall) for wall in scene.walls.values()),
         mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
-        ledger=scene.output.energy,
-        loads=bool(scene.loaded_walls),
+        energy_budget=scene.output.energy_budget,
+        wall_forces=bool(scene.measured_walls),
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
-        shear=scene.domain.shear is not None,
-        fixed_grains=any(group.fixed for group in scene.particles.values()),
+        lees_edwards=scene.domain.lees_edwards is not None,
+        fixed_particles=any(group.fixed for group in scene.particles.values()),
         outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
     )
 
 
-def adhesion_of(scene: Scene) -> Literal["none", "sjkr"]:
+def cohesion_of(scene: Scene) -> Literal["none", "sjkr"]:
     """The adhesion of the scene; none where no pair has a cohesion energy density above 0."""
-    return scene.contact.adhesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
+    return scene.contact.cohesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
     """Say of every feature why it is on or off, with the line of the scene that decided it."""
-    why = {
+    reasons = {
         "friction": _first_pair(scene, "friction", features.friction),
         "rolling": _rolling_reason(scene, features),
         "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
         "rate_dependent": _rate_reason(scene, features),
-        "adhesion": _adhesion_reason(scene, features),
+        "cohesion": _cohesion_reason(scene, features),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
-        "driven_walls": _driven_reason(scene, features),
+        "force_controlled_walls": _force_controlled_reason(scene, features),
         "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
-        "ledger": f"output.energy is {'on' if features.ledger else 'off'} ({scene.where('output', 'energy')})",
-        "loads": _loads_reason(scene, features),
-        "adaptive_step": _step_reason(scene),
+        "energy_budget": (
+            f"output.energy_budget is {'on' if features.energy_budget else 'off'} "
+            f"({scene.where('output', 'energy_budget')})"
+        ),
+        "wall_forces": _wall_forces_reason(scene, features),
+        "adaptive_step": _time_step_reason(scene),
         "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
         if scene.domain.periodic
         else "the domain has no periodic axes",
-        "shear": _shear_reason(scene),
-        "fixed_grains": _fixed_reason(scene, features),
+        "lees_edwards": _lees_edwards_reason(scene),
+        "fixed_particles": _fixed_reason(scene, features),
         "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
     }
-    return tuple(Reason(item.name, _setting(getattr(features, item.name)), why[item.name]) for item in fields(features))
+    return tuple(
+        Reason(item.name, _setting(getattr(features, item.name)), reasons[item.name]) for item in fields(features)
+    )
 
 
 def _setting(value: bool | str) -> str:
@@ -122,10 +127,10 @@ def _rolling_reason(scene: Scene, features: Features) -> str:
     return _first_pair(scene, "rolling_friction", features.rolling != "none")
 
 
-def _adhesion_reason(scene: Scene, features: Features) -> str:
-    if scene.contact.adhesion == "none":
-        return "contact.adhesion is none"
-    return _first_pair(scene, "cohesion_energy_density", features.adhesion != "none")
+def _cohesion_reason(scene: Scene, features: Features) -> str:
+    if scene.contact.cohesion == "none":
+        return "contact.cohesion is none"
+    return _first_pair(scene, "cohesion_energy_density", features.cohesion != "none")
 
 
 def _rate_reason(scene: Scene, features: Features) -> str:
@@ -151,10 +156,10 @@ def _moving_reason(scene: Scene, features: Features) -> str:
     return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
 
 
-def _driven_reason(scene: Scene, features: Features) -> str:
-    if not features.driven_walls:
+def _force_controlled_reason(scene: Scene, features: Features) -> str:
+    if not features.force_controlled_walls:
         return "no wall is moved by the grains' forces"
-    name = next(name for name, wall in scene.walls.items() if is_driven(wall))
+    name = next(name for name, wall in scene.walls.items() if is_force_controlled(wall))
     kinds = " and ".join(dict.fromkeys(each.kind for each in scene.walls[name].motion))
     return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
 
@@ -166,10 +171,10 @@ def _mesh_reason(scene: Scene, features: Features) -> str:
     return f"walls.{name} is one ({scene.where('walls', name, 'shape')})"
 
 
-def _loads_reason(scene: Scene, features: Features) -> str:
-    if not features.loads:
-        return f"output.loads asks for no wall ({scene.where('output', 'loads')})"
-    return f"output.loads asks for {', '.join(scene.loaded_walls)} ({scene.where('output', 'loads')})"
+def _wall_forces_reason(scene: Scene, features: Features) -> str:
+    if not features.wall_forces:
+        return f"output.wall_forces asks for no wall ({scene.where('output', 'wall_forces')})"
+    return f"output.wall_forces asks for {', '.join(scene.measured_walls)} ({scene.where('output', 'wall_forces')})"
 
 
 def _outlets_reason(scene: Scene) -> str:
@@ -177,30 +182,30 @@ def _outlets_reason(scene: Scene) -> str:
 
 
 def _fixed_reason(scene: Scene, features: Features) -> str:
-    if not features.fixed_grains:
+    if not features.fixed_particles:
         return "every group of particles can move"
     name = next(name for name, group in scene.particles.items() if group.fixed)
     return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
 
 
-def _step_reason(scene: Scene) -> str:
-    how = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
-    return f"run.time_step is {how} ({scene.where('run', 'time_step')})"
+def _time_step_reason(scene: Scene) -> str:
+    setting = scene.run.time_step if isinstance(scene.run.time_step, str) else "a number"
+    return f"run.time_step is {setting} ({scene.where('run', 'time_step')})"
 
 
-def _shear_reason(scene: Scene) -> str:
-    shear = scene.domain.shear
-    if shear is None:
+def _lees_edwards_reason(scene: Scene) -> str:
+    lees_edwards = scene.domain.lees_edwards
+    if lees_edwards is None:
         return "the domain is not sheared"
-    moved = f"{shear.velocity_along} changes with {shear.gradient_along} by {shear.rate:g} 1/s"
-    return f"velocity along {moved} ({scene.where('domain', 'shear')})"
+    description = f"{lees_edwards.flow} changes with {lees_edwards.gradient} by {lees_edwards.rate:g} 1/s"
+    return f"velocity along {description} ({scene.where('domain', 'lees_edwards')})"
 
 
 def _sizes_reason(scene: Scene) -> str:
     spans = [diameter_range(group) for group in scene.particles.values()]
     ratio = max(high for _, high in spans) / min(low for low, _ in spans)
-    if ratio < WIDE:
-        return f"the largest particles are less than {WIDE:g} times as wide as the smallest"
+    if ratio < CLASSES_FROM_RATIO:
+        return f"the largest particles are less than {CLASSES_FROM_RATIO:g} times as wide as the smallest"
     return f"the largest particles are {ratio:.3g} times as wide as the smallest ({scene.where('particles')})"
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.plan.sizes import diameter_range
+from granflow.plan.size_classes import diameter_range
 from granflow.regular_files import resolved
 from granflow.scene import Scene
 from granflow.scene.fields import Vector3
@@ -18,15 +18,15 @@ from granflow.walls.mesh_file import MeshFileError, read_triangles
 from granflow.walls.motion import rotation_matrices
 from granflow.walls.shape import unit
 
-FAR_TOO_LARGE, TOO_LARGE = 100.0, 5.0
+REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Size of a mesh over that of the domain from which on it is refused, or warned of: the wrong unit of length."""
 
 FAR_TOO_SMALL = 1e-3
 """Size of a mesh over the diameter of the smallest particle below which it is refused: the wrong unit of length."""
 
-MILLIMETRES = 1000.0
+MILLIMETERS = 1000.0
 
-FILES_KEPT = 16
+FILES_CACHED = 16
 """Meshes that are kept once read: a plan is made several times for a run."""
 
 
@@ -48,8 +48,8 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
                 _refuse_size(scene, wall, mesh)
                 found[name] = mesh
             except (MeshFileError, ValueError) as error:
-                place = scene.place("walls", name, "file")
-                problems.append(f"{place}: walls.{name}.file is {wall.file}, which {error}.")
+                location = scene.locate("walls", name, "file")
+                problems.append(f"{location}: walls.{name}.file is {wall.file}, which {error}.")
     if problems:
         raise SceneError(problems)
     return found
@@ -70,22 +70,22 @@ def mesh_path(scene: Scene, wall: MeshWall) -> Path:
 def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
     path = mesh_path(scene, wall)
     try:
-        stamp = path.stat()
+        modified = path.stat()
     except OSError:
         return mesh_of(read_triangles(path))
-    turns = tuple((turn.axis, turn.angle) for turn in wall.rotate)
-    return _mesh_once(path, (stamp.st_mtime_ns, stamp.st_size), wall.scale, turns, wall.translate)
+    rotations = tuple((rotation.axis, rotation.angle) for rotation in wall.rotate)
+    return _mesh_once(path, (modified.st_mtime_ns, modified.st_size), wall.scale, rotations, wall.translate)
 
 
-@lru_cache(FILES_KEPT)
+@lru_cache(FILES_CACHED)
 def _mesh_once(
-    path: Path, stamp: tuple[int, int], scale: float, turns: tuple[tuple[Vector3, float], ...], offset: Vector3
+    path: Path, modified: tuple[int, int], scale: float, rotations: tuple[tuple[Vector3, float], ...], offset: Vector3
 ) -> Mesh:
     """The mesh of a file that was last changed then, scaled, turned and shifted."""
-    turned = np.eye(3)
-    for axis, angle in turns:
-        turned = rotation_matrices(unit(axis), np.array([angle]))[0] @ turned
-    return mesh_of(read_triangles(path)).placed(scale, turned, np.array(offset))
+    rotation_matrix = np.eye(3)
+    for axis, angle in rotations:
+        rotation_matrix = rotation_matrices(unit(axis), np.array([angle]))[0] @ rotation_matrix
+    return mesh_of(read_triangles(path)).placed(scale, rotation_matrix, np.array(offset))
 
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
@@ -95,13 +95,13 @@ def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
         share = _size(mesh) / smallest
         what = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
         raise MeshFileError(f"{what}: increase scale, which is {wall.scale:g} now")
-    if share > FAR_TOO_LARGE:
+    if share > REFUSED_SIZE_RATIO:
         raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 
 
 def _remedy(wall: Wall) -> str:
-    scale = wall.scale / MILLIMETRES if isinstance(wall, MeshWall) else 1.0
-    return f"if the file is in millimetres, set scale: {scale:g}"
+    scale = wall.scale / MILLIMETERS if isinstance(wall, MeshWall) else 1.0
+    return f"if the file is in millimeters, set scale: {scale:g}"
 
 
 def _size(mesh: Mesh) -> float:
@@ -119,23 +119,23 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     for count, what, warning in (
         (mesh.quad_count, "four-sided face{} cut in two", False),
         (mesh.divided_count, "triangle{} divided where corners of others lie on their edges", False),
-        (mesh.links.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
-        (mesh.links.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
+        (mesh.adjacency.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
+        (mesh.adjacency.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
         (mesh.degenerate_count, "triangle{} without area left out", True),
         (mesh.duplicate_count, "triangle{} left out of those that are there twice", True),
     ):
         if count:
             yield MeshNote(name, f"{count} {what.format('s' if count > 1 else '')}", warning)
-    doubt = _doubt(scene, name, mesh, smallest)
-    if doubt:
-        yield MeshNote(name, doubt, True)
+    suspicion = _suspicion(scene, name, mesh, smallest)
+    if suspicion:
+        yield MeshNote(name, suspicion, True)
 
 
-def _doubt(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
+def _suspicion(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
     """What is probably not meant."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     size, share = _size(mesh), _size(mesh) / _domain_size(scene)
-    if share > TOO_LARGE:
+    if share > WARNED_SIZE_RATIO:
         return f"{size:.3g} m large, {share:.3g} times the domain: {_remedy(scene.walls[name])}"
     if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):
         return "wholly outside the domain; see scale and translate"

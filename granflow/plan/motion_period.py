@@ -4,7 +4,7 @@ import math
 
 from granflow.errors import SceneError
 from granflow.scene import Scene
-from granflow.scene.schema import Rotation, Vibration
+from granflow.scene.schema import RotationSpec, VibrationSpec
 
 STEPS_PER_PERIOD = 10
 """Fewest time steps per period. With fewer, the wall velocities at the steps do not represent the motion (aliasing)."""
@@ -15,11 +15,11 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
     problems = []
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
-            period = _period(motion, scene) if isinstance(motion, Vibration | Rotation) else math.inf
+            period = _period(motion, scene) if isinstance(motion, VibrationSpec | RotationSpec) else math.inf
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 key = f"walls.{name}.motion.{index}"
                 problems.append(
-                    f"{scene.place('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter than "
+                    f"{scene.locate('walls', name, 'motion')}: {key} has a period of {period:.3g} s, shorter than "
                     f"{STEPS_PER_PERIOD} time steps of {time_step:.3g} s. Slow the motion down, or set run.time_step "
                     f"to {period / STEPS_PER_PERIOD:.2g} s or less."
                 )
@@ -27,9 +27,9 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
         raise SceneError(problems)
 
 
-def _period(motion: Vibration | Rotation, scene: Scene) -> float:
+def _period(motion: VibrationSpec | RotationSpec, scene: Scene) -> float:
     """Duration of one cycle or turn [s]; infinite where nothing moves."""
-    if isinstance(motion, Rotation):
+    if isinstance(motion, RotationSpec):
         rate = abs(motion.angular_velocity)
     else:
         amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)

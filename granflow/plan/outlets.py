@@ -7,11 +7,11 @@ from math import inf
 import numpy as np
 
 from granflow.scene import Scene
-from granflow.scene.outlets import BoxOutlet
+from granflow.scene.outlets import BoxOutlet, DiscOutlet
 
 
 @dataclass(frozen=True)
-class Drain:
+class PlannedOutlet:
     """One outlet: a box, or what lies within `radius` [m] of an axis beyond a plane.
 
     low, high (3,) [m]: corners of the box, or None.  point (3,) [m], normal (3,) of length 1: of the plane.
@@ -33,26 +33,28 @@ class Drain:
         return np.asarray(np.minimum(along, self.radius - across))
 
 
-def drains_of(scene: Scene) -> tuple[Drain, ...]:
+def planned_outlets(scene: Scene) -> tuple[PlannedOutlet, ...]:
     """All outlets of a scene."""
-    found = []
+    outlets = []
     for name, outlet in scene.outlets.items():
         if isinstance(outlet, BoxOutlet):
             low, high = np.array(outlet.box.min), np.array(outlet.box.max)
-            found.append(Drain(name, low, high, low, np.zeros(3), inf))
+            outlets.append(PlannedOutlet(name, low, high, low, np.zeros(3), inf))
         else:
-            normal, radius = np.array(outlet.beyond.normal), outlet.beyond.radius
-            point, unit = np.array(outlet.beyond.point), normal / np.linalg.norm(normal)
-            found.append(Drain(name, None, None, point, unit, inf if radius is None else radius))
-    return tuple(found)
+            is_disc = isinstance(outlet, DiscOutlet)
+            point = outlet.disc.center if is_disc else outlet.half_space.point
+            normal = np.array(outlet.disc.normal if is_disc else outlet.half_space.normal)
+            radius = outlet.disc.radius if is_disc else inf
+            outlets.append(PlannedOutlet(name, None, None, np.array(point), normal / np.linalg.norm(normal), radius))
+    return tuple(outlets)
 
 
-def taken_by(drains: Sequence[Drain], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
+def outlet_of(outlets: Sequence[PlannedOutlet], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
     """Which outlet took each deleted particle (n,), -1 for none: the one it is deepest in.
 
     `position` (n, 3) [m]; what is still in the domain (n,) was taken by one, be it by rounding.
     """
-    if not drains:
+    if not outlets:
         return np.full(len(position), -1)
-    depth = np.stack([drain.depth(position) for drain in drains])
+    depth = np.stack([outlet.depth(position) for outlet in outlets])
     return np.where(in_domain | (depth.max(axis=0) >= 0.0), depth.argmax(axis=0), -1)

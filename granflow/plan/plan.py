@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.laws.adhesion import ADHESIONS
-from granflow.laws.law import Asked, NormalLaw
+from granflow.laws.cohesion import COHESIONS
+from granflow.laws.law import ModelRequest, NormalLaw
 from granflow.laws.material import (
     PairMaterial,
     Solid,
@@ -18,27 +18,27 @@ from granflow.laws.material import (
     shear_modulus_eff,
     yield_strength,
 )
-from granflow.plan.approach import fastest_approach, image_speed, initial_speeds
-from granflow.plan.domain import refuse_endless_turns, refuse_narrow, refuse_walls
-from granflow.plan.drive import Drive, drives_of
-from granflow.plan.features import Features, Reason, adhesion_of, features_of, reasons_for
+from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
+from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
+from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
+from granflow.plan.features import Features, Reason, cohesion_of, features_of, reasons_for
+from granflow.plan.max_impact_velocity import image_speed, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
-from granflow.plan.outlets import Drain, drains_of
-from granflow.plan.pace import Pace, pace_of
+from granflow.plan.outlets import PlannedOutlet, planned_outlets
 from granflow.plan.resolution import coordinate_limit, refuse_coarse
-from granflow.plan.sizes import diameter_range, size_classes
-from granflow.plan.slots import SHARE_AT_MESHES, SPARE_IN_A_ROW, near_triangles, slots_per_particle
-from granflow.plan.time_step import Meeting, TimeStep, choose_time_step, resolution_warning
+from granflow.plan.size_classes import diameter_range, size_classes
+from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.travel import STEP_SHARE, refuse_fast_images, refuse_fast_start, refuse_fast_walls
+from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 from granflow.scene import Scene
-from granflow.scene.border import Border
+from granflow.scene.periodic_box import PeriodicBox
 from granflow.scene.schema import Group, RestitutionFit
 from granflow.walls.mesh import Mesh
 from granflow.walls.mesh_grid import MeshGrid, grid_over
 
-FEW_PARTICLES = 64
+SMALL_SCENE_PARTICLES = 64
 """Up to so many particles each is a chunk of its own: what that costs in time it saves in compiling, twice over."""
 
 CHUNK_COUNT = 32
@@ -50,7 +50,7 @@ CHUNK_BOUNDS = (512, 2048)
 CELLS_PER_PARTICLE = 3
 """Search cells for every particle at most; a sparser domain gets larger cells."""
 
-LEAST_CELLS = 8192
+MIN_CELLS = 8192
 
 BLOCK_CELLS = 8**3
 """Cells of the smallest grid: they come in blocks."""
@@ -86,9 +86,9 @@ class Plan:
     velocity_max: float
     walls: tuple[PlannedWall, ...]
     wall_speed: float
-    drives: tuple[Drive, ...]
+    controlled_motions: tuple[ControlledMotion, ...]
     """Motions of walls that the grains' forces move."""
-    pace: Pace | None
+    adaptive_time_step: AdaptiveTimeStep | None
     """Time steps for every velocity, where the step follows the scene."""
 
     @property
@@ -99,7 +99,7 @@ class Plan:
     @property
     def longest_time_step(self) -> float:
         """Longest step [s] that can be taken."""
-        return self.time_step if self.pace is None else self.pace.longest
+        return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
 
     @property
     def material_count(self) -> int:
@@ -124,8 +124,8 @@ class Plan:
     @property
     def history(self) -> dict[str, int]:
         """What a contact remembers: name of the field -> numbers in it."""
-        sizes = {"normal": self.law.history_count, "lateral": 3 * self.features.friction}
-        remembered = ("epsd", "cdt") if self.features.ledger else ("epsd",)
+        sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
+        remembered = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
         sizes["rolling"] = 3 * (self.features.rolling in remembered)
         return {name: size for name, size in sizes.items() if size}
 
@@ -135,19 +135,19 @@ class Plan:
         return max(-(-self.particle_capacity // self.chunk_size), 1)
 
     @property
-    def slots_per_chunk(self) -> int:
+    def list_capacity_per_chunk(self) -> int:
         """First guess of contact slots in one chunk."""
-        share = slots_per_particle(self.particle_capacity, self.skin / self.radius_min)
+        neighbors = neighbors_per_particle(self.particle_capacity, self.skin / self.radius_min)
         at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
         if self.chunk_size == 1:
-            return int(2.0 * share + at_meshes) + SPARE_IN_A_ROW
-        share += SHARE_AT_MESHES * at_meshes
-        return int(share * min(self.chunk_size, self.particle_capacity)) + 16
+            return int(2.0 * neighbors + at_meshes) + EXTRA_PER_PARTICLE
+        neighbors += SHARE_AT_MESHES * at_meshes
+        return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
 
     @property
     def cell_capacity(self) -> int:
         """Most cells of the search grid."""
-        return max(CELLS_PER_PARTICLE * self.particle_capacity, LEAST_CELLS)
+        return max(CELLS_PER_PARTICLE * self.particle_capacity, MIN_CELLS)
 
     @cached_property
     def size_classes(self) -> tuple[float, ...]:
@@ -155,25 +155,25 @@ class Plan:
         return size_classes(self.scene)
 
     @property
-    def listed_cell_capacity(self) -> int:
+    def class_cell_capacity(self) -> int:
         """Most cells of the grids of all classes of sizes; 0 where there is but one class in a box without shear."""
-        classes, needed = len(self.size_classes), self.features.shear or len(self.size_classes) > 1
+        classes, needed = len(self.size_classes), self.features.lees_edwards or len(self.size_classes) > 1
         return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
 
     @property
-    def poses(self) -> bool:
+    def has_poses(self) -> bool:
         """Whether walls or images stand elsewhere from step to step."""
-        return self.features.moving_walls or self.features.shear
+        return self.features.moving_walls or self.features.lees_edwards
 
     @property
-    def border_speed(self) -> float:
+    def image_speed(self) -> float:
         """Speed of the images across a sheared border [m/s]."""
-        return 0.0 if self.border.shear is None else abs(self.border.shear.speed)
+        return 0.0 if self.periodic_box.image_motion is None else abs(self.periodic_box.image_motion.speed)
 
     @property
-    def wall_way(self) -> float:
+    def wall_displacement_limit(self) -> float:
         """Way [m] that a wall may go between two searches: half the skin, shared where both kinds of motion are."""
-        return (0.25 if self.drives and self.wall_speed > 0.0 else 0.5) * self.skin
+        return (0.25 if self.controlled_motions and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
     def travel_limit(self) -> float:
@@ -183,7 +183,7 @@ class Plan:
     @property
     def wall_travel_limit(self) -> float:
         """Largest distance [m] per step of one kind of wall motion: that of particles, shared where there are both."""
-        return (0.5 if self.drives and self.wall_speed > 0.0 else 1.0) * self.travel_limit
+        return (0.5 if self.controlled_motions and self.wall_speed > 0.0 else 1.0) * self.travel_limit
 
     @property
     def coordinate_limit(self) -> float:
@@ -196,9 +196,9 @@ class Plan:
         return self.scene.gravity
 
     @property
-    def overlap_limit(self) -> float:
+    def max_overlap(self) -> float:
         """Overlap over radius at which the guard stops the run."""
-        return self.scene.numerics.overlap_limit
+        return self.scene.numerics.max_overlap
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
@@ -209,7 +209,7 @@ class Plan:
     def mesh_grids(self) -> dict[int, MeshGrid]:
         """The grid of every mesh wall by its index among the walls."""
         reach = self.radius_max + self.skin
-        return {index: grid_over(mesh.links.vertex, reach) for index, mesh in self.meshes.items()}
+        return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
     def first_triangle(self, index: int) -> int:
         """Number of the first triangle of a mesh wall, counted over all meshes."""
@@ -228,14 +228,14 @@ class Plan:
         return self.scene.remarks + self.step.warnings + meshes
 
     @cached_property
-    def border(self) -> Border:
+    def periodic_box(self) -> PeriodicBox:
         """Periodic faces of the domain."""
-        return Border.of(self.scene.domain)
+        return PeriodicBox.of(self.scene.domain)
 
     @cached_property
-    def drains(self) -> tuple[Drain, ...]:
+    def outlets(self) -> tuple[PlannedOutlet, ...]:
         """The outlets in plain numbers."""
-        return drains_of(self.scene)
+        return planned_outlets(self.scene)
 
     @cached_property
     def domain_low(self) -> np.ndarray:
@@ -256,7 +256,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     materials = tuple(dict.fromkeys(_used_materials(scene)))
     numbers = {name: number for number, name in enumerate(materials)}
     walls = planned_walls(scene, numbers)
-    velocity = fastest_approach(scene).value
+    velocity = max_impact_velocity(scene).value
     law = build_law(scene, velocity)
     features = features_of(scene, law.rate_dependent)
     table = _pair_table(scene, law, materials)
@@ -268,9 +268,9 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
-    refuse_narrow(scene, radius_max, 2.0 * skin if features.shear else skin)
-    refuse_walls(scene, walls, radius_max + skin)
-    refuse_endless_turns(scene, walls)
+    refuse_narrow_box(scene, radius_max, 2.0 * skin if features.lees_edwards else skin)
+    refuse_cut_walls(scene, walls, radius_max + skin)
+    refuse_infinite_rotations(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     plan = Plan(
         scene=scene,
@@ -288,8 +288,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         velocity_max=velocity,
         walls=walls,
         wall_speed=speed,
-        drives=drives_of(scene, walls, law, meetings_of(scene), velocity, step.value),
-        pace=_pace(scene, law, velocity, max(speed, image_speed(scene))) if features.adaptive_step else None,
+        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases_of(scene), velocity, step.value),
+        adaptive_time_step=_adaptive_time_step(scene, law, velocity, max(speed, image_speed(scene)))
+        if features.adaptive_step
+        else None,
     )
     _refuse_fast(plan, speeds)
     return plan
@@ -298,18 +300,18 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for speeds [m/s] at which contacts would be missed from the start."""
     refuse_fast_start(plan.scene, initial_speeds(plan.scene), plan.time_step, plan.radius_min)
-    limit = min(plan.wall_travel_limit, plan.wall_way)
+    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
     refuse_fast_walls(plan.scene, wall_speeds, plan.longest_time_step, limit)
-    refuse_fast_images(plan.scene, plan.border_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
+    refuse_fast_images(plan.scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
     """The scene's normal law with its settings; `velocity` is the fastest approach expected [m/s]."""
     normal = scene.contact.normal
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
-    law = normal.kind.build(Asked(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
-    adhesion = adhesion_of(scene)
-    return law if adhesion == "none" else ADHESIONS[adhesion](law)
+    law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
+    cohesion = cohesion_of(scene)
+    return law if cohesion == "none" else COHESIONS[cohesion](law)
 
 
 def solid(scene: Scene, material: str) -> Solid:
@@ -360,18 +362,18 @@ def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tup
         return law.pair_constants(pair_material(scene, first, second))
     except ValueError as error:
         key = scene.pair_key(first, second)
-        place = scene.place("pairs", key, "restitution")
-        raise SceneError(f"{place}: pairs.{key}.restitution cannot be met: {error}.") from None
+        location = scene.locate("pairs", key, "restitution")
+        raise SceneError(f"{location}: pairs.{key}.restitution cannot be met: {error}.") from None
 
 
-def meetings_of(scene: Scene) -> list[Meeting]:
+def pair_cases_of(scene: Scene) -> list[PairCase]:
     """How any two groups, and any group and wall, can meet: their smallest particles.
 
     A group of one particle does not collide with itself: that contact bounds the time step, but has no `pair_key`. If
     no contact is possible, the contact of the first group with itself bounds the time step. Fixed particles collide
     neither with each other nor with walls; for others they are walls with the radius of the largest of them.
     """
-    found = []
+    pair_cases = []
     groups = list(scene.particles.items())
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     for n, (name, group) in enumerate(groups):
@@ -381,32 +383,36 @@ def meetings_of(scene: Scene) -> list[Meeting]:
                 mobile, partner = (other, group) if group.fixed else (group, other)
                 occurs = name != other_name or group.count > 1
                 key = scene.pair_key(group.material, other.material) if occurs else None
-                found.append(replace(_meeting(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key))
+                pair_cases.append(
+                    replace(_pair_case(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key)
+                )
         for wall in walls if not group.fixed else ():
             pair, key = pair_material(scene, group.material, wall), scene.pair_key(group.material, wall)
-            found.append(replace(_meeting(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
-    if not found:
+            pair_cases.append(replace(_pair_case(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
+    if not pair_cases:
         name, group = groups[0]
-        body = solid(scene, group.material)
-        like = PairMaterial(modulus_eff(body, body), shear_modulus_eff(body, body), 1.0, 0.0)
-        found.append(_meeting(scene, f"{name}-{name}", like, group, group))
+        material_solid = solid(scene, group.material)
+        elastic_pair = PairMaterial(
+            modulus_eff(material_solid, material_solid), shear_modulus_eff(material_solid, material_solid), 1.0, 0.0
+        )
+        pair_cases.append(_pair_case(scene, f"{name}-{name}", elastic_pair, group, group))
     contacts = max(sum(group.count for _, group in groups) + len(scene.walls) - 1, 1)
-    return [replace(meeting, contact_count=contacts) for meeting in found]
+    return [replace(pair_case, contact_count=contacts) for pair_case in pair_cases]
 
 
-def _meeting(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> Meeting:
+def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
     """The smallest of a group with the smallest of another, with the largest fixed one, or with a wall (None)."""
-    radius, body = 0.5 * diameter_range(group)[0], solid(scene, group.material)
-    mass = _sphere_mass(radius, body.density)
+    radius, material_solid = 0.5 * diameter_range(group)[0], solid(scene, group.material)
+    mass = _sphere_mass(radius, material_solid.density)
     if other is None:
-        return Meeting(name, pair, radius, mass, radius, body)
+        return PairCase(name, pair, radius, mass, radius, material_solid)
     if other.fixed:
         other_radius = 0.5 * diameter_range(other)[1]
-        return Meeting(name, pair, radius * other_radius / (radius + other_radius), mass, radius, body)
+        return PairCase(name, pair, radius * other_radius / (radius + other_radius), mass, radius, material_solid)
     other_radius = 0.5 * diameter_range(other)[0]
     other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
     radius_eff = radius * other_radius / (radius + other_radius)
-    return Meeting(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, body)
+    return PairCase(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, material_solid)
 
 
 def _sphere_mass(radius: float, density: float) -> float:
@@ -416,40 +422,40 @@ def _sphere_mass(radius: float, density: float) -> float:
 def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -> TimeStep:
     given = None if isinstance(scene.run.time_step, str) else float(scene.run.time_step)
     numerics = scene.numerics
-    meetings = meetings_of(scene)
+    pair_cases = pair_cases_of(scene)
     try:
         step = choose_time_step(
-            given, meetings, law, velocity,
-            numerics.time_step_safety, numerics.rayleigh_fraction,
+            given, pair_cases, law, velocity,
+            numerics.time_step_fraction, numerics.rayleigh_fraction,
         )  # fmt: skip
     except ValueError as error:
-        raise SceneError(f"{scene.place('run', 'time_step')}: run.time_step {error}") from None
+        raise SceneError(f"{scene.locate('run', 'time_step')}: run.time_step {error}") from None
     precision = scene.run.precision
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     reach = farthest if precision == "f32" else diameter
-    return replace(step, warnings=step.warnings + resolution_warning(meetings, velocity, precision, reach))
+    return replace(step, warnings=step.warnings + resolution_warning(pair_cases, velocity, precision, reach))
 
 
-def _pace(scene: Scene, law: NormalLaw, velocity: float, speed: float) -> Pace:
+def _adaptive_time_step(scene: Scene, law: NormalLaw, velocity: float, speed: float) -> AdaptiveTimeStep:
     numerics = scene.numerics
-    bounds = (numerics.time_step_safety, numerics.rayleigh_fraction)
-    return pace_of(meetings_of(scene), law, velocity, speed, *bounds)
+    bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
+    return adaptive_time_step_for(pair_cases_of(scene), law, velocity, speed, *bounds)
 
 
 def _chunk_size(scene: Scene, particle_count: int) -> int:
     """Particles in a chunk, a power of two; it follows from the scene alone, since sums go chunk by chunk."""
     if scene.numerics.chunk_size != "auto":
         return int(scene.numerics.chunk_size)
-    if particle_count <= FEW_PARTICLES:
+    if particle_count <= SMALL_SCENE_PARTICLES:
         return 1
-    least, most = CHUNK_BOUNDS
-    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), least, most))
+    min_size, max_size = CHUNK_BOUNDS
+    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), min_size, max_size))
 
 
 def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
-            f"{scene.place('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
+            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
             f"smallest radius {radius_min:.3g} m: neighbor lists would hold thousands per particle. Write auto."
         )
     return skin
@@ -458,5 +464,5 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
     if scene.numerics.skin != "auto":
         return _given_skin(scene, float(scene.numerics.skin), radius_min)
-    least, most = (share * radius_min for share in SKIN_SHARES)
-    return float(np.clip(2.0 * SKIN_STEPS * velocity * step, least, most))
+    min_size, max_size = (neighbors * radius_min for neighbors in SKIN_SHARES)
+    return float(np.clip(2.0 * SKIN_STEPS * velocity * step, min_size, max_size))

@@ -35,9 +35,9 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     if farthest <= coordinate_limit(precision, radius_min):
         return
     better = "Use --precision mixed, or move" if precision == "f32" and _mixed_serves(farthest, radius_min) else "Move"
-    key = ("run", "precision") if scene.gives("run", "precision") else ("domain",)
+    key = ("run", "precision") if scene.is_given("run", "precision") else ("domain",)
     raise SceneError(
-        f"{scene.place(*key)}: run.precision is {precision}, but it resolves positions only to "
+        f"{scene.locate(*key)}: run.precision is {precision}, but it resolves positions only to "
         f"{spacing_at(precision, farthest):.3g} m at {farthest:.3g} m from the origin, the domain end; needed is "
         f"{COARSEST:g} of the smallest radius {radius_min:.3g} m. {better} the scene nearer to the origin."
     )

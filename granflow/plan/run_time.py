@@ -53,7 +53,7 @@ def least_run_time(plan: Plan) -> float:
 
 def duration_of(plan: Plan) -> float:
     """Longest simulated time [s] of all stages."""
-    return sum(stage.duration or stage.at_most or 0.0 for stage in plan.scene.schedule)
+    return sum(stage.duration or stage.max_duration or 0.0 for stage in plan.scene.schedule)
 
 
 def _writes(plan: Plan) -> float:
@@ -67,13 +67,13 @@ def _writes(plan: Plan) -> float:
 def _refuse_no_step(plan: Plan) -> None:
     scene, step = plan.scene, plan.time_step
     for index, stage in enumerate(scene.schedule):
-        key = "at_most" if stage.duration is None else "duration"
-        longest = stage.duration or stage.at_most or 0.0
+        key = "max_duration" if stage.duration is None else "duration"
+        longest = stage.duration or stage.max_duration or 0.0
         if longest < step * (1.0 - ROUNDING):
             path = ("stages", index, key) if scene.stages else ("run", "duration")
             name = ".".join(map(str, path))
             raise SceneError(
-                f"{scene.place(*path)}: {name} is {longest:.3g} s, shorter than one time step of {step:.3g} s "
+                f"{scene.locate(*path)}: {name} is {longest:.3g} s, shorter than one time step of {step:.3g} s "
                 f"({plan.step.limited_by}). Give it at least {_rounded_up(step):.3g} s, or a smaller run.time_step."
             )
 
@@ -89,7 +89,7 @@ def _what(plan: Plan, steps: float) -> str:
     given = not isinstance(scene.run.time_step, str)
     path = ("run", "time_step") if given else ("stages",) if scene.stages else ("run", "duration")
     return (
-        f"{scene.place(*path)}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
+        f"{scene.locate(*path)}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
         f"({plan.step.limited_by}) are {float(ceil(steps)):.3g} steps"
     )
 

@@ -16,7 +16,7 @@ _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
 
 
 @dataclass(frozen=True)
-class Setting:
+class OptionalSetting:
     """One value that the scene may leave out."""
 
     key: str
@@ -25,7 +25,7 @@ class Setting:
     is_default: bool
 
 
-def settings_of(scene: Scene) -> tuple[Setting, ...]:
+def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
     """All of them in the order of the schema, and what presets filled in.
 
     What is simply absent when left out (a motion, the radius of a meter) is not listed.
@@ -33,28 +33,28 @@ def settings_of(scene: Scene) -> tuple[Setting, ...]:
     return tuple(_in_model(scene, scene, ()))
 
 
-def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Setting]:
+def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[OptionalSetting]:
     for name, field in type(model).model_fields.items():
         key, value = (*path, field.alias or name), getattr(model, name)
         if not _is_leaf(value):
-            yield from _within(scene, value, key)
+            yield from _in_value(scene, value, key)
         elif value is not None and (_has_default(field) or _is_preset(scene, model, key)):
             unit = _UNIT.search(field.description or "")
             text = as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
-            given = scene.gives(*key)
+            given = scene.is_given(*key)
             origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
-            yield Setting(".".join(map(str, key)), text, origin, not given)
+            yield OptionalSetting(".".join(map(str, key)), text, origin, not given)
 
 
-def _within(scene: Scene, value: Any, path: KeyPath) -> Iterator[Setting]:
+def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[OptionalSetting]:
     if isinstance(value, BaseModel):
         yield from _in_model(scene, value, path)
     elif isinstance(value, dict):
         for key, each in value.items():
-            yield from _within(scene, each, (*path, key))
+            yield from _in_value(scene, each, (*path, key))
     elif isinstance(value, tuple):
         for index, each in enumerate(value):
-            yield from _within(scene, each, (*path, index))
+            yield from _in_value(scene, each, (*path, index))
 
 
 def _is_leaf(value: Any) -> bool:
@@ -68,7 +68,7 @@ def _has_default(field: FieldInfo) -> bool:
 
 
 def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
-    return getattr(model, "preset", None) is not None and not scene.gives(*path)
+    return getattr(model, "preset", None) is not None and not scene.is_given(*path)
 
 
 def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:

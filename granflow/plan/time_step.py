@@ -11,7 +11,7 @@ from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial, Solid
 from granflow.plan.travel import STEP_SHARE
 
-MOST_CONTACTS = 12
+MAX_CONTACTS = 12
 """Equal spheres that one of them can touch at once."""
 
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
@@ -25,7 +25,7 @@ STEPS_OF_RESOLUTION = 1000
 
 
 @dataclass(frozen=True)
-class Meeting:
+class PairCase:
     """The stiffest way in which two groups, or a group and a wall, can meet."""
 
     name: str
@@ -34,7 +34,7 @@ class Meeting:
     mass_eff: float
     radius: float
     solid: Solid
-    contact_count: int = MOST_CONTACTS
+    contact_count: int = MAX_CONTACTS
     """Contacts that a grain can have at once: as many as there are other grains and walls."""
     pair_key: str | None = None
     """Key of the material pair under `pairs`; None for a contact that bounds the time step but cannot occur."""
@@ -55,41 +55,45 @@ class TimeStep:
 
 def choose_time_step(
     given: float | None,
-    meetings: Sequence[Meeting],
+    pair_cases: Sequence[PairCase],
     law: NormalLaw,
     velocity: float,
-    safety: float,
+    fraction: float,
     rayleigh_fraction: float,
 ) -> TimeStep:
     """Pick the step, or check the one given [s]; `velocity` is the fastest approach expected [m/s].
 
     Raises ValueError with one sentence where the given step is above the stable one.
     """
-    resolved, name = min((safety * shortest_phase(meeting, law, velocity), meeting.name) for meeting in meetings)
-    rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in meetings)
-    stable, stable_name = min((stable_step(meeting, law, velocity), meeting.name) for meeting in meetings)
-    travel = STEP_SHARE * min(meeting.radius for meeting in meetings) / velocity
+    resolved, name = min(
+        (fraction * shortest_phase(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
+    )
+    rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in pair_cases)
+    stable, stable_name = min((stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases)
+    travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)
     value = given if given is not None else chosen
-    limited = f"{safety:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
+    limited_by = f"{fraction:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
     if chosen == rayleigh:
-        limited = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
+        limited_by = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
     if chosen == stable:
-        limited = f"the largest stable step, {stable_name} at {velocity:.3g} m/s"
+        limited_by = f"the largest stable step, {stable_name} at {velocity:.3g} m/s"
     if chosen == travel:
-        limited = f"{STEP_SHARE:.2g} of the smallest radius in one step at {velocity:.3g} m/s"
+        limited_by = f"{STEP_SHARE:.2g} of the smallest radius in one step at {velocity:.3g} m/s"
     if given is not None:
-        limited = "given in the scene"
+        limited_by = "given in the scene"
     if value > stable:
         raise ValueError(
             f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
             f"Lower it to {chosen:.2g} s or leave it out."
         )
-    least, warnings = _restitution_reached(value, meetings, law, velocity)
-    return TimeStep(value, limited, stable, stable_name, least, warnings)
+    least, warnings = _restitution_reached(value, pair_cases, law, velocity)
+    return TimeStep(value, limited_by, stable, stable_name, least, warnings)
 
 
-def resolution_warning(meetings: Sequence[Meeting], velocity: float, precision: str, reach: float) -> tuple[str, ...]:
+def resolution_warning(
+    pair_cases: Sequence[PairCase], velocity: float, precision: str, reach: float
+) -> tuple[str, ...]:
     """A sentence if the overlaps of a collision at `velocity` [m/s] fall under what the precision resolves.
 
     An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed.
@@ -98,58 +102,58 @@ def resolution_warning(meetings: Sequence[Meeting], velocity: float, precision: 
         return ()
     resolved = float(np.finfo(np.float32).eps) * reach
     overlaps = []
-    for meeting in meetings:
-        k = theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff)
-        overlaps.append((float(theory.overlap_max(k, meeting.mass_eff, velocity)), meeting.name))
+    for pair_case in pair_cases:
+        k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
+        overlaps.append((float(theory.overlap_max(k, pair_case.mass_eff, velocity)), pair_case.name))
     smallest, name = min(overlaps)
     if smallest > STEPS_OF_RESOLUTION * resolved:
         return ()
-    better = "mixed or f64" if precision == "f32" else "f64"
+    remedy = "mixed or f64" if precision == "f32" else "f64"
     return (
         f"{precision} resolves lengths to {resolved:.2g} m here, but {name} overlap by only {smallest:.2g} m at "
-        f"{velocity:.3g} m/s: forces will be coarse. Use --precision {better}.",
+        f"{velocity:.3g} m/s: forces will be coarse. Use --precision {remedy}.",
     )
 
 
-def shortest_phase(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
+def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     """Shorter of loading and unloading [s] at an approach velocity, unloading no faster than resolved."""
-    loading, unloading = law.phase_durations(meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
+    loading, unloading = law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     return min(loading, max(unloading, law.unresolved_unloading * loading))
 
 
-def stable_step(meeting: Meeting, law: NormalLaw, velocity: float) -> float:
+def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     """Step [s] above which a grain held by others can gain energy, in the stiffest way it can be held.
 
     The leapfrog carries a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, its viscous force being half a step
     late. Masses M on z contacts of stiffness K and viscosity c, and Kt = 4 G/E K across where there is friction, have
 
-        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      where neighbours move against each other
+        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      where neighbors move against each other
         w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    where all turn the same way, and contacts slip
 
     at most; the second is the higher one with friction, and halves the step. A law that bounds its unloading has
     K dt^2 = theta^2 M there.
     """
-    bodies = (meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-    count, mass = min(meeting.contact_count, MOST_CONTACTS), meeting.mass_eff
-    pushing, sliding = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
-    sticks = meeting.pair.friction > 0.0 or meeting.pair.rolling_friction > 0.0
-    share = 4.0 * meeting.pair.shear_modulus_eff / meeting.pair.modulus_eff if sticks else 0.0
-    lateral, viscosity = share * law.loading_stiffness(*bodies), law.viscosity(*bodies)
-    room = 4.0 - pushing * law.unloading_angle**2
+    pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
+    count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
+    normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
+    has_friction = pair_case.pair.friction > 0.0 or pair_case.pair.rolling_friction > 0.0
+    stiffness_ratio = 4.0 * pair_case.pair.shear_modulus_eff / pair_case.pair.modulus_eff if has_friction else 0.0
+    tangential, viscosity = stiffness_ratio * law.loading_stiffness(*pair_arguments), law.viscosity(*pair_arguments)
+    margin = 4.0 - normal_modes * law.unloading_angle**2
     steps = (
-        _largest_step(law.stable_stiffness(*bodies) + 2.0 * lateral, viscosity, mass / pushing, 4.0),
-        _largest_step(2.0 * lateral, viscosity, mass / pushing, room),
-        _largest_step(lateral, 0.0, mass / sliding, 4.0),
+        _largest_step(law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0),
+        _largest_step(2.0 * tangential, viscosity, mass / normal_modes, margin),
+        _largest_step(tangential, 0.0, mass / tangential_modes, 4.0),
     )
     return STABLE_SHARE * min(steps)
 
 
-def _largest_step(stiffness: float, viscosity: float, mass: float, room: float) -> float:
-    """The step [s] at which K/M dt^2 + 4 c/M dt comes to `room`."""
+def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float) -> float:
+    """The step [s] at which K/M dt^2 + 4 c/M dt comes to `limit`."""
     if stiffness == viscosity == 0.0:
         return math.inf
-    held = 0.25 * mass * room
-    return 2.0 * held / (viscosity + math.sqrt(viscosity**2 + stiffness * held))
+    scaled_mass = 0.25 * mass * limit
+    return 2.0 * scaled_mass / (viscosity + math.sqrt(viscosity**2 + stiffness * scaled_mass))
 
 
 def rayleigh_time(solid: Solid, radius: float) -> float:
@@ -159,7 +163,7 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
 
 
 def _restitution_reached(
-    step: float, meetings: Sequence[Meeting], law: NormalLaw, velocity: float
+    step: float, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
     """Smallest restitution that the step can reach, and a sentence for each material pair that requires less.
 
@@ -168,13 +172,13 @@ def _restitution_reached(
     if law.least_restitution is None:
         return 0.0, ()
     least, worst = 0.0, dict[str, tuple[float, float, str]]()
-    for meeting in meetings:
-        bodies = (meeting.pair, meeting.radius_eff, meeting.mass_eff, velocity)
-        bound, required = law.least_restitution(*bodies, step), law.restitution(*bodies)
+    for pair_case in pair_cases:
+        pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
+        bound, required = law.least_restitution(*pair_arguments, step), law.restitution(*pair_arguments)
         least = max(least, bound)
-        key = meeting.pair_key
+        key = pair_case.pair_key
         if key is not None and required < bound and (key not in worst or bound > worst[key][0]):
-            worst[key] = (bound, required, meeting.name)
+            worst[key] = (bound, required, pair_case.name)
     return least, tuple(_shortfall(key, *found, velocity, step) for key, found in worst.items())
 
 

@@ -31,8 +31,8 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
     limit = STEP_SHARE * radius_min
     for name, speed in speeds.items():
         if speed * step > limit:
-            given = scene.gives("particles", name, "velocity")
-            place = scene.place("particles", name, *(["velocity"] if given else []))
+            given = scene.is_given("particles", name, "velocity")
+            place = scene.locate("particles", name, *(["velocity"] if given else []))
             what = f"{place}: particles.{name} starts with {speed:.3g} m/s"
             raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
 
@@ -41,14 +41,14 @@ def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, li
     """Raise SceneError where a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
     for name, speed in speeds.items():
         if speed * step > limit:
-            what = f"{scene.place('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            what = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
             raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
     """Raise SceneError where the images of a sheared box move by more than `limit` [m] in a step [s]."""
     if speed * step > limit:
-        what = f"{scene.place('domain', 'shear')}: domain.shear moves the images at {speed:.3g} m/s"
+        what = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
         raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
 
 

@@ -11,9 +11,9 @@ from granflow.plan.meshes import meshes_of
 from granflow.scene import Scene
 from granflow.scene import schema as scene_schema
 from granflow.walls import motion, plane, revolved
-from granflow.walls.catalogue import Surface, area_of, reach_about
-from granflow.walls.rims import join_rims
+from granflow.walls.catalog import Surface, area_of, reach_about
 from granflow.walls.shape import Shape, unit
+from granflow.walls.shared_edges import join_shared_edges
 
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of every stage that has begun; the end is infinite while it runs."""
@@ -36,10 +36,10 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     walls, surfaces = scene.walls, dict[str, Surface](meshes_of(scene))
     primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
     groups = [
-        (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_driven(wall) else "")
+        (wall.motion, wall.stages, wall.appears_at, wall.vanishes_at, name if is_force_controlled(wall) else "")
         for name, wall in primitives.items()
     ]
-    joined = join_rims([shape_of(wall) for wall in primitives.values()], groups)
+    joined = join_shared_edges([shape_of(wall) for wall in primitives.values()], groups)
     surfaces |= dict(zip(primitives, joined, strict=True))
     return tuple(PlannedWall(name, surfaces[name], material_numbers[wall.material]) for name, wall in walls.items())
 
@@ -63,18 +63,18 @@ def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Mo
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
-def is_driven(wall: scene_schema.AnyWall) -> bool:
+def is_force_controlled(wall: scene_schema.AnyWall) -> bool:
     """Whether the forces of the grains move this wall, by itself."""
-    return any(isinstance(each, scene_schema.Servo | scene_schema.Free) for each in wall.motion)
+    return any(isinstance(each, scene_schema.ServoSpec | scene_schema.FreeWallSpec) for each in wall.motion)
 
 
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
     start, end = _span(given, stage_times)
-    if isinstance(given, scene_schema.Servo | scene_schema.Free):
-        return motion.Driven(start, end)
-    if isinstance(given, scene_schema.Translation):
+    if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
+        return motion.ForceControlled(start, end)
+    if isinstance(given, scene_schema.TranslationSpec):
         return motion.Translation(given.velocity, start, end)
-    if isinstance(given, scene_schema.Rotation):
+    if isinstance(given, scene_schema.RotationSpec):
         return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
     amplitude, omega = given.amplitude_and_angular_frequency(scene.gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
@@ -88,10 +88,10 @@ def _unit_vector(given: Any) -> tuple[float, float, float]:
 def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
     if given.stages is None:
         return given.start or 0.0, inf if given.end is None else given.end
-    begun = [stage_times[name] for name in given.stages if name in stage_times]
-    if not begun:
+    started = [stage_times[name] for name in given.stages if name in stage_times]
+    if not started:
         return inf, inf
-    return begun[0][0], begun[-1][1]
+    return started[0][0], started[-1][1]
 
 
 def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
@@ -110,10 +110,10 @@ def wall_change_times(scene: Scene) -> tuple[float, ...]:
     return tuple(sorted(times))
 
 
-def loaded_areas(scene: Scene) -> dict[str, float | None]:
+def measured_areas(scene: Scene) -> dict[str, float | None]:
     """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
     meshes = meshes_of(scene)
-    return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.loaded_walls}
+    return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.measured_walls}
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
@@ -122,11 +122,11 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
     for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
-        turning = motion.single_rotation(motions)
+        rotation = motion.single_rotation(motions)
         reach = 0.0
-        if turning is not None:
-            farthest = float(np.linalg.norm(np.abs(corners - turning.point).max(axis=0)))
-            reach = reach_about(wall.shape, np.array(turning.point), np.array(turning.axis), farthest)
+        if rotation is not None:
+            max_distance = float(np.linalg.norm(np.abs(corners - rotation.point).max(axis=0)))
+            reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), max_distance)
         speeds[wall.name] = motion.speed_bound(motions, reach)
     return speeds
 
@@ -137,16 +137,16 @@ def surface_speed(scene: Scene) -> float:
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0
     for wall, motions in zip(scene.walls.values(), wall_motions(scene, always), strict=True):
-        driven = sum(_driven_speed(scene, each, extent) for each in wall.motion)
-        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + driven)
+        controlled_speed = sum(_force_controlled_speed(scene, each, extent) for each in wall.motion)
+        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
     return fastest
 
 
-def _driven_speed(scene: Scene, given: Any, way: float) -> float:
+def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:
     """Largest speed [m/s] of a driven motion: that of a servo, or after a free wall's fall through the domain."""
-    if isinstance(given, scene_schema.Servo):
+    if isinstance(given, scene_schema.ServoSpec):
         return given.velocity_max
-    if isinstance(given, scene_schema.Free):
-        along = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
-        return float(np.sqrt(2.0 * along * way))
+    if isinstance(given, scene_schema.FreeWallSpec):
+        acceleration = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        return float(np.sqrt(2.0 * acceleration * distance))
     return 0.0

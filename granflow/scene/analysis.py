@@ -11,7 +11,6 @@ from granflow.scene.fields import (
     Count,
     Counts,
     Fault,
-    KeptLength,
     Model,
     Names,
     Number,
@@ -19,17 +18,18 @@ from granflow.scene.fields import (
     PositiveLength,
     PositiveTime,
     Text,
-    choice,
-    listing,
+    UnscaledLength,
+    choose_by_key,
+    list_of,
 )
-from granflow.scene.places import Box
-from granflow.scene.suggest import known_or_meant
+from granflow.scene.insertion_schema import Box
+from granflow.scene.suggest import suggestion_or_list
 
 Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
-CutOff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
 
 
-class CellGrid(Model):
+class GridSpec(Model):
     """A box cut into cells, by their edge or their number."""
 
     region: Box | None = Field(None, description="the box that is cut into cells; left out: the domain")
@@ -42,7 +42,7 @@ class CellGrid(Model):
             given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
             yield Fault((), f"{given}; give the edge of a cell, or how many along x, y and z", whole=True)
 
-    def counts_in(self, domain: Box) -> tuple[int, int, int]:
+    def cell_counts(self, domain: Box) -> tuple[int, int, int]:
         """Cells along x, y and z where the domain stands in for a region left out."""
         if self.cells is not None:
             return self.cells
@@ -52,14 +52,14 @@ class CellGrid(Model):
         return x, y, z
 
 
-class FieldGrid(CellGrid):
+class FieldGrid(GridSpec):
     """Fields on a grid, coarse-grained with a Gaussian, for ParaView."""
 
     width: Width = Field("auto", description="width (standard deviation) of the kernel [m]; auto: the largest radius")
-    cut_off: CutOff = Field(3.0, description="distance along each axis at which the kernel ends, in widths")
+    cut_off: Cutoff = Field(3.0, description="distance along each axis at which the kernel ends, in widths")
     interval: PositiveTime | None = Field(None, description="time between frames [s]; left out: output.interval")
     stages: Names | None = Field(None, description="stages in which they are written; left out: all")
-    quantities: Annotated[tuple[Text, ...], listing(some="[density, velocity]")] = Field(
+    quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(
         tuple(FIELD_QUANTITIES), description="fields that are written; left out: all"
     )
 
@@ -68,17 +68,17 @@ class FieldGrid(CellGrid):
         yield from super().faults()
         for index, name in enumerate(self.quantities):
             if name not in FIELD_QUANTITIES:
-                remedy = known_or_meant(name, FIELD_QUANTITIES, "fields")
+                remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
 
 
-class LaceyIndex(CellGrid):
+class LaceyMetric(GridSpec):
     """Lacey's mixing index of the grains of some groups, materials or sizes among all."""
 
     kind: Literal["lacey"] = Field(description="kind of index")
     groups: Names | None = Field(None, description="groups whose grains are the one kind")
     materials: Names | None = Field(None, description="materials whose grains are the one kind")
-    smaller_than: KeptLength | None = Field(None, description="diameter below which grains are the one kind [m]")
+    smaller_than: UnscaledLength | None = Field(None, description="diameter below which grains are the one kind [m]")
     at_least: Count = Field(10, description="grains that a cell must hold to count")
 
     def faults(self) -> Iterator[Fault]:
@@ -90,7 +90,7 @@ class LaceyIndex(CellGrid):
             yield Fault((), f"{found}; give exactly one of groups, materials and smaller_than", whole=True)
 
 
-class ReposeIndex(Model):
+class ReposeMetric(Model):
     """Angle of repose of the heap of grains that have two contacts or more."""
 
     kind: Literal["repose"] = Field(description="kind of index")
@@ -106,37 +106,37 @@ class ReposeIndex(Model):
             yield Fault(("axis",), "it goes only with surface: cone; leave it out")
 
 
-class FabricIndex(Model):
+class FabricMetric(Model):
     """Fabric tensor of the contacts between grains."""
 
     kind: Literal["fabric"] = Field(description="kind of index")
     region: Box | None = Field(None, description="the box whose contacts are looked at; left out: all")
 
 
-class CoordinationIndex(Model):
+class CoordinationMetric(Model):
     """Coordination number with and without rattlers."""
 
     kind: Literal["coordination"] = Field(description="kind of index")
     region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
 
 
-class ContentIndex(Model):
-    """What is in a box: grains whose centre is inside, whole."""
+class ContentMetric(Model):
+    """What is in a box: grains whose center is inside, whole."""
 
     kind: Literal["content"] = Field(description="kind of index")
     region: Box = Field(description="the box whose grains are counted")
 
 
-AnyIndex = Annotated[
-    Annotated[LaceyIndex, Tag("<lacey>")]
-    | Annotated[ReposeIndex, Tag("<repose>")]
-    | Annotated[FabricIndex, Tag("<fabric>")]
-    | Annotated[CoordinationIndex, Tag("<coordination>")]
-    | Annotated[ContentIndex, Tag("<content>")],
-    choice("kind"),
+AnyMetric = Annotated[
+    Annotated[LaceyMetric, Tag("<lacey>")]
+    | Annotated[ReposeMetric, Tag("<repose>")]
+    | Annotated[FabricMetric, Tag("<fabric>")]
+    | Annotated[CoordinationMetric, Tag("<coordination>")]
+    | Annotated[ContentMetric, Tag("<content>")],
+    choose_by_key("kind"),
 ]
 
-QUANTITIES_OF = {
+METRIC_QUANTITIES_BY_KIND = {
     "content": ("content_count", "content_mass", "content_volume"),
     "lacey": ("lacey_index",),
     "repose": ("angle_of_repose", "angle_of_repose_error"),

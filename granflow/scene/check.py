@@ -4,107 +4,122 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import FEED_QUANTITIES, LOAD_QUANTITIES, METER_QUANTITIES, OUTLET_QUANTITIES
-from granflow.scene.check_analysis import expected_indices, field_grids, indices
-from granflow.scene.check_domain import shear
+from granflow.quantities import FLOW_METER_QUANTITIES, INSERTION_QUANTITIES, OUTLET_QUANTITIES, WALL_FORCE_QUANTITIES
+from granflow.scene.check_analysis import expected_metrics, field_grids, metrics
+from granflow.scene.check_lees_edwards import lees_edwards
 from granflow.scene.document import KeyPath, Problem
-from granflow.scene.draft import Draft
 from granflow.scene.fields import Fault, Vector3
-from granflow.scene.findings import Check, Finding, unknown
-from granflow.scene.matter import RestitutionFit
-from granflow.scene.places import BoxRegion, CylinderRegion, DiscFace, FromFile, Inlet, Listed, Rain, RectangleFace
+from granflow.scene.insertion_schema import (
+    BoxRegion,
+    CylinderRegion,
+    DiscFace,
+    FileInsertion,
+    InletInsertion,
+    PositionsInsertion,
+    RainInsertion,
+    RectangleFace,
+)
+from granflow.scene.materials import RestitutionFit
+from granflow.scene.messages import problem_at
 from granflow.scene.schema import Plane, Scene, Stage, Wall
-from granflow.scene.shapes import Free, Servo, Vibration
-from granflow.scene.suggest import known_or_meant, nearest
-from granflow.scene.words import problem_of
+from granflow.scene.suggest import nearest, suggestion_or_list
+from granflow.scene.validation import PartialScene
+from granflow.scene.violations import Check, Violation, unknown
+from granflow.scene.wall_schema import FreeWallSpec, ServoSpec, VibrationSpec
 
-SEVERAL = 2
+ASSUMED_COUNT = 2
 """Particles taken to be in a group whose count is not known yet: they can touch each other."""
 
 _AXES = "xyz"
-_MOST = {
+_MAX_ENTRIES = {
     "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
 }  # fmt: skip
 """Entries of a section: what is worked out for every two of them must stay quick."""
 
 
-def checked(draft: Draft) -> list[Problem]:
+def checked(scene_parts: PartialScene) -> list[Problem]:
     """All that is wrong within and between the parts of the draft."""
-    findings = list(draft.faults())
-    crowded = list(_crowds(draft))
-    findings += crowded
-    for needed, check in _CHECKS if not crowded else ():
-        if draft.whole.issuperset(needed):
-            findings += check(draft)
-    return [problem_of(draft.document, path, fault) for path, fault in findings]
+    violations = list(scene_parts.faults())
+    overfull = list(_overfull_sections(scene_parts))
+    violations += overfull
+    for needed, check in _CHECKS if not overfull else ():
+        if scene_parts.complete.issuperset(needed):
+            violations += check(scene_parts)
+    return [problem_at(scene_parts.document, path, fault) for path, fault in violations]
 
 
-def _crowds(draft: Draft) -> Iterator[Finding]:
+def _overfull_sections(scene_parts: PartialScene) -> Iterator[Violation]:
     """Sections with more entries than a scene can hold."""
-    for section, most in _MOST.items():
-        node = draft.document.root.child(section)
+    for section, max_entries in _MAX_ENTRIES.items():
+        node = scene_parts.document.root.child(section)
         found = len(node.entries or node.items or ()) if node is not None else 0
-        if found > most:
-            yield (section,), Fault((), f"has {found} entries, but a scene holds at most {most} of them", whole=True)
+        if found > max_entries:
+            yield (
+                (section,),
+                Fault((), f"has {found} entries, but a scene holds at most {max_entries} of them", whole=True),
+            )
 
 
-def _materials(draft: Draft) -> Iterator[Finding]:
-    known = draft.names("materials")
+def _materials(scene_parts: PartialScene) -> Iterator[Violation]:
+    known = scene_parts.names("materials")
     for section in ("walls", "particles"):
-        for name, part in getattr(draft.scene, section).items():
+        for name, part in getattr(scene_parts.scene, section).items():
             if part.material not in known:
                 yield unknown((section, name, "material"), part.material, known, "material")
 
 
-def _some_particles(draft: Draft) -> Iterator[Finding]:
-    node = draft.document.root.child("particles")
+def _some_particles(scene_parts: PartialScene) -> Iterator[Violation]:
+    node = scene_parts.document.root.child("particles")
     if node is not None and node.entries == {}:
         yield ("particles",), Fault((), "at least one group of particles is needed")
 
 
-def _pair_names(draft: Draft) -> Iterator[Finding]:
+def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
     """Pairs of materials that do not exist, and pairs given twice."""
-    known = draft.names("materials")
+    known = scene_parts.names("materials")
     seen: dict[frozenset[str], str] = {}
-    for key in draft.names("pairs"):
+    for key in scene_parts.names("pairs"):
         both = key.split("-")
         for name in dict.fromkeys(both):
             if name not in known and len(both) == 2:
-                remedy = known_or_meant(name, known, "materials")
+                remedy = suggestion_or_list(name, known, "materials")
                 yield ("pairs", key), Fault((), f"names {name}, which is not under materials. {remedy}", whole=True)
         first = seen.setdefault(frozenset(both), key) if len(both) == 2 else key
         if first != key:
-            line = draft.document.key_place(("pairs", first)).line
-            there = f"at line {line} as {first}" if line else f"as {first}"
-            yield ("pairs", key), Fault((), f"is given already {there}; keep one of them", whole=True)
+            line = scene_parts.document.key_position(("pairs", first)).line
+            existing = f"at line {line} as {first}" if line else f"as {first}"
+            yield ("pairs", key), Fault((), f"is given already {existing}; keep one of them", whole=True)
 
 
-def _missing_pairs(draft: Draft) -> Iterator[Finding]:
-    known = draft.names("materials")
-    there = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in draft.names("pairs")}
-    for both, why in _touching(draft.scene, known).items():
-        if both not in there:
+def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
+    known = scene_parts.names("materials")
+    existing = {
+        frozenset(nearest(name, known) or name for name in key.split("-")) for key in scene_parts.names("pairs")
+    }
+    for both, why in _possible_contacts(scene_parts.scene, known).items():
+        if both not in existing:
             key = "-".join(sorted(both) * (3 - len(both))) if len(both) == 1 else "-".join(sorted(both))
             reason = f"is missing: {why}; give at least its restitution and friction"
             yield ("pairs", key), Fault((), reason, whole=True)
 
 
-def _touching(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
+def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
     """The pairs of materials that can touch, with the reason."""
     names = set(known)
-    grains, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
+    mobile, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
     found: dict[frozenset[str], str] = {}
-    for a, b in combinations_with_replacement(grains, 2):
-        if a != b or grains[a] > 1:
+    for a, b in combinations_with_replacement(mobile, 2):
+        if a != b or mobile[a] > 1:
             found[frozenset((a, b))] = f"particles of {a} can touch " + (
                 f"particles of {b}" if a != b else "each other"
             )
-    for a, b in product(grains, fixed):
+    for a, b in product(mobile, fixed):
         found.setdefault(frozenset((a, b)), f"particles of {a} can touch fixed ones of {b}")
     for name, wall in scene.walls.items():
-        for grain in grains if wall.material in names else ():
+        for mobile_material in mobile if wall.material in names else ():
             found.setdefault(
-                frozenset((grain, wall.material)), f"particles of {grain} can touch the wall {name} of {wall.material}"
+                frozenset((mobile_material, wall.material)),
+                f"particles of {mobile_material} can touch the wall {name} of {wall.material}",
             )
     return found
 
@@ -114,14 +129,14 @@ def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in names and group.fixed == fixed:
-            found[group.material] = found.get(group.material, 0) + (group.count_asked or SEVERAL)
+            found[group.material] = found.get(group.material, 0) + (group.count_given or ASSUMED_COUNT)
     return found
 
 
-def _friction(draft: Draft) -> Iterator[Finding]:
+def _friction(scene_parts: PartialScene) -> Iterator[Violation]:
     """Friction where there is a law for it, and only there."""
-    contact = draft.scene.contact
-    for key, pair in draft.scene.pairs.items():
+    contact = scene_parts.scene.contact
+    for key, pair in scene_parts.scene.pairs.items():
         rolling = ("pairs", key, "rolling_friction")
         if pair.friction > 0 and contact.tangential == "none":
             yield ("pairs", key, "friction"), Fault((), "contact.tangential is none; write 0, or choose mindlin")
@@ -132,87 +147,94 @@ def _friction(draft: Draft) -> Iterator[Finding]:
             yield rolling, Fault((), "contact.rolling is none; leave it out, or choose epsd or cdt")
 
 
-def _cohesion(draft: Draft) -> Iterator[Finding]:
+def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
     """A cohesion energy density in every pair where there is adhesion, and only there."""
-    adhesion = draft.scene.contact.adhesion
-    for key, pair in draft.scene.pairs.items():
+    cohesion = scene_parts.scene.contact.cohesion
+    for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "cohesion_energy_density")
-        if adhesion == "none" and pair.cohesion_energy_density is not None:
-            yield path, Fault((), "contact.adhesion is none; leave it out, or choose sjkr")
-        if adhesion != "none" and pair.cohesion_energy_density is None:
-            reason = f"is missing: contact.adhesion is {adhesion}; give it in J/m3, 0 for none"
+        if cohesion == "none" and pair.cohesion_energy_density is not None:
+            yield path, Fault((), "contact.cohesion is none; leave it out, or choose sjkr")
+        if cohesion != "none" and pair.cohesion_energy_density is None:
+            reason = f"is missing: contact.cohesion is {cohesion}; give it in J/m3, 0 for none"
             yield path, Fault((), reason, whole=True)
 
 
-def _restitution(draft: Draft) -> Iterator[Finding]:
+def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
     """A restitution that the normal law can give, or none where it follows from the materials."""
-    normal = draft.scene.contact.normal
-    for key, pair in draft.scene.pairs.items():
+    normal = scene_parts.scene.contact.normal
+    for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
         if normal.kind.restitution == "nothing":
             if pair.restitution is not None:
                 yield path, Fault((), f"the law {normal.law} has it from the materials; leave it out")
-            elif not _yielding(draft, key):
+            elif not _has_yield_strength(scene_parts, key):
                 names = " or ".join(dict.fromkeys(key.split("-")))
                 reason = f"needs a yield strength for the law {normal.law}: give the yield_strength of {names}"
                 yield ("pairs", key), Fault((), reason, whole=True)
         elif pair.restitution is None:
             yield path, Fault((), "is missing: restitution coefficient, a number in [0, 1]", whole=True)
         elif isinstance(pair.restitution, RestitutionFit):
-            yield from _fit(draft, key, pair.restitution)
+            yield from _restitution_fit(scene_parts, key, pair.restitution)
         elif pair.restitution == 0 and normal.kind.restitution == "positive number":
             yield path, Fault((), f"the law {normal.law} needs a number above 0 and at most 1")
 
 
-def _yielding(draft: Draft, key: str) -> bool:
+def _has_yield_strength(scene_parts: PartialScene, key: str) -> bool:
     """Whether one of the materials of a pair has a yield strength; True where one is not sound itself."""
-    materials = draft.scene.materials
+    materials = scene_parts.scene.materials
     return any(name not in materials or materials[name].yield_strength for name in key.split("-"))
 
 
-def _fit(draft: Draft, key: str, fit: RestitutionFit) -> Iterator[Finding]:
+def _restitution_fit(scene_parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Violation]:
     """Restitution by Eq. 12 where the law takes it."""
-    normal, path = draft.scene.contact.normal, ("pairs", key, "restitution")
+    normal, path = scene_parts.scene.contact.normal, ("pairs", key, "restitution")
     settings = normal.settings()
     fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
     if normal.kind.restitution != "number or fit":
         yield path, Fault((), f"the law {normal.law} needs a number, above 0 and at most 1")
     elif fixed:
-        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which needs a number; or write onset or peak"
+        reason = (
+            f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which needs a number; or write impact or max_overlap"
+        )
         yield path, Fault((), reason)
     else:
-        yield from _limit_velocity(draft, key, fit)
+        yield from _limit_velocity(scene_parts, key, fit)
 
 
-def _limit_velocity(draft: Draft, key: str, fit: RestitutionFit) -> Iterator[Finding]:
-    materials = draft.scene.materials
-    soft = [name for name in dict.fromkeys(key.split("-")) if name in materials and not materials[name].yield_strength]
-    if fit.limit_velocity is None and soft:
-        reason = f"has no limit velocity: give limit_velocity, or the yield_strength of {' and '.join(soft)} (Eq. 11)"
+def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Violation]:
+    materials = scene_parts.scene.materials
+    without_yield = [
+        name for name in dict.fromkeys(key.split("-")) if name in materials and not materials[name].yield_strength
+    ]
+    if fit.limit_velocity is None and without_yield:
+        reason = (
+            f"has no limit velocity: give limit_velocity, or the yield_strength of "
+            f"{' and '.join(without_yield)} (Eq. 11)"
+        )
         yield ("pairs", key, "restitution"), Fault((), reason, whole=True)
 
 
-def _stage_names(draft: Draft) -> Iterator[Finding]:
+def _stage_names(scene_parts: PartialScene) -> Iterator[Violation]:
     """Each stage once, and only those that exist."""
-    names = [stage.name for stage in _schedule(draft)]
+    names = [stage.name for stage in _schedule(scene_parts)]
     for index, name in enumerate(names):
         if name in names[:index]:
             reason = f"that name is taken by stages.{names.index(name)}; give each stage its own"
             yield ("stages", index, "name"), Fault((), reason)
-    for wall_name, wall in draft.scene.walls.items():
+    for wall_name, wall in scene_parts.scene.walls.items():
         for path, wanted in _stages_wanted(wall):
             for index, name in enumerate(wanted):
                 if name in names:
                     continue
-                place = ("walls", wall_name, *path, "stages", index)
-                if draft.scene.stages:
-                    yield unknown(place, name, names, "stage")
+                location = ("walls", wall_name, *path, "stages", index)
+                if scene_parts.scene.stages:
+                    yield unknown(location, name, names, "stage")
                 else:
-                    yield place, Fault((), "the scene has no stages; give times instead of stages")
+                    yield location, Fault((), "the scene has no stages; give times instead of stages")
 
 
-def _schedule(draft: Draft) -> tuple[Stage, ...]:
-    return draft.scene.stages or (Stage(name="run"),)
+def _schedule(scene_parts: PartialScene) -> tuple[Stage, ...]:
+    return scene_parts.scene.stages or (Stage(name="run"),)
 
 
 def _stages_wanted(wall: Wall) -> Iterator[tuple[KeyPath, tuple[str, ...]]]:
@@ -221,39 +243,39 @@ def _stages_wanted(wall: Wall) -> Iterator[tuple[KeyPath, tuple[str, ...]]]:
         yield ("motion", index), motion.stages or ()
 
 
-def _duration(draft: Draft) -> Iterator[Finding]:
+def _duration(scene_parts: PartialScene) -> Iterator[Violation]:
     """A duration of the run, or stages with their own."""
-    duration = draft.scene.run.duration
-    if duration is None and not draft.scene.stages:
+    duration = scene_parts.scene.run.duration
+    if duration is None and not scene_parts.scene.stages:
         yield ("run", "duration"), Fault((), "is missing: the simulated time, such as 2 s; or give stages", whole=True)
-    if duration is not None and draft.scene.stages:
+    if duration is not None and scene_parts.scene.stages:
         yield ("run", "duration"), Fault((), "the stages have durations of their own; drop run.duration")
 
 
-def _gamma(draft: Draft) -> Iterator[Finding]:
+def _gamma_needs_gravity(scene_parts: PartialScene) -> Iterator[Violation]:
     """Gamma means nothing without gravity."""
-    if any(draft.scene.gravity):
+    if any(scene_parts.scene.gravity):
         return
-    for name, wall in draft.scene.walls.items():
+    for name, wall in scene_parts.scene.walls.items():
         for index, motion in enumerate(wall.motion):
-            if isinstance(motion, Vibration) and motion.gamma is not None:
+            if isinstance(motion, VibrationSpec) and motion.gamma is not None:
                 path = ("walls", name, "motion", index, "gamma")
                 yield path, Fault((), "gravity is zero; give amplitude and frequency")
 
 
-def _regions(draft: Draft) -> Iterator[Finding]:
+def _regions(scene_parts: PartialScene) -> Iterator[Violation]:
     """Particles begin inside the domain."""
-    low, high = draft.scene.domain.min, draft.scene.domain.max
-    for name, group in draft.scene.particles.items():
-        path: KeyPath = ("particles", name, "place")
-        if isinstance(group.place, Listed):
-            for index, point in enumerate(group.place.positions):
+    low, high = scene_parts.scene.domain.min, scene_parts.scene.domain.max
+    for name, group in scene_parts.scene.particles.items():
+        path: KeyPath = ("particles", name, "insert")
+        if isinstance(group.insert, PositionsInsertion):
+            for index, point in enumerate(group.insert.positions):
                 if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                     yield (*path, "positions", index), Fault((), "it lies outside the domain")
-        if isinstance(group.place, Listed | FromFile):
+        if isinstance(group.insert, PositionsInsertion | FileInsertion):
             continue
-        key = "face" if isinstance(group.place, Inlet) else "region"
-        for axis, (a, b) in enumerate(zip(*_extent(getattr(group.place, key)), strict=True)):
+        key = "face" if isinstance(group.insert, InletInsertion) else "region"
+        for axis, (a, b) in enumerate(zip(*_extent(getattr(group.insert, key)), strict=True)):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
                 reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
                 reason = f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m"
@@ -281,63 +303,70 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
     return low, high  # type: ignore[return-value]
 
 
-def _counted(scene: Scene) -> list[str]:
+def _flow_meter_names(scene: Scene) -> list[str]:
     """Names of flow meters, and of what each counts by itself, as `outlet.glass`."""
-    names = scene.output.meters
-    return [*names, *(f"{name}.{part}" for name in names for part in scene.meter_parts(name))]
+    names = scene.output.flow_meters
+    return [*names, *(f"{name}.{part}" for name in names for part in scene.flow_meter_parts(name))]
 
 
-def _parts(draft: Draft) -> Iterator[Finding]:
+def _parts(scene_parts: PartialScene) -> Iterator[Violation]:
     """Expectations of flow meters, outlets and groups that exist."""
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
-        (METER_QUANTITIES, _counted(draft.scene), "meter"),
-        (OUTLET_QUANTITIES, draft.names("outlets"), "outlet"),
-        (FEED_QUANTITIES, _coming_in(draft), "stream"),
+        (FLOW_METER_QUANTITIES, _flow_meter_names(scene_parts.scene), "meter"),
+        (OUTLET_QUANTITIES, scene_parts.names("outlets"), "outlet"),
+        (INSERTION_QUANTITIES, _inserted_groups(scene_parts), "stream"),
     )
-    for index, expectation in enumerate(draft.scene.expect):
+    for index, expectation in enumerate(scene_parts.scene.expect):
         quantity, dot, part = expectation.quantity.partition(".")
         for quantities, names, kind in known if dot else ():
             if quantity in quantities and part not in names:
                 yield unknown(("expect", index, "quantity"), part, names, kind)
 
 
-def _coming_in(draft: Draft) -> list[str]:
-    return [name for name, group in draft.scene.particles.items() if isinstance(group.place, Rain | Inlet)]
+def _inserted_groups(scene_parts: PartialScene) -> list[str]:
+    return [
+        name
+        for name, group in scene_parts.scene.particles.items()
+        if isinstance(group.insert, RainInsertion | InletInsertion)
+    ]
 
 
-def _loads(draft: Draft) -> Iterator[Finding]:
+def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
     """Loads of walls that exist, expectations of loads that are measured, pressures where there is an area."""
-    asked, known = draft.scene.output.loads, draft.names("walls")
-    measured = known if asked is True else asked or ()
-    for index, name in enumerate(() if isinstance(asked, bool) else asked):
+    requested, known = scene_parts.scene.output.wall_forces, scene_parts.names("walls")
+    measured = known if requested is True else requested or ()
+    for index, name in enumerate(() if isinstance(requested, bool) else requested):
         if name not in known:
-            yield unknown(("output", "loads", index), name, known, "wall")
-    for index, expectation in enumerate(draft.scene.expect):
+            yield unknown(("output", "wall_forces", index), name, known, "wall")
+    for index, expectation in enumerate(scene_parts.scene.expect):
         quantity, dot, wall = expectation.quantity.partition(".")
         path: KeyPath = ("expect", index, "quantity")
-        if not dot or quantity not in LOAD_QUANTITIES:
+        if not dot or quantity not in WALL_FORCE_QUANTITIES:
             continue
         if wall not in known:
             yield unknown(path, wall, known, "wall")
         elif wall not in measured:
-            yield path, Fault((), f"output.loads does not ask for {wall}; write loads: true, or add it to the list")
-        elif "pressure" in quantity and isinstance(draft.scene.walls.get(wall), Plane):
+            yield (
+                path,
+                Fault((), f"output.wall_forces does not ask for {wall}; write loads: true, or add it to the list"),
+            )
+        elif "pressure" in quantity and isinstance(scene_parts.scene.walls.get(wall), Plane):
             yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")
 
 
-def _driven(draft: Draft) -> Iterator[Finding]:
+def _force_controlled(scene_parts: PartialScene) -> Iterator[Violation]:
     """Pressures of walls with an area; and a step that stays the same."""
-    driven = [
+    force_controlled = [
         (("walls", name, "motion", index), wall, motion)
-        for name, wall in draft.scene.walls.items()
+        for name, wall in scene_parts.scene.walls.items()
         for index, motion in enumerate(wall.motion)
-        if isinstance(motion, Servo | Free)
+        if isinstance(motion, ServoSpec | FreeWallSpec)
     ]
-    for path, wall, motion in driven:
-        if isinstance(motion, Servo) and motion.pressure is not None and isinstance(wall, Plane):
+    for path, wall, motion in force_controlled:
+        if isinstance(motion, ServoSpec) and motion.pressure is not None and isinstance(wall, Plane):
             yield (*path, "pressure"), Fault((), "a plane has no end and so no area; give force, or take a rectangle")
-    if driven and draft.scene.run.time_step == "adaptive":
-        path, _, motion = driven[0]
+    if force_controlled and scene_parts.scene.run.time_step == "adaptive":
+        path, _, motion = force_controlled[0]
         reason = f"walls.{path[1]} is {motion.kind}, which needs a step that stays the same; write auto"
         yield ("run", "time_step"), Fault((), reason)
 
@@ -352,13 +381,13 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("contact",), _restitution),
     (("stages",), _stage_names),
     (("stages", "run"), _duration),
-    (("gravity",), _gamma),
+    (("gravity",), _gamma_needs_gravity),
     (("domain",), _regions),
-    (("domain", "particles", "output"), shear),
+    (("domain", "particles", "output"), lees_edwards),
     (("output", "expect"), _parts),
     (("output", "stages", "domain"), field_grids),
-    (("output", "gravity", "domain"), indices),
-    (("output", "expect"), expected_indices),
-    (("output", "expect"), _loads),
-    (("run",), _driven),
+    (("output", "gravity", "domain"), metrics),
+    (("output", "expect"), expected_metrics),
+    (("output", "expect"), _wall_forces),
+    (("run",), _force_controlled),
 )

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 from granflow.scene.schema import Scene
 
-MAY_CHANGE: dict[str, str] = {
+ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "words, and what the run is held to",
     r"output\.(interval|timeseries_interval|particles|contacts|walls)": "what is written, and how often",
     r"output\.checkpoint\..*": "how often the state is written, and how many are kept",
-    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|at_most)": "when the run, or a stage, ends",
+    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|max_duration)": "when the run, or a stage, ends",
     r"walls\.\w+\.(stages|appears_at|vanishes_at)": "when a wall is there: opening a gate",
     r"walls\.\w+\.motion(\.|$).*": "how a wall moves from now on",
     r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, where there was some and stays some",
-    r"numerics\.overlap_limit": "at which overlap the guard stops the run",
+    r"numerics\.max_overlap": "at which overlap the guard stops the run",
     r"run\.(time_step|velocity_max)|numerics\.(skin|chunk_size)": "only to the numbers that the run has had so far",
 }
 """Keys, and what may change with them in a run that goes on. All else is refused by name."""
@@ -28,13 +28,13 @@ class Difference(NamedTuple):
     now: Any
 
     @property
-    def may_be(self) -> bool:
+    def is_allowed(self) -> bool:
         """Whether a run may go on with this change."""
-        return any(re.fullmatch(pattern, self.key) for pattern in MAY_CHANGE)
+        return any(re.fullmatch(pattern, self.key) for pattern in ALLOWED_CHANGES)
 
     def __str__(self) -> str:
-        said = ["left out" if value is None else _shown(value) for value in (self.before, self.now)]
-        return f"{self.key} was {said[0]} and is {said[1]}"
+        shown = ["left out" if value is None else _shown(value) for value in (self.before, self.now)]
+        return f"{self.key} was {shown[0]} and is {shown[1]}"
 
 
 def differences(before: Scene, now: Scene) -> tuple[Difference, ...]:
@@ -53,7 +53,7 @@ def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bo
     stage = re.match(r"stages\.(\d+)\.", difference.key)
     if stage and int(stage[1]) >= stages_before:
         return True
-    return difference.may_be and not (stage and int(stage[1]) < stages_over)
+    return difference.is_allowed and not (stage and int(stage[1]) < stages_over)
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -12,7 +12,7 @@ KeyPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SourcePosition:
     """A place in a file, or an override (`line` 0)."""
 
     source: str
@@ -23,7 +23,7 @@ class Place:
         return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
 
     @property
-    def order(self) -> tuple[bool, int, int]:
+    def sort_key(self) -> tuple[bool, int, int]:
         """Sorts problems down the file, overrides last."""
         return self.line == 0, self.line, self.column
 
@@ -32,12 +32,12 @@ class Place:
 class Problem:
     """One sentence about one place."""
 
-    place: Place
+    position: SourcePosition
     sentence: str
 
     def __str__(self) -> str:
         words = self.sentence.lstrip(" ")  # a key may begin with spaces, which nobody would see
-        text = f"{self.place}: " + r"\x20" * (len(self.sentence) - len(words)) + words
+        text = f"{self.position}: " + r"\x20" * (len(self.sentence) - len(words)) + words
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -53,11 +53,11 @@ class DocumentError(Exception):
 class Node:
     """A value: a scalar with the text it was written as, a list of nodes, or a mapping of entries."""
 
-    place: Place
+    position: SourcePosition
     scalar: Any = None
     text: str = ""
     items: "list[Node] | None" = None
-    entries: "dict[str, Entry] | None" = None
+    entries: "dict[str, MappingEntry] | None" = None
     size: int = 1
 
     def data(self) -> Any:
@@ -77,7 +77,7 @@ class Node:
         return None
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether nothing is written where the value should be."""
         return self.entries is None and self.items is None and self.scalar is None and not self.text
 
@@ -98,10 +98,10 @@ class Node:
 
 
 @dataclass(slots=True)
-class Entry:
+class MappingEntry:
     """A value in a mapping, with the place of its key."""
 
-    key_place: Place
+    key_position: SourcePosition
     node: Node
 
 
@@ -120,25 +120,25 @@ class Document:
             node = node.child(key) if node is not None else None
         return node
 
-    def key_place(self, path: KeyPath) -> Place:
+    def key_position(self, path: KeyPath) -> SourcePosition:
         """The place of the key at that path, or of the nearest key around it."""
-        place = Place(self.source, 1, 1)
+        position = SourcePosition(self.source, 1, 1)
         node: Node | None = self.root
         for key in path:
             entries = node.entries if node is not None else None
             child = node.child(key) if node is not None else None
             if child is None:
-                return place
-            place = entries[str(key)].key_place if entries is not None else child.place
+                return position
+            position = entries[str(key)].key_position if entries is not None else child.position
             node = child
-        return place
+        return position
 
-    def value_place(self, path: KeyPath) -> Place:
+    def value_position(self, path: KeyPath) -> SourcePosition:
         """The place of the value at that path, or of the nearest key around it."""
         node = self.find(path)
-        return self.key_place(path) if node is None else node.place
+        return self.key_position(path) if node is None else node.position
 
     def where(self, path: KeyPath) -> str:
         """The line of the key at that path, or of the nearest key around it, as `file:line`."""
-        place = self.key_place(path)
-        return f"{place.source}:{place.line}" if place.line else place.source
+        position = self.key_position(path)
+        return f"{position.source}:{position.line}" if position.line else position.source

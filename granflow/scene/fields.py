@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from granflow.scene.document import KeyPath
-from granflow.scene.numbers import Number, but
+from granflow.scene.numbers import Number, value_error
 from granflow.visible_text import visible
 
 _NAME = r"[a-z][a-z0-9_]*"
@@ -43,51 +43,51 @@ class Fault:
     whole: bool = False
 
 
-def _three(value: Any) -> Any:
+def _check_vector(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise but("a vector of three numbers is asked here, [x, y, z]")
+        raise value_error("a vector of three numbers is asked here, [x, y, z]")
     return value
 
 
-def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
+def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     if not any(value):
-        raise but("a direction must have a length above 0, such as [0, 0, 1]")
+        raise value_error("a direction must have a length above 0, such as [0, 0, 1]")
     return value
 
 
-def _text(value: Any) -> Any:
+def _check_text(value: Any) -> Any:
     if not isinstance(value, str):
-        raise but("text is asked here; put it in quotes")
+        raise value_error("text is asked here; put it in quotes")
     return value
 
 
 def _file_name(value: Any) -> Any:
-    text = _text(value)
+    text = _check_text(value)
     if "\n" in text or "\t" in text or visible(text) != text:
-        raise but("a name of a file holds no control, zero-width or bidirectional characters; rename the file")
+        raise value_error("a name of a file holds no control, zero-width or bidirectional characters; rename the file")
     return text
 
 
-def _flag(value: Any) -> Any:
+def _check_flag(value: Any) -> Any:
     if not isinstance(value, bool):
-        raise but("true or false is asked here")
+        raise value_error("true or false is asked here")
     return value
 
 
-def _name(value: Any) -> Any:
+def _check_name(value: Any) -> Any:
     if not re.fullmatch(_NAME, str(value)):
-        raise but("a name begins with a small letter and goes on with small letters, digits and _")
+        raise value_error("a name begins with a small letter and goes on with small letters, digits and _")
     return value
 
 
-def _pair_name(value: Any) -> Any:
+def _check_pair_name(value: Any) -> Any:
     if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
-        raise but("a pair is two names of materials with a dash between, such as glass-steel")
+        raise value_error("a pair is two names of materials with a dash between, such as glass-steel")
     return value
 
 
 @dataclass(frozen=True)
-class AlsoWritten:
+class ShortForm:
     """Adds to the JSON Schema of a value a shorter way to write it: words, or one item of a list."""
 
     words: tuple[str, ...] = ()
@@ -122,10 +122,11 @@ def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
 Tagger = Callable[[Any], str | None]
 
 
-def choice(key: str, *, number: str = "", listed: str = "", none: str = "") -> Discriminator:
+def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_tag: str = "") -> Discriminator:
     """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
 
-    What is no mapping goes to the tag `number`, or `listed` if it is a list, or `none` if it is nothing. The angle
+    What is no mapping goes to the tag `number_tag`, or `list_tag` if it is a list, or `none_tag` if it is nothing.
+    The angle
     brackets keep tags apart from keys in the places of errors.
     """
 
@@ -134,20 +135,26 @@ def choice(key: str, *, number: str = "", listed: str = "", none: str = "") -> D
             return f"<{value[key]}>" if key in value else None
         if isinstance(value, BaseModel):
             return f"<{getattr(value, key)}>"
-        kind = none if value is None and none else listed if isinstance(value, list | tuple) and listed else number
+        kind = (
+            none_tag
+            if value is None and none_tag
+            else list_tag
+            if isinstance(value, list | tuple) and list_tag
+            else number_tag
+        )
         return f"<{kind}>" if kind else None
 
     return _discriminator(tag, key=key)
 
 
-def chosen(by: Tagger, reason: str) -> Discriminator:
-    """Choose a member of a union by the tag that `by` gives; None is the error "X is Y, but REASON."."""
-    return _discriminator(by, reason=reason)
+def choose_by(tag_of: Tagger, reason: str) -> Discriminator:
+    """Choose a member of a union by the tag that `tag_of` gives; None is the error "X is Y, but REASON."."""
+    return _discriminator(tag_of, reason=reason)
 
 
-def _discriminator(by: Tagger, **context: str) -> Discriminator:
+def _discriminator(tag_of: Tagger, **context: str) -> Discriminator:
     return Discriminator(
-        by, custom_error_type="choice", custom_error_message="choice", custom_error_context={**context}
+        tag_of, custom_error_type="choice", custom_error_message="choice", custom_error_context={**context}
     )
 
 
@@ -160,27 +167,27 @@ def shorthand(key: str) -> BeforeValidator:
     return BeforeValidator(expand)
 
 
-def listing(*, one: bool = False, some: str = "") -> BeforeValidator:
+def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
     """Ask for a list; with `one`, let a single item stand for a list of one; with `some`, refuse an empty one."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple):
             if one:
                 return [value]
-            raise but(f"a list is asked here, {some or '[ ... ]'}")
+            raise value_error(f"a list is asked here, {some or '[ ... ]'}")
         if some and not value:
-            raise but(f"at least one item is needed, such as {some}")
+            raise value_error(f"at least one item is needed, such as {some}")
         return value
 
     return BeforeValidator(read)
 
 
-def couple(meaning: str) -> BeforeValidator:
+def pair_list(meaning: str) -> BeforeValidator:
     """Ask for a list of exactly two."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise but(f"a list of two is asked here, {meaning}")
+            raise value_error(f"a list of two is asked here, {meaning}")
         return value
 
     return BeforeValidator(read)
@@ -190,16 +197,16 @@ def _flag_or_names(value: Any) -> Any:
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
         return value if isinstance(value, bool) else names
-    raise but("true, false or a list of names is asked here, such as [floor, lid]")
+    raise value_error("true, false or a list of names is asked here, such as [floor, lid]")
 
 
-Text = Annotated[str, BeforeValidator(_text)]
+Text = Annotated[str, BeforeValidator(_check_text)]
 FileName = Annotated[str, BeforeValidator(_file_name)]
-Flag = Annotated[bool, BeforeValidator(_flag)]
+Flag = Annotated[bool, BeforeValidator(_check_flag)]
 FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
-Name = Annotated[str, AfterValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
+Name = Annotated[str, AfterValidator(_check_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
 PairName = Annotated[
-    str, AfterValidator(_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
+    str, AfterValidator(_check_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
 ]
 
 # Lengths go with the `size` of a scene, and amounts of grains with its cube; those of one grain or contact do not.
@@ -207,13 +214,13 @@ Plain = Annotated[float, Number()]
 NotNegative = Annotated[float, Number(at_least=0)]
 Positive = Annotated[float, Number(above=0)]
 Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
-Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_three)]
-GrainCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
+Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_check_vector)]
+ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 Length = Annotated[float, Number("length", scaling=1)]
 PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
 NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
-KeptLength = Annotated[float, Number("length", above=0)]
+UnscaledLength = Annotated[float, Number("length", above=0)]
 Time = Annotated[float, Number("time", at_least=0)]
 PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]
@@ -233,16 +240,18 @@ Density = Annotated[float, Number("density", above=0)]
 Energy = Annotated[float, Number("energy", above=0)]
 Stiffness = Annotated[float, Number("stiffness", above=0)]
 Rate = Annotated[float, Number("rate", above=0, scaling=3)]
-GrainMass = Annotated[float, Number("mass", above=0, scaling=3)]
+ParticleMass = Annotated[float, Number("mass", above=0, scaling=3)]
 MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
 Share = Annotated[float, Number(noun="a fraction", at_least=0)]
 AnyQuantity = Annotated[float, Number("any")]
 
 Vector3 = tuple[float, float, float]
-Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_three)]
-VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_three)]
-SpinVector = Annotated[tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_three)]
-AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_three)]
-Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_three), AfterValidator(_not_zero)]
-Names = Annotated[tuple[Text, ...], listing(some="[fill, settle]")]
+Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_check_vector)]
+VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_check_vector)]
+AngularVelocityVector = Annotated[
+    tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_check_vector)
+]
+AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_check_vector)]
+Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_check_vector), AfterValidator(_check_direction)]
+Names = Annotated[tuple[Text, ...], list_of(some="[fill, settle]")]
 Auto = Literal["auto"]

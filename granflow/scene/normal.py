@@ -1,23 +1,23 @@
-"""Schema of `contact.normal`, made from what the catalogue of laws says of each law's settings."""
+"""Schema of `contact.normal`, made from what the catalog of laws says of each law's settings."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, Tag, create_model
 
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.kind import Amount, Choice, LawKind, Setting
-from granflow.scene.fields import AlsoWritten, Model, Number, choice, chosen, shorthand
+from granflow.laws.catalog import NORMAL_LAWS
+from granflow.laws.model_kind import Amount, Choice, LawKind, Setting
+from granflow.scene.fields import Model, Number, ShortForm, choose_by, choose_by_key, shorthand
 
 
 class LawSettings(Model):
-    """A normal law and its settings; each law of the catalogue has a model of its own."""
+    """A normal law and its settings; each law of the catalog has a model of its own."""
 
     law: str
 
     @property
     def kind(self) -> LawKind:
-        """The catalogue's entry."""
+        """The catalog's entry."""
         return NORMAL_LAWS[self.law]
 
     def settings(self) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def _annotation(setting: Setting, name: str) -> Any:
     models = {key: _keyed(key, amount, f"{name}_{key}") for key, amount in setting.keyed.items()}
     members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in setting.words]
     members += [Annotated[model, Tag(f"<{key}>")] for key, model in models.items()]
-    by = chosen(_tagger(setting.words, models), f"it must be {_either(setting)}")
+    by = choose_by(_tagger(setting.words, models), f"it must be {_either(setting)}")
     return Annotated[Union[tuple(members)], by]  # noqa: UP007
 
 
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 else:
     Normal = Annotated[
         Union[tuple(Annotated[model, Tag(f"<{name}>")] for name, model in MODELS.items())],  # noqa: UP007
-        choice("law"),
+        choose_by_key("law"),
         shorthand("law"),
-        AlsoWritten(tuple(name for name, kind in NORMAL_LAWS.items() if not kind.needs_settings)),
+        ShortForm(tuple(name for name, kind in NORMAL_LAWS.items() if not kind.needs_settings)),
     ]

@@ -15,12 +15,12 @@ SMALLEST = 1e-30  # and none that must be above zero is below this
 LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
 
 
-def but(reason: str, *at: str) -> PydanticCustomError:
+def value_error(reason: str, *at: str) -> PydanticCustomError:
     """Make the error that reads "key.path is VALUE, but REASON."; `at` names a key within the value."""
     return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
 
 
-def whole(reason: str) -> PydanticCustomError:
+def whole_error(reason: str) -> PydanticCustomError:
     """Make the error that reads "key.path REASON."."""
     return PydanticCustomError("whole", "{reason}", {"reason": reason})
 
@@ -45,11 +45,11 @@ class Number:
             return value
         number = self._number(value)
         if not math.isfinite(number):
-            raise but("only finite numbers make sense here")
+            raise value_error("only finite numbers make sense here")
         if not self._inside(number):
-            raise but(f"{self._noun} {self._bounds()}")
+            raise value_error(f"{self._noun} {self._bounds()}")
         if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
-            raise but(f"{self._noun} of that size makes no sense")
+            raise value_error(f"{self._noun} of that size makes no sense")
         return self._count(number) if self.whole else number
 
     def _number(self, value: Any) -> float:
@@ -57,9 +57,9 @@ class Number:
             try:
                 return to_si(value, self.dimension)
             except UnitError as error:
-                raise but(f"{error}{self._word_hint()}") from None
+                raise value_error(f"{error}{self._word_hint()}") from None
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise but(f"{self._noun} is asked here{self._example()}{self._word_hint()}")
+            raise value_error(f"{self._noun} is asked here{self._example()}{self._word_hint()}")
         try:
             return float(value)
         except OverflowError:
@@ -67,9 +67,9 @@ class Number:
 
     def _count(self, number: float) -> int:
         if number != int(number):
-            raise but(f"{self._noun} is a whole number")
+            raise value_error(f"{self._noun} is a whole number")
         if number > LARGEST_COUNT:
-            raise but(f"{self._noun} goes up to {LARGEST_COUNT}")
+            raise value_error(f"{self._noun} goes up to {LARGEST_COUNT}")
         return int(number)
 
     def _inside(self, number: float) -> bool:

@@ -4,36 +4,50 @@ from typing import Annotated
 
 from pydantic import Field, Tag
 
-from granflow.scene.fields import Direction, Model, Point, PositiveLength, chosen
-from granflow.scene.places import Box, one_of
+from granflow.scene.fields import Direction, Model, Point, PositiveLength, choose_by
+from granflow.scene.insertion_schema import Box, choose_by_field
 
 
-class Beyond(Model):
-    """What lies beyond a plane, or beyond a disc of it."""
+class HalfSpaceGiven(Model):
+    """All points on one side of a plane."""
 
-    point: Point = Field(description="a point on the plane; the centre, if there is a radius [m]")
-    normal: Direction = Field(description="direction in which it lies; its length does not matter")
-    radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
+    point: Point = Field(description="a point on the plane [m]")
+    normal: Direction = Field(description="direction out of the plane into the half space; its length does not matter")
+
+
+class DiscGiven(Model):
+    """The half cylinder behind a disc."""
+
+    center: Point = Field(description="center of the disc [m]")
+    normal: Direction = Field(description="direction in which particles pass the disc; its length does not matter")
+    radius: PositiveLength = Field(description="radius of the disc [m]")
 
 
 class BoxOutlet(Model):
-    """Particles whose centre is in a box are deleted at the next search."""
+    """Particles whose center is in a box are deleted at the next search."""
 
     box: Box = Field(description="a box along the axes, {min: [..], max: [..]}")
 
 
-class BeyondOutlet(Model):
-    """Particles whose centre is beyond a plane or a disc are deleted at the next search."""
+class HalfSpaceOutlet(Model):
+    """Particles whose center is in a half space are deleted at the next rebuild of the neighbor list."""
 
-    beyond: Beyond = Field(
-        description="beyond a plane, {point: [..], normal: [..]}, or with radius beyond a disc of it"
-    )
+    half_space: HalfSpaceGiven = Field(description="a half space, {point: [..], normal: [..]}")
+
+
+class DiscOutlet(Model):
+    """Particles whose center is in the half cylinder behind a disc are deleted at the next rebuild."""
+
+    disc: DiscGiven = Field(description="a disc, {center: [..], normal: [..], radius: ..}")
 
 
 Outlet = Annotated[
-    Annotated[BoxOutlet, Tag("<box>")] | Annotated[BeyondOutlet, Tag("<beyond>")],
-    chosen(
-        one_of(box=BoxOutlet, beyond=BeyondOutlet),
-        "it must be {box: {min: [..], max: [..]}} or {beyond: {point: [..], normal: [..], radius: ..}}",
+    Annotated[BoxOutlet, Tag("<box>")]
+    | Annotated[HalfSpaceOutlet, Tag("<half_space>")]
+    | Annotated[DiscOutlet, Tag("<disc>")],
+    choose_by(
+        choose_by_field(box=BoxOutlet, half_space=HalfSpaceOutlet, disc=DiscOutlet),
+        "it must be {box: {min: [..], max: [..]}} {half_space: {point: [..], normal: [..]}} or "
+        "{disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]

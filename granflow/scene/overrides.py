@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem
+from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
+from granflow.scene.messages import dotted, model_at
 from granflow.scene.schema import Scene
-from granflow.scene.suggest import known_or_meant
-from granflow.scene.words import dotted, model_at
+from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.yaml12 import parse
 
 
@@ -17,67 +17,67 @@ class _Refused(Exception):
 def apply(document: Document, override: str) -> list[Problem]:
     """Put one override into the document; give back what is wrong with it."""
     source = f"--set {override}"
-    place = Place(source)
+    position = SourcePosition(source)
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
-        return [Problem(place, "an override is written key.path=value, such as run.duration=2.")]
+        return [Problem(position, "an override is written key.path=value, such as run.duration=2.")]
     if not text.strip():
-        return [Problem(place, f"{path.strip()} is given no value; write it after the equals sign.")]
+        return [Problem(position, f"{path.strip()} is given no value; write it after the equals sign.")]
     try:
-        value = parse(text, source, placed=False)
-        document.root = _with(document.root, keys, value.root, place, depth=0)
+        value = parse(text, source, with_positions=False)
+        document.root = _with(document.root, keys, value.root, position, depth=0)
     except DocumentError as error:
         return [error.problem]
     except _Refused as refusal:
-        return [Problem(place, str(refusal))]
+        return [Problem(position, str(refusal))]
     return value.problems
 
 
-def _with(node: Node, keys: Sequence[str], value: Node, place: Place, depth: int) -> Node:
+def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
     """The tree with the value at keys[depth:] below this node; nodes shared by aliases are not changed."""
     if depth == len(keys):
         return value
     if node.items is not None:
-        return _with_item(node, keys, value, place, depth)
+        return _with_item(node, keys, value, position, depth)
     if node.entries is None:
-        inside = dotted(keys[:depth])
+        parent = dotted(keys[:depth])
         raise _Refused(
-            f"{inside or 'the scene'} is {node.shown()}, which has nothing inside to set; set {inside} as a whole."
+            f"{parent or 'the scene'} is {node.shown()}, which has nothing inside to set; set {parent} as a whole."
         )
     key = _key(node.entries, keys[depth])
     entry = node.entries.get(key)
     if entry is None and depth + 1 < len(keys):
-        entry = Entry(place, _new_part(node.entries, keys, depth, place))
-    child = _with(entry.node if entry else value, keys, value, place, depth + 1)
-    key_place = place if depth + 1 == len(keys) or entry is None else entry.key_place
-    return replace(node, entries=node.entries | {key: Entry(key_place, child)})
+        entry = MappingEntry(position, _new_part(node.entries, keys, depth, position))
+    child = _with(entry.node if entry else value, keys, value, position, depth + 1)
+    key_position = position if depth + 1 == len(keys) or entry is None else entry.key_position
+    return replace(node, entries=node.entries | {key: MappingEntry(key_position, child)})
 
 
-def _with_item(node: Node, keys: Sequence[str], value: Node, place: Place, depth: int) -> Node:
+def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
     items = list(node.items or ())
     index = keys[depth]
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
         numbers = f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
         raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so {index} is not in it.")
-    items[int(index)] = _with(items[int(index)], keys, value, place, depth + 1)
+    items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
 
 
-def _key(entries: dict[str, Entry], key: str) -> str:
+def _key(entries: dict[str, MappingEntry], key: str) -> str:
     """The key as the scene has it: a pair may be named in either order."""
-    turned = "-".join(reversed(key.split("-")))
-    return turned if key not in entries and turned in entries else key
+    reversed_key = "-".join(reversed(key.split("-")))
+    return reversed_key if key not in entries and reversed_key in entries else key
 
 
-def _new_part(entries: dict[str, Entry], keys: Sequence[str], depth: int, place: Place) -> Node:
+def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition) -> Node:
     """An empty mapping for a part that the file leaves out, such as `numerics`."""
     if model_at(Scene, tuple(keys[: depth + 1])) is None or (depth and model_at(Scene, tuple(keys[:depth])) is None):
         known = list(entries) if depth else list(Scene.model_fields)
-        around = dotted(keys[:depth]) or "the scene"
-        remedy = known_or_meant(keys[depth], known, f"keys in {around}")
+        parent = dotted(keys[:depth]) or "the scene"
+        remedy = suggestion_or_list(keys[depth], known, f"keys in {parent}")
         raise _Refused(f"{dotted(keys[: depth + 1])} is not in the scene. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
-    return Node(place, entries={})
+    return Node(position, entries={})
 
 
 def _dot(text: str) -> str:

@@ -11,16 +11,16 @@ from granflow.regular_files import resolved
 from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
-from granflow.scene.draft import Draft, draft_of
-from granflow.scene.matter import RestitutionFit
+from granflow.scene.materials import RestitutionFit
+from granflow.scene.messages import problems_of
+from granflow.scene.resolve import resolve_scene
 from granflow.scene.schema import Scene
-from granflow.scene.settle import settled
 from granflow.scene.suggest import nearest
-from granflow.scene.words import problems_of
+from granflow.scene.validation import PartialScene, partial_scene_of
 from granflow.scene.yaml12 import parse
 
-_LARGEST_FILE = 4 * 2**20  # bytes; reading that takes seconds
-_MOST_SHOWN = 100  # problems
+_MAX_FILE_SIZE = 4 * 2**20  # bytes; reading that takes seconds
+_MAX_SHOWN = 100  # problems
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
@@ -32,7 +32,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """
     scene = scene_in(_document(Path(path)), overrides, Path(path).parent)
     scene._path = Path(path)
-    scene = settled(scene, read=True)
+    scene = resolve_scene(scene, read=True)
     if scene.start_from is not None:
         scene = scene.model_copy(update={"start_from": str(_earlier(path, scene))})
     return scene
@@ -44,7 +44,7 @@ def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
         return resolved(Path(path).parent / str(scene.start_from))
     except OSError as error:
         reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
-        raise SceneError(f"{scene.place('start_from')}: {reason}.") from None
+        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
@@ -53,7 +53,7 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     Raises as `load` does.
     """
     try:
-        return settled(scene_in(parse(text, source), overrides, Path(source).parent))
+        return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
 
@@ -69,17 +69,17 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     scene, found = _validated(document)
     problems += found
     if scene is None or problems:
-        ordered = sorted(set(problems), key=lambda problem: (problem.place.order, problem.sentence))
-        raise SceneError([*map(str, ordered[:_MOST_SHOWN]), *_unsaid(ordered)])
+        ordered = sorted(set(problems), key=lambda problem: (problem.position.sort_key, problem.sentence))
+        raise SceneError([*map(str, ordered[:_MAX_SHOWN]), *_not_shown(ordered)])
     scene._document = document
     scene._folder = folder or Path()
     return scene
 
 
-def _unsaid(problems: Sequence[Problem]) -> list[str]:
+def _not_shown(problems: Sequence[Problem]) -> list[str]:
     """A sentence about those beyond the ones that are shown."""
-    more = len(problems) - _MOST_SHOWN
-    last = problems[-1].place
+    more = len(problems) - _MAX_SHOWN
+    last = problems[-1].position
     return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
 
 
@@ -102,9 +102,9 @@ def _text(path: Path) -> str:
         if path.exists() and not path.is_file():
             raise SceneError(f"{path}: this is not a regular file; name a scene file.")
         with path.open("rb") as file:
-            raw = file.read(_LARGEST_FILE + 1)  # files of the kernel do not say how long they are
-        if len(raw) > _LARGEST_FILE:
-            raise SceneError(f"{path}: this file is larger than {_LARGEST_FILE // 2**20} MiB, too large for a scene.")
+            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel do not say how long they are
+        if len(raw) > _MAX_FILE_SIZE:
+            raise SceneError(f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a scene.")
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
     except (OSError, ValueError) as error:
@@ -138,17 +138,17 @@ def _decoded(raw: bytes, path: Path) -> str:
 def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
     data = document.root.data()
     try:
-        scene = _settled(Scene.model_validate(data))
+        scene = _resolved_law(Scene.model_validate(data))
     except ValidationError as error:
-        return None, problems_of(document, error) + checked(draft_of(document, data))
-    return scene, checked(Draft.of(document, scene))
+        return None, problems_of(document, error) + checked(partial_scene_of(document, data))
+    return scene, checked(PartialScene.of(document, scene))
 
 
-def _settled(scene: Scene) -> Scene:
+def _resolved_law(scene: Scene) -> Scene:
     """With a restitution number in every pair, a law may have nothing left to choose: zhou's is constant."""
     normal = scene.contact.normal
-    fitted = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
-    if fitted or not normal.fixed_by_numbers():
+    has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
+    if has_fit or not normal.fixed_by_numbers():
         return scene
     fixed = normal.model_copy(update=normal.fixed_by_numbers())
     return scene.model_copy(update={"contact": scene.contact.model_copy(update={"normal": fixed})})

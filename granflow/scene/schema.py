@@ -1,7 +1,7 @@
 """The scene file as frozen models: what a user may write, in SI once read.
 
 Physics has no hidden defaults: what the outcome rests on must be written. What only the computation rests on has
-defaults, all of them in `Run` and `Numerics`.
+defaults, all of them in `RunSettings` and `Numerics`.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
-from granflow.scene.analysis import AnyIndex, FieldGrid
+from granflow.scene.analysis import AnyMetric, FieldGrid
 from granflow.scene.document import Document
 from granflow.scene.fields import (
     AccelerationVector,
@@ -37,8 +37,8 @@ from granflow.scene.fields import (
     Speed,
     Text,
     Time,
-    couple,
-    listing,
+    list_of,
+    pair_list,
 )
 from granflow.scene.groups import (
     ClassSizes,
@@ -48,47 +48,47 @@ from granflow.scene.groups import (
     SizeClass,
     UniformSizes,
 )
-from granflow.scene.matter import (
-    Contact,
-    Material,
-    Pair,
-    RestitutionFit,
-)
-from granflow.scene.outlets import BeyondOutlet, BoxOutlet, Outlet
-from granflow.scene.places import (
+from granflow.scene.insertion_schema import (
     Box,
     BoxRegion,
     CylinderRegion,
+    CylinderShape,
     DiscFace,
-    FromFile,
-    Inlet,
-    Lattice,
-    Listed,
-    Pack,
-    Rain,
+    FileInsertion,
+    InletInsertion,
+    LatticeInsertion,
+    PackInsertion,
+    PositionsInsertion,
+    RainInsertion,
     RectangleFace,
-    Tube,
 )
-from granflow.scene.shapes import (
+from granflow.scene.materials import (
+    Contact,
+    Material,
+    MaterialPair,
+    RestitutionFit,
+)
+from granflow.scene.outlets import BoxOutlet, HalfSpaceOutlet, Outlet
+from granflow.scene.wall_schema import (
     AnyWall,
     Cone,
     Cylinder,
     Disc,
-    Free,
+    FreeWallSpec,
     MeshWall,
     Plane,
     Rectangle,
-    Rotation,
-    Servo,
-    Translation,
-    Vibration,
+    RotationSpec,
+    ServoSpec,
+    TranslationSpec,
+    VibrationSpec,
     Wall,
 )
 from granflow.scene.writer import to_yaml
 
 __all__ = [
     "AnyWall",
-    "BeyondOutlet",
+    "HalfSpaceOutlet",
     "Box",
     "BoxOutlet",
     "BoxRegion",
@@ -101,43 +101,43 @@ __all__ = [
     "Disc",
     "DiscFace",
     "Domain",
-    "Expectation",
+    "ExpectationSpec",
     "FieldGrid",
-    "FromFile",
-    "Free",
+    "FileInsertion",
+    "FreeWallSpec",
     "Group",
-    "Inlet",
-    "Lattice",
-    "Listed",
+    "InletInsertion",
+    "LatticeInsertion",
+    "PositionsInsertion",
     "LogNormalSizes",
     "Material",
     "MeshWall",
-    "Meter",
+    "FlowMeterSpec",
     "NormalSizes",
     "Numerics",
     "Output",
-    "Pack",
-    "Pair",
+    "PackInsertion",
+    "MaterialPair",
     "Plane",
-    "Rain",
+    "RainInsertion",
     "Rectangle",
     "RectangleFace",
     "RestitutionFit",
-    "Rotation",
-    "Run",
+    "RotationSpec",
+    "RunSettings",
     "Scene",
-    "Servo",
-    "Shear",
+    "ServoSpec",
+    "LeesEdwards",
     "SizeClass",
     "Stage",
-    "Translation",
-    "Tube",
+    "TranslationSpec",
+    "CylinderShape",
     "UniformSizes",
-    "Vibration",
+    "VibrationSpec",
     "Wall",
 ]
 
-RIGHT_ANGLE = 1e-6
+RIGHT_ANGLE_COSINE = 1e-6
 """Largest cosine of an angle that counts as a right one."""
 
 LARGEST_OVERLAP = 0.8
@@ -145,7 +145,7 @@ LARGEST_OVERLAP = 0.8
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
-FollowingTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+AdaptiveOrFixedTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
 ShearRate = Annotated[float, Number("rate", noun="a rate of shear")]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 LARGEST_CHUNK = 1_000_000
@@ -160,29 +160,29 @@ ChunkSize = Annotated[
 ]
 
 
-class Shear(Model):
+class LeesEdwards(Model):
     """The images of the box across two periodic faces move along them: uniform shear without walls (Lees-Edwards)."""
 
-    velocity_along: Literal["x", "y", "z"] = Field(description="axis of the velocity")
-    gradient_along: Literal["x", "y", "z"] = Field(description="axis across which the velocity changes")
+    flow: Literal["x", "y", "z"] = Field(description="axis of the velocity")
+    gradient: Literal["x", "y", "z"] = Field(description="axis across which the velocity changes")
     rate: ShearRate = Field(description="velocity over height [1/s]; negative: the other way")
     start: Time = Field(0.0, description="time from which on the images move [s]")
 
     def faults(self) -> Iterator[Fault]:
         """Two axes."""
-        if self.velocity_along == self.gradient_along:
-            yield Fault(("gradient_along",), "velocity_along is the same axis; give another")
+        if self.flow == self.gradient:
+            yield Fault(("gradient",), "velocity_along is the same axis; give another")
 
 
 class Domain(Box):
     """The box that is simulated."""
 
-    periodic: Annotated[tuple[Literal["x", "y", "z"], ...], listing(one=True)] = Field(
+    periodic: Annotated[tuple[Literal["x", "y", "z"], ...], list_of(one=True)] = Field(
         (), description="axes along which opposite faces are one, such as [x, y]"
     )
-    shear: Shear | None = Field(None, description="uniform shear through two periodic axes")
-    leaving: Literal["delete", "error", "grow"] = Field(
-        description="what becomes of particles whose centre leaves the domain: delete (and count), error, or grow: "
+    lees_edwards: LeesEdwards | None = Field(None, description="uniform shear through two periodic axes")
+    on_exit: Literal["delete", "error", "expand"] = Field(
+        description="what becomes of particles whose center leaves the domain: delete (and count), error, or grow: "
         "nothing, the domain grows with them"
     )
 
@@ -192,9 +192,11 @@ class Domain(Box):
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
                 yield Fault(("periodic", index), "it is there already; name each axis once")
-        for key in ("velocity_along", "gradient_along") if self.shear else ():
-            if getattr(self.shear, key) not in self.periodic:
-                yield Fault(("shear", key), "domain.periodic does not have it; both axes of a shear are periodic")
+        for key in ("flow", "gradient") if self.lees_edwards else ():
+            if getattr(self.lees_edwards, key) not in self.periodic:
+                yield Fault(
+                    ("lees_edwards", key), "domain.periodic does not have it; both axes of a shear are periodic"
+                )
 
 
 class Stage(Model):
@@ -205,25 +207,29 @@ class Stage(Model):
     kinetic_energy_below: Energy | None = Field(
         None, description="ends when the mean kinetic energy per particle is below this [J]"
     )
-    at_most: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
+    max_duration: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
 
     def faults(self) -> Iterator[Fault]:
         """A duration, or an energy with a longest duration."""
         if self.duration is None and self.kinetic_energy_below is None:
-            yield Fault((), "has no end: give duration, or kinetic_energy_below with at_most", whole=True)
+            yield Fault((), "has no end: give duration, or kinetic_energy_below with max_duration", whole=True)
         elif self.duration is not None and self.kinetic_energy_below is not None:
-            yield Fault(("duration",), "kinetic_energy_below is given too: keep one, or write at_most for duration")
-        elif self.kinetic_energy_below is not None and self.at_most is None:
-            yield Fault(("at_most",), "is missing: the longest duration of a stage that waits for rest", whole=True)
-        elif self.duration is not None and self.at_most is not None:
-            yield Fault(("at_most",), "it goes only with kinetic_energy_below; leave it out")
+            yield Fault(
+                ("duration",), "kinetic_energy_below is given too: keep one, or write max_duration for duration"
+            )
+        elif self.kinetic_energy_below is not None and self.max_duration is None:
+            yield Fault(
+                ("max_duration",), "is missing: the longest duration of a stage that waits for rest", whole=True
+            )
+        elif self.duration is not None and self.max_duration is not None:
+            yield Fault(("max_duration",), "it goes only with kinetic_energy_below; leave it out")
 
 
-class Run(Model):
+class RunSettings(Model):
     """How long and how finely to compute."""
 
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
-    time_step: FollowingTime = Field(
+    time_step: AdaptiveOrFixedTime = Field(
         "auto",
         description="time step [s]; auto: from the stiffest contact; adaptive: from the stiffest contact there is now",
     )
@@ -238,28 +244,28 @@ class Run(Model):
 class Numerics(Model):
     """What the computation rests on; every value has a default."""
 
-    time_step_safety: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
+    time_step_fraction: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
-    skin: AutoLength = Field("auto", description="how much further than contact neighbours are listed [m], or auto")
+    skin: AutoLength = Field("auto", description="how much further than contact neighbors are listed [m], or auto")
     chunk_size: ChunkSize = Field("auto", description="particles per chunk of the contact list, or auto")
-    overlap_limit: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
+    max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
     unloading_angle: UnloadingAngle = Field(
         0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
     )
 
 
-class Meter(Model):
+class FlowMeterSpec(Model):
     """A flow meter: the mass through a plane, or a disc or rectangle of it, with what was deleted there."""
 
     point: Point = Field(
-        description="a point on the plane; the centre, if there is a radius, a corner, if there are sides [m]"
+        description="a point on the plane; the center, if there is a radius, a corner, if there are sides [m]"
     )
     normal: Direction = Field(description="direction counted as forward; its length does not matter")
     radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
-    sides: Annotated[tuple[Point, Point], couple("two edge vectors")] | None = Field(
+    sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] | None = Field(
         None, description="the two edges of a rectangle from the point, perpendicular to each other and the normal [m]"
     )
-    by: Literal["material", "group"] | None = Field(
+    group_by: Literal["material", "group"] | None = Field(
         None, description="count every material, or group of particles, by itself too"
     )
 
@@ -277,7 +283,7 @@ class Meter(Model):
             abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
             for first, second, i, j in ((a, b, 0, 1), (a, self.normal, 0, 2), (b, self.normal, 1, 2))
         ]
-        if max(cosines) > RIGHT_ANGLE:
+        if max(cosines) > RIGHT_ANGLE_COSINE:
             yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 
@@ -300,28 +306,28 @@ class Output(Model):
     particles: Flag = Field(True, description="write particles_*.vtu")
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
-    energy: Flag = Field(False, description="keep the energy ledger")
-    loads: FlagOrNames = Field(
+    energy_budget: Flag = Field(False, description="keep the energy ledger")
+    wall_forces: FlagOrNames = Field(
         False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
     )
-    meters: dict[Name, Meter] = Field({}, description="flow meters by name")
+    flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
-    indices: dict[Name, AnyIndex] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
+    metrics: dict[Name, AnyMetric] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
 
 
-class Expectation(Model):
+class ExpectationSpec(Model):
     """What the finished run is held to: one comparison of one quantity, in SI."""
 
     quantity: Text = Field(description="what is compared, such as mass_flow.outlet")
-    between: Annotated[tuple[AnyQuantity, AnyQuantity], couple("[smallest, largest]")] | None = Field(
+    between: Annotated[tuple[AnyQuantity, AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
         None, description="smallest and largest value"
     )
     below: AnyQuantity | None = Field(None, description="it must be below this")
     above: AnyQuantity | None = Field(None, description="it must be above this")
     equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
     tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_size: Flag = Field(False, description="judge it whatever the size of the scene, not only at size 1")
+    any_scale: Flag = Field(False, description="judge it whatever the size of the scene, not only at size 1")
 
     def faults(self) -> Iterator[Fault]:
         """Exactly one comparison, with a tolerance for equals."""
@@ -344,12 +350,14 @@ class Scene(Model):
     title: Text = Field(description="one line that says what this is")
     description: Text | None = Field(None, description="what should be seen")
     seed: Seed = Field(1, description="seed of everything random")
-    size: Positive = Field(
+    scale: Positive = Field(
         1.0, description="makes equipment so many times larger, and particles more by its cube; they stay as they are"
     )
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
-    pairs: dict[PairName, Pair] = Field(description="pairs of materials, each key two names with a dash between")
+    pairs: dict[PairName, MaterialPair] = Field(
+        description="pairs of materials, each key two names with a dash between"
+    )
     contact: Contact = Field(description="the laws of contact, {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
@@ -358,11 +366,13 @@ class Scene(Model):
     )
     outlets: dict[Name, Outlet] = Field({}, description="where particles are deleted and counted, by name")
     domain: Domain = Field(description="the box that is simulated")
-    stages: Annotated[tuple[Stage, ...], listing()] = Field((), description="parts of the run, in order")
-    run: Run = Field(Run(), description="how long and how finely to compute")
+    stages: Annotated[tuple[Stage, ...], list_of()] = Field((), description="parts of the run, in order")
+    run: RunSettings = Field(RunSettings(), description="how long and how finely to compute")
     numerics: Numerics = Field(Numerics(), description="settings of the computation, all with defaults")
     output: Output = Field(description="what is written, and how often")
-    expect: Annotated[tuple[Expectation, ...], listing()] = Field((), description="what the finished run is held to")
+    expect: Annotated[tuple[ExpectationSpec, ...], list_of()] = Field(
+        (), description="what the finished run is held to"
+    )
 
     _path: Path = PrivateAttr(Path())
     _folder: Path = PrivateAttr(Path())
@@ -395,18 +405,18 @@ class Scene(Model):
         """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
 
-    def meter_parts(self, name: str) -> tuple[str, ...]:
+    def flow_meter_parts(self, name: str) -> tuple[str, ...]:
         """Names of the materials, or groups, that a flow meter counts by themselves."""
-        by = self.output.meters[name].by
-        return () if by is None else tuple(self.materials if by == "material" else self.particles)
+        group_by = self.output.flow_meters[name].group_by
+        return () if group_by is None else tuple(self.materials if group_by == "material" else self.particles)
 
     @property
-    def loaded_walls(self) -> tuple[str, ...]:
+    def measured_walls(self) -> tuple[str, ...]:
         """Names of the walls whose loads are measured, in the order of the walls."""
-        asked = self.output.loads
-        return tuple(name for name in self.walls if asked is True or (asked and name in asked))
+        requested = self.output.wall_forces
+        return tuple(name for name in self.walls if requested is True or (requested and name in requested))
 
-    def pair(self, first: str, second: str) -> Pair:
+    def pair(self, first: str, second: str) -> MaterialPair:
         """The pair of two materials, named in either order. Raises KeyError where the scene has none."""
         return self.pairs[self.pair_key(first, second)]
 
@@ -419,15 +429,15 @@ class Scene(Model):
         """The scene as it is run, as YAML with every default filled in; it loads again to an equal scene."""
         return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
 
-    def gives(self, *key_path: str | int) -> bool:
+    def is_given(self, *key_path: str | int) -> bool:
         """Whether the file, or an override, says this key itself; False for what a default or a preset filled in."""
         return self._document is not None and self._document.find(key_path) is not None
 
-    def place(self, *key_path: str | int) -> str:
+    def locate(self, *key_path: str | int) -> str:
         """Where the value of that key stood, as `file:line:column`, for the head of a problem."""
         if self._document is None:
             return self.path.name or "scene"
-        return str(self._document.value_place(key_path))
+        return str(self._document.value_position(key_path))
 
     def where(self, *key_path: str | int) -> str:
         """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""

@@ -8,14 +8,14 @@ _CLOSE = 0.6  # similarity from which a name is suggested
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known word that was probably meant, if there is one."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=_CLOSE)
-    return near[0] if near else None
+    match = difflib.get_close_matches(word, list(known), n=1, cutoff=_CLOSE)
+    return match[0] if match else None
 
 
-def known_or_meant(word: str, known: Iterable[str], kind: str) -> str:
+def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
     """Remedy for an unknown word: the one meant, or all there are."""
     names = list(known)
-    near = nearest(word, names)
-    if near:
-        return f"Did you mean {near}?"
+    match = nearest(word, names)
+    if match:
+        return f"Did you mean {match}?"
     return f"The {kind} are {', '.join(names)}" if names else f"There are no {kind}"

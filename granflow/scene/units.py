@@ -85,12 +85,12 @@ def to_si(text: str, dimension: str) -> float:
     The product of number and factor is rounded once, so "4 mm" is the same float as 0.004.
     Raises `UnitError` where the text is no number, or the unit is unknown or of another dimension.
     """
-    asked = dimension_of(dimension)
+    expected = dimension_of(dimension)
     if _COMMA.search(text):
         raise UnitError(f"a decimal point is asked here, not a comma: {text.replace(',', '.')}")
     match = _AMOUNT.fullmatch(text)
     if match is None:
-        raise UnitError(f"{asked.noun} is asked here, such as {asked.example}")
+        raise UnitError(f"{expected.noun} is asked here, such as {expected.example}")
     number, unit = match.groups()
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
@@ -119,13 +119,13 @@ def _any_factor(unit: str) -> Fraction:
     raise UnitError(f"{unit} {trouble}; leave the unit out to write the value in SI")
 
 
-def _wrong_unit(unit: str, asked: Dimension) -> str:
-    owners = [d.noun for d in DIMENSIONS.values() if unit in d.units]
-    if not asked.units or asked is DIMENSIONS["number"]:
-        return f"{asked.noun} without a unit is asked here, such as {asked.example}"
-    if owners:
-        return f"{unit} measures {owners[0]} and {asked.noun} is asked here, such as {asked.example}"
-    near = difflib.get_close_matches(unit, list(asked.units), n=1, cutoff=0.6)
-    known = ", ".join(name for name in asked.units if name.isascii())
+def _wrong_unit(unit: str, expected: Dimension) -> str:
+    matching = [d.noun for d in DIMENSIONS.values() if unit in d.units]
+    if not expected.units or expected is DIMENSIONS["number"]:
+        return f"{expected.noun} without a unit is asked here, such as {expected.example}"
+    if matching:
+        return f"{unit} measures {matching[0]} and {expected.noun} is asked here, such as {expected.example}"
+    near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
+    known = ", ".join(name for name in expected.units if name.isascii())
     hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"{unit} is not a unit known here{hint}; {asked.noun} is written in {known}, such as {asked.example}"
+    return f"{unit} is not a unit known here{hint}; {expected.noun} is written in {known}, such as {expected.example}"

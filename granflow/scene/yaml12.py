@@ -23,13 +23,13 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-from granflow.scene.document import Document, DocumentError, Entry, Node, Place, Problem
+from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
 
-DEEPEST = 40  # a scene is at most 9 deep
-_MOST_ALIASED = 100_000  # nodes that aliases may add
-_MOST_VALUES = 250_000  # sixty thousand positions; as many errors take 0.7 GB
-_MOST_KEYS = 5000  # in one mapping
-_LONGEST_INTEGER = 400  # digits; longer ones are beyond every float
+MAX_DEPTH = 40  # a scene is at most 9 deep
+_MAX_ALIASED = 100_000  # nodes that aliases may add
+_MAX_VALUES = 250_000  # sixty thousand positions; as many errors take 0.7 GB
+_MAX_KEYS = 5000  # in one mapping
+_MAX_INTEGER_DIGITS = 400  # digits; longer ones are beyond every float
 _YAML_TAGS = "tag:yaml.org,2002:"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NULL = re.compile(r"|~|null|Null|NULL")
@@ -42,20 +42,20 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 
-def parse(text: str, source: str, *, placed: bool = True) -> Document:
-    """Read YAML 1.2 text. Without `placed`, every place is the source alone (for overrides).
+def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
+    """Read YAML 1.2 text. Without `with_positions`, every place is the source alone (for overrides).
 
     Raises `DocumentError` for what cannot be read on: wrong syntax, tags, aliases of themselves, several documents.
     """
-    return _Composer(source, placed).compose(text)
+    return _Composer(source, with_positions).compose(text)
 
 
 class _Composer:
     """Builds the tree from the parser's events."""
 
-    def __init__(self, source: str, placed: bool) -> None:
+    def __init__(self, source: str, with_positions: bool) -> None:
         self.source = source
-        self.placed = placed
+        self.with_positions = with_positions
         self.anchors: dict[str, Node | None] = {}
         self.aliased = 0
         self.count = 0
@@ -75,45 +75,45 @@ class _Composer:
             raise DocumentError(self._syntax(error, text)) from None
         except (YAMLError, ValueError, RecursionError) as error:
             first = str(error).partition("\n")[0]
-            raise DocumentError(Problem(Place(self.source), f"this is not YAML text: {first}.")) from None
-        return Document(self.source, root or Node(self._place(1, 1)), self.problems)
+            raise DocumentError(Problem(SourcePosition(self.source), f"this is not YAML text: {first}.")) from None
+        return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
         """Refuse characters that YAML has no room for."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
-            place = self._place(len(lines), len(lines[-1]) + 1)
+            position = self._position(len(lines), len(lines[-1]) + 1)
             code = f"U+{ord(found.group()):04X}"
-            raise DocumentError(Problem(place, f"the control character {code} stands here; delete it."))
+            raise DocumentError(Problem(position, f"the control character {code} stands here; delete it."))
 
-    def _place(self, line: int, column: int) -> Place:
-        return Place(self.source, line, column) if self.placed else Place(self.source)
+    def _position(self, line: int, column: int) -> SourcePosition:
+        return SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
 
-    def _at(self, event: Event) -> Place:
-        return self._place(event.start_mark.line + 1, event.start_mark.column + 1)
+    def _at(self, event: Event) -> SourcePosition:
+        return self._position(event.start_mark.line + 1, event.start_mark.column + 1)
 
     def _error(self, event: Event, sentence: str) -> DocumentError:
         return DocumentError(Problem(self._at(event), sentence + "."))
 
     def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
         mark = error.problem_mark or error.context_mark
-        if error.context_mark and _begun(error):
+        if error.context_mark and _starts_helps_more(error):
             mark = error.context_mark
-        place = self._place(mark.line + 1, mark.column + 1) if mark else Place(self.source)
+        position = self._position(mark.line + 1, mark.column + 1) if mark else SourcePosition(self.source)
         line = text.splitlines()[mark.line : mark.line + 1] if mark else []
-        return Problem(place, _syntax_sentence(error, "".join(line).strip()))
+        return Problem(position, _syntax_sentence(error, "".join(line).strip()))
 
     def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
         if isinstance(event, AliasEvent):
             return self._alias(event)
-        if depth > DEEPEST:
-            raise self._error(event, f"this is nested more than {DEEPEST} deep, far more than any scene needs")
+        if depth > MAX_DEPTH:
+            raise self._error(event, f"this is nested more than {MAX_DEPTH} deep, far more than any scene needs")
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
             raise self._error(event, f"the tag {tag} is not used in scenes; leave it out")
         self.count += 1
-        if self.count > _MOST_VALUES:
-            raise self._error(event, f"there are more than {_MOST_VALUES} values by here, too many for a scene")
+        if self.count > _MAX_VALUES:
+            raise self._error(event, f"there are more than {_MAX_VALUES} values by here, too many for a scene")
         if event.anchor:
             self.anchors[event.anchor] = None
         node = self._untagged(event, events, depth)
@@ -143,8 +143,8 @@ class _Composer:
         if node is None:
             raise self._error(event, f"the alias *{event.anchor} contains itself")
         self.aliased += node.size
-        if self.aliased > _MOST_ALIASED:
-            raise self._error(event, f"aliases add more than {_MOST_ALIASED} values by here; write fewer")
+        if self.aliased > _MAX_ALIASED:
+            raise self._error(event, f"aliases add more than {_MAX_ALIASED} values by here; write fewer")
         return node
 
     def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
@@ -154,20 +154,20 @@ class _Composer:
         return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
 
     def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
-        entries: dict[str, Entry] = {}
+        entries: dict[str, MappingEntry] = {}
         for count in itertools.count():
             if isinstance(event := next(events), MappingEndEvent):
                 break
-            if count == _MOST_KEYS:
-                raise self._error(event, f"there are more than {_MOST_KEYS} keys in one mapping, too many for a scene")
+            if count == _MAX_KEYS:
+                raise self._error(event, f"there are more than {_MAX_KEYS} keys in one mapping, too many for a scene")
             key = self._key(event)
-            entry = Entry(self._at(event), self._node(next(events), events, depth + 1))
-            if entry.node.empty:
-                entry.node.place = entry.key_place  # the parser puts it at whatever comes next
+            entry = MappingEntry(self._at(event), self._node(next(events), events, depth + 1))
+            if entry.node.is_empty:
+                entry.node.position = entry.key_position  # the parser puts it at whatever comes next
             if key in entries:
-                first = entries[key].key_place
+                first = entries[key].key_position
                 self.problems.append(
-                    Problem(entry.key_place, f"{key} is given twice here, first at line {first.line}. Keep one.")
+                    Problem(entry.key_position, f"{key} is given twice here, first at line {first.line}. Keep one.")
                 )
             else:
                 entries[key] = entry
@@ -189,9 +189,9 @@ def resolve(text: str) -> Any:
     if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
         return text.lower() == "true"
     if _INTEGER.fullmatch(text):
-        return int(text) if len(text) <= _LONGEST_INTEGER else math.inf
+        return int(text) if len(text) <= _MAX_INTEGER_DIGITS else math.inf
     if _BASED.fullmatch(text):
-        return int(text, 0) if len(text) <= _LONGEST_INTEGER else math.inf
+        return int(text, 0) if len(text) <= _MAX_INTEGER_DIGITS else math.inf
     if _FLOAT.fullmatch(text):
         return float(text)
     if _INFINITY.fullmatch(text):
@@ -199,7 +199,7 @@ def resolve(text: str) -> Any:
     return math.nan if _NAN.fullmatch(text) else text
 
 
-def _begun(error: MarkedYAMLError) -> bool:
+def _starts_helps_more(error: MarkedYAMLError) -> bool:
     """Whether the place where something begins helps more than the place where the parser gave up."""
     context = str(error.context)
     return "simple key" in context or "flow" in context or "quoted" in context

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from granflow.device.backend import Arch, Precision, start
-from granflow.device.checkpoint import EngineKeeper
+from granflow.device.checkpoint import EngineCheckpoint
 from granflow.device.engine import Engine
-from granflow.device.guards import Trip, guard_message
+from granflow.device.limits import Diagnosis, abort_message
 from granflow.errors import OutputError, RunError
 from granflow.observe import (
     Change,
     Checkpoint,
+    Checkpointable,
     CheckpointWriter,
-    Keepable,
     Observer,
     Result,
     TimeSeries,
@@ -27,10 +27,10 @@ from granflow.observe import (
     check_observers,
     check_streams,
     copy_inputs,
-    decided,
-    earlier_grains,
     locked,
     observers_for,
+    particles_from_run,
+    plan_fingerprint,
     progress_for,
     refuse_inputs_inside,
     remove_after,
@@ -42,23 +42,23 @@ from granflow.observe import (
     write_scene_as_run,
 )
 from granflow.plan import Plan, plan_for
-from granflow.plan.room import refuse_too_many, refuse_without_memory
+from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
 from granflow.plan.run_time import refuse_run_time
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.scene import Scene
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
+from granflow.scene.resolve import resolve_scene
 from granflow.scene.schema import Stage
-from granflow.scene.settle import settled
-from granflow.simulation.account import Readings, WallClock, log_plan, outcome
-from granflow.simulation.course import REST_LOOKS, Course
-from granflow.simulation.feeds import Feeds
+from granflow.simulation.insertion import ParticleInsertion
+from granflow.simulation.stage_progress import REST_CHECKS, StageProgress
+from granflow.simulation.timings import Readings, WallClock, collect_result, log_plan
 from granflow.snapshot import Snapshot
-from granflow.walls.catalogue import triangles
+from granflow.walls.catalog import triangles
 
-PART_SECONDS = 0.2
+CHUNK_SECONDS = 0.2
 """Wall seconds that the device is left alone; in between, signals are heard and checkpoints written."""
 
-EVERYTHING = frozenset({"particles", "walls", "totals"})
+ALL_QUANTITIES = frozenset({"particles", "walls", "totals"})
 TOTALS = frozenset({"totals"})
 
 
@@ -67,7 +67,8 @@ class Simulation:
 
     `out`: directory for the files of the scene's output block; without it nothing is written. `observers`: more of
     them, such as `granflow.observe.every(interval, function)`. `precision`: in place of the scene's. `resume`: go on
-    from this checkpoint, with `anyway` also where the scene differs in what may not change. `allow_long`: accept a run
+    from this checkpoint, with `allow_changes` also where the scene differs in what may not change. `allow_long`:
+    accept a run
     that is estimated to take more than a year. Raises SceneError for a
     scene that cannot be run, GranflowError where `arch` is absent or a run cannot go on, and from `run` RunError when
     a guard trips, OutputError when files cannot be written.
@@ -83,12 +84,12 @@ class Simulation:
         observers: Sequence[Observer] = (),
         progress: bool = False,
         resume: Checkpoint | None = None,
-        anyway: bool = False,
+        allow_changes: bool = False,
         allow_long: bool = False,
     ) -> None:
         if precision is not None:
             scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
-        self.scene = scene = settled(scene)
+        self.scene = scene = resolve_scene(scene)
         self.out = None if out is None else Path(out)
         self._wall_clock = WallClock()
         backend = start(arch, scene.run.precision, threads)
@@ -99,32 +100,32 @@ class Simulation:
         refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
-        change = accepted_change(resume, self.plan, anyway) if resume is not None else None
-        earlier = earlier_grains(scene) if resume is None else resume.kept["earlier"]
+        change = accepted_change(resume, self.plan, allow_changes) if resume is not None else None
+        earlier = particles_from_run(scene) if resume is None else resume.saved["earlier"]
         self._earlier = list(earlier)
-        grains = initial_grains(scene, earlier) if resume is None else None
-        self._feeds = Feeds(scene, earlier)
+        particles = initial_particles(scene, earlier) if resume is None else None
+        self._insertion = ParticleInsertion(scene, earlier)
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
         self.engine = Engine(self.plan, backend)
-        self._keeper = EngineKeeper(self.engine)
-        self._course = Course.of(scene)
-        self._observers = [*self._own_observers(progress), *observers]
-        self._part = 1
-        self._stop_wanted: BaseException | None = None
+        self._engine_checkpoint = EngineCheckpoint(self.engine)
+        self._stage_progress = StageProgress.of(scene)
+        self._observers = [*self._default_observers(progress), *observers]
+        self._chunk_steps = 1
+        self._stop_requested: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
         self._begun: Callable[[], None] = lambda: None
-        if grains is not None:
-            self.engine.insert(grains)
+        if particles is not None:
+            self.engine.insert(particles)
         if resume is not None and change is not None:
-            self._put_back(resume, change)
+            self._load_state_dict(resume, change)
         self._wall_clock.set_up(self.engine.timing.compile)
 
     @property
     def stage(self) -> str:
         """Name of the present stage."""
-        return self._course.stage
+        return self._stage_progress.stage
 
     @property
     def time(self) -> float:
@@ -133,7 +134,7 @@ class Simulation:
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
         """The present state as read-only numpy arrays, particles ordered by id; `contacts` for those too."""
-        return self.engine.snapshot(self.stage, EVERYTHING | ({"contacts"} if contacts else frozenset()))
+        return self.engine.snapshot(self.stage, ALL_QUANTITIES | ({"contacts"} if contacts else frozenset()))
 
     def run(self, until: float | None = None) -> Result:
         """Run all stages, or to the simulated time `until` [s]; returns the numbers of the run."""
@@ -143,14 +144,14 @@ class Simulation:
                     stack.enter_context(locked(self.out))
                     if self._resumed is None:
                         self._begun = stack.enter_context(replaced_run(self.out))
-                    self._tidy(self.out)
-                    stack.enter_context(run_log(self.out, go_on=self._resumed is not None))
+                    self._clean_output(self.out)
+                    stack.enter_context(run_log(self.out, append=self._resumed is not None))
                 stack.callback(self._finish_observers)
                 if self.out is not None:
                     log_plan(self.plan, self.engine, self._resumed)
                 return self._run(until)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._output_error(error) from error
 
     def _run(self, until: float | None) -> Result:
         self._wall_clock.start()
@@ -158,14 +159,14 @@ class Simulation:
             self._writer.start(self.time)
         end = inf if until is None else until
         for stage in self.scene.schedule:
-            if self.time < end and not self._course.has_ended(stage.name):
+            if self.time < end and not self._stage_progress.has_ended(stage.name):
                 self._run_stage(stage, end)
         self._save()
-        last = self._show_to(self._observers, TOTALS)
-        readings = {**self._readings(), "feeds": self._feeds.results()}
-        result = outcome(self.engine, self._wall_clock, last.totals, readings)
+        last = self._notify(self._observers, TOTALS)
+        readings = {**self._readings(), "insertion": self._insertion.results()}
+        result = collect_result(self.engine, self._wall_clock, last.totals, readings)
         if self.time < end or until is None:
-            result = result.held_to(self.scene.expect)
+            result = result.with_expectations(self.scene.expect)
         self._log_end()
         if self.out is not None:
             write_result(self.out, result)
@@ -173,15 +174,15 @@ class Simulation:
 
     def _log_end(self) -> None:
         log = logging.getLogger("granflow")
-        for sentence in self._feeds.shares():
+        for sentence in self._insertion.class_shares():
             log.info("%s", sentence)
-        for sentence in self._feeds.shortfalls():
+        for sentence in self._insertion.shortfalls():
             log.warning("%s", sentence)
         log.info("done at %.6g s after %d steps", self.time, self.engine.step_count)
 
-    def ask_to_stop(self, error: BaseException) -> None:
+    def request_stop(self, error: BaseException) -> None:
         """Have `run` finish its present steps, write a checkpoint and raise `error`; made for signal handlers."""
-        self._stop_wanted = error
+        self._stop_requested = error
         self.engine.stepper.interrupted = True
 
     @property
@@ -191,11 +192,11 @@ class Simulation:
         return self._resumed.time if written is None and self._resumed is not None else written
 
     @property
-    def rows_are_there(self) -> bool:
+    def rows_intact(self) -> bool:
         """Whether the time series still has all rows of the run that is gone on with."""
-        return all(observer.rows_are_there for observer in self._observers if isinstance(observer, TimeSeries))
+        return all(observer.rows_intact for observer in self._observers if isinstance(observer, TimeSeries))
 
-    def _tidy(self, out: Path) -> None:
+    def _clean_output(self, out: Path) -> None:
         """Leave of an earlier run only what this one goes on from."""
         remove_parts(out)
         remove_after(out, self._resumed.path if self._resumed else None)
@@ -204,22 +205,22 @@ class Simulation:
         if self._resumed is not None:
             (out / "result.json").unlink(missing_ok=True)
             for observer in self._observers:
-                if isinstance(observer, Keepable):
-                    observer.cut_back()
+                if isinstance(observer, Checkpointable):
+                    observer.truncate()
 
     def _readings(self) -> Mapping[str, Readings]:
         """What the flow meters counted, the loads on the walls, and the indices."""
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
-        return series[0].all_results() if series else {}
+        return series[0].results_by_kind() if series else {}
 
-    def _own_observers(self, progress: bool) -> list[Observer]:
+    def _default_observers(self, progress: bool) -> list[Observer]:
         found: list[Observer] = []
         if self.out is not None:
-            middle = 0.5 * (self.plan.domain_low + self.plan.domain_high)
+            center = 0.5 * (self.plan.domain_low + self.plan.domain_high)
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
-            surfaces = {wall.name: triangles(wall.shape, middle, extent) for wall in self.plan.walls}
+            surfaces = {wall.name: triangles(wall.shape, center, extent) for wall in self.plan.walls}
             found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.meters or self.scene.output.indices or self.scene.loaded_walls:
+        elif self.scene.output.flow_meters or self.scene.output.metrics or self.scene.measured_walls:
             found.append(time_series_for(self.scene, None))
         if progress:
             found.append(progress_for(self.scene))
@@ -227,39 +228,39 @@ class Simulation:
 
     def _run_stage(self, stage: Stage, end: float) -> None:
         """From the start of a stage to its end, or to `end` [s]."""
-        longest = stage.duration if stage.duration is not None else stage.at_most
-        assert longest is not None
-        course = self._course
-        if stage.name not in course.stage_times:
-            self._enter(stage, longest / REST_LOOKS)
-        stop = course.stage_times[stage.name][0] + longest
-        while course.target is not None or not self._reached(min(stop, end)):
-            waiting = course.look if stage.kinetic_energy_below is not None else inf
-            self._advance_to(min(stop, end, waiting, self._next_event()))
-            if self._reached(waiting):
-                course.look += longest / REST_LOOKS
+        max_duration = stage.duration if stage.duration is not None else stage.max_duration
+        assert max_duration is not None
+        progress = self._stage_progress
+        if stage.name not in progress.stage_times:
+            self._begin_stage(stage, max_duration / REST_CHECKS)
+        stop = progress.stage_times[stage.name][0] + max_duration
+        while progress.target is not None or not self._reached(min(stop, end)):
+            next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
+            self._advance_to(min(stop, end, next_check, self._next_event()))
+            if self._reached(next_check):
+                progress.next_check += max_duration / REST_CHECKS
                 if self._at_rest(stage):
                     break
         else:
             if not self._reached(stop):
                 return
-        course.leave(self.time)
+        progress.end(self.time)
 
     def _at_rest(self, stage: Stage) -> bool:
         limit = stage.kinetic_energy_below
-        return limit is not None and self.engine.mean_kinetic_energy() < limit and self._feeds.over
+        return limit is not None and self.engine.mean_kinetic_energy() < limit and self._insertion.is_done
 
-    def _enter(self, stage: Stage, look_interval: float) -> None:
-        first = not self._course.stage_times
+    def _begin_stage(self, stage: Stage, check_interval: float) -> None:
+        first = not self._stage_progress.stage_times
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
-        self._course.enter(stage.name, self.time, look_interval)
-        self._course.set_walls(self.scene, self.engine)
-        self._feeds.pour(self.engine)
+        self._stage_progress.begin(stage.name, self.time, check_interval)
+        self._stage_progress.set_walls(self.scene, self.engine)
+        self._insertion.insert_due(self.engine)
         self.engine.refresh()
-        if self.engine.trip is not None:
-            self._stop(self.engine.trip)
+        if self.engine.diagnosis is not None:
+            self._abort(self.engine.diagnosis)
         if first:
-            self._show_to(self._observers)
+            self._notify(self._observers)
             self._begun()
 
     def _reached(self, time: float) -> bool:
@@ -267,43 +268,45 @@ class Simulation:
 
     def _next_event(self) -> float:
         """Simulated time [s] of whatever is due next."""
-        due = [observer.next_time() for observer in self._observers] + [self._feeds.next_time()]
-        due += [time for time in self._course.changes if not self._reached(time)]
+        due = [observer.next_time() for observer in self._observers] + [self._insertion.next_time()]
+        due += [time for time in self._stage_progress.changes if not self._reached(time)]
         return min(due, default=inf)
 
     def _advance_to(self, time: float) -> None:
-        course = self._course
-        if course.target is None:
-            course.aim_at(max(time, self.time + self.engine.time_step))
-        assert course.target is not None
-        self._advance(course.target)
-        trip = self.engine.trip
-        if trip is not None:
-            self._stop(trip)
-        if not course.arrived:
-            self._let_in()
-            course.arrived = True
+        progress = self._stage_progress
+        if progress.target is None:
+            progress.set_target(max(time, self.time + self.engine.time_step))
+        assert progress.target is not None
+        self._advance(progress.target)
+        diagnosis = self.engine.diagnosis
+        if diagnosis is not None:
+            self._abort(diagnosis)
+        if not progress.arrived:
+            self._insert_and_update_walls()
+            progress.arrived = True
         due = [observer for observer in self._observers if self._reached(observer.next_time())]
         if due:
-            self._show_to(due)
-        course.target = None
+            self._notify(due)
+        progress.target = None
 
     def _advance(self, target: float) -> None:
         """Do the steps up to `target` [s] in parts, between which signals are heard and checkpoints written."""
-        while self.engine.steps_to(target) > 0 and not self.engine.tripped:
+        while self.engine.steps_to(target) > 0 and not self.engine.aborted:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
-            in_time = max(self.engine.steps_to(checkpoint), 1) if isfinite(checkpoint) else self._part
-            self.engine.advance(min(self._part, self.engine.steps_to(target), in_time))
-            pace = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
-            self._part = max(min(int(pace * PART_SECONDS), 2 * self._part), 1)
-            if not self.engine.tripped:
-                self._look_up()
+            steps_to_checkpoint = (
+                max(self.engine.steps_to(checkpoint), 1) if isfinite(checkpoint) else self._chunk_steps
+            )
+            self.engine.advance(min(self._chunk_steps, self.engine.steps_to(target), steps_to_checkpoint))
+            step_rate = (self.engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
+            self._chunk_steps = max(min(int(step_rate * CHUNK_SECONDS), 2 * self._chunk_steps), 1)
+            if not self.engine.aborted:
+                self._handle_requests()
 
-    def _look_up(self) -> None:
-        if self._stop_wanted is not None:
+    def _handle_requests(self) -> None:
+        if self._stop_requested is not None:
             self._save()
-            raise self._stop_wanted
+            raise self._stop_requested
         if self._writer is not None and self._writer.due(self.time):
             try:
                 self._save()
@@ -312,20 +315,20 @@ class Simulation:
                     raise
                 logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", self.time, error)
 
-    def _let_in(self) -> None:
+    def _insert_and_update_walls(self) -> None:
         """Particles that are due to come, walls that are due to appear or vanish."""
-        came = self._feeds.pour(self.engine)
-        if self._course.drop_changes(self.engine) or came:
-            self._course.set_walls(self.scene, self.engine)
+        inserted = self._insertion.insert_due(self.engine)
+        if self._stage_progress.remove_past_changes(self.engine) or inserted:
+            self._stage_progress.set_walls(self.scene, self.engine)
             self.engine.refresh()
 
-    def _show_to(
-        self, observers: Sequence[Observer], wants: frozenset[str] = frozenset(), aborted: bool = False
+    def _notify(
+        self, observers: Sequence[Observer], quantities: frozenset[str] = frozenset(), aborted: bool = False
     ) -> Snapshot:
         """Show the state to observers; that of an aborted run only if all numbers are finite."""
-        wants = wants.union(*(observer.wants for observer in observers))
-        with self._wall_clock.of_output():
-            snapshot = self.engine.snapshot(self.stage, wants)
+        quantities = quantities.union(*(observer.wants for observer in observers))
+        with self._wall_clock.measuring_output():
+            snapshot = self.engine.snapshot(self.stage, quantities)
             for observer in observers if not aborted or snapshot.is_finite else ():
                 observer.observe(snapshot)
         return snapshot
@@ -334,10 +337,10 @@ class Simulation:
         for observer in self._observers:
             observer.finish()
 
-    def _stop(self, trip: Trip) -> None:
+    def _abort(self, diagnosis: Diagnosis) -> None:
         """Abort: write the state, unless numbers of it are not finite, and raise the diagnosis."""
-        message = guard_message(trip, self.plan, self.time)
-        written = self._show_to(self._observers, TOTALS, aborted=True).is_finite
+        message = abort_message(diagnosis, self.plan, self.time)
+        written = self._notify(self._observers, TOTALS, aborted=True).is_finite
         if self.out is not None and written:
             message += f" The state is written to {self.out}."
         elif self.out is not None:
@@ -348,56 +351,60 @@ class Simulation:
         """Write a checkpoint, if there is a directory to write to."""
         if self._writer is not None:
             began = clock.perf_counter()
-            with self._wall_clock.of_output():
-                self._writer.write(self.scene, self.time, self.engine.step_count, self._keep())
+            with self._wall_clock.measuring_output():
+                self._writer.write(self.scene, self.time, self.engine.step_count, self._state_dict())
             seconds = clock.perf_counter() - began
             logging.getLogger("granflow").info("checkpoint at %.6g s, written in %.3g s", self.time, seconds)
 
-    def _keep(self) -> dict[str, Any]:
+    def _state_dict(self) -> dict[str, Any]:
         """Everything that decides how the run goes on, but for the scene."""
         return {
-            "course": self._course.keep(),
-            "wall_clock": self._wall_clock.keep(self.engine),
-            "plan": decided(self.plan),
+            "stage_progress": self._stage_progress.state_dict(),
+            "wall_clock": self._wall_clock.state_dict(self.engine),
+            "plan": plan_fingerprint(self.plan),
             "earlier": self._earlier,
-            "feeds": self._feeds.keep(),
-            "observers": {name: observer.keep() for name, observer in self._keepable()},
-            "engine": self._keeper.keep(),
+            "insertion": self._insertion.state_dict(),
+            "observers": {name: observer.state_dict() for name, observer in self._checkpointed()},
+            "engine": self._engine_checkpoint.state_dict(),
         }
 
-    def _put_back(self, checkpoint: Checkpoint, change: Change) -> None:
+    def _load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
         """Stand where the checkpoint stood, and let changes of the scene come into force."""
-        kept = checkpoint.kept
-        check_observers(checkpoint, {name: observer.keep() for name, observer in self._keepable()})
+        saved = checkpoint.saved
+        check_observers(checkpoint, {name: observer.state_dict() for name, observer in self._checkpointed()})
         counts = {name: group.count for name, group in self.scene.particles.items()}
-        check_streams(checkpoint, self._feeds.keep(), counts)
-        reopened = change.of_stage(len(kept["course"]["stage_times"]) - 1)
-        self._course.put_back(kept["course"], reopened, same_scene=not change.differences)
-        self._keeper.put_back(kept["engine"], wall_motions(self.scene, self._course.stage_times))
-        self._feeds.put_back(kept["feeds"], self.engine)
-        for name, observer in self._keepable():
-            if name in kept["observers"]:
-                observer.put_back(kept["observers"][name])
-        self._wall_clock.put_back(kept["wall_clock"])
-        if change.of_contacts:
-            self._course.changes = tuple(time for time in wall_change_times(self.scene) if not self._reached(time))
-            self._course.set_walls(self.scene, self.engine)
+        check_streams(checkpoint, self._insertion.state_dict(), counts)
+        reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
+        self._stage_progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
+        self._engine_checkpoint.load_state_dict(
+            saved["engine"], wall_motions(self.scene, self._stage_progress.stage_times)
+        )
+        self._insertion.load_state_dict(saved["insertion"], self.engine)
+        for name, observer in self._checkpointed():
+            if name in saved["observers"]:
+                observer.load_state_dict(saved["observers"][name])
+        self._wall_clock.load_state_dict(saved["wall_clock"])
+        if change.affects_contacts:
+            self._stage_progress.changes = tuple(
+                time for time in wall_change_times(self.scene) if not self._reached(time)
+            )
+            self._stage_progress.set_walls(self.scene, self.engine)
             self.engine.refresh()
 
-    def _keepable(self) -> list[tuple[str, Keepable]]:
+    def _checkpointed(self) -> list[tuple[str, Checkpointable]]:
         """Observers that go into checkpoints, each with a name of its own."""
-        found: dict[str, Keepable] = {}
+        found: dict[str, Checkpointable] = {}
         for observer in self._observers:
-            if isinstance(observer, Keepable):
+            if isinstance(observer, Checkpointable):
                 kind = type(observer).__name__
                 found[f"{kind} {sum(name.startswith(kind) for name in found)}"] = observer
         return list(found.items())
 
-    def _unwritable(self, error: OSError) -> OutputError:
+    def _output_error(self, error: OSError) -> OutputError:
         """What to say when files cannot be written, once the state has been saved if there is a way."""
         where = f"{error.filename}: " if error.filename else f"{self.out}: "
         try:
-            if self.out is not None and self._course.target is not None:
+            if self.out is not None and self._stage_progress.target is not None:
                 self.out.mkdir(parents=True, exist_ok=True)
                 self._save()
         except OSError:

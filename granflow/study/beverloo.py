@@ -25,9 +25,9 @@ GRAVITY = 9.81
 K_LOWEST = -10.0
 """Smallest k that is tried: the published ones lie between 1 and 3."""
 
-TRIALS = 400
-ROUNDS = 6
-"""Values of k in a round of the search; each round looks between the neighbours of the best of the one before."""
+K_VALUES = 400
+SEARCH_ROUNDS = 6
+"""Values of k in a round of the search; each round looks between the neighbors of the best of the one before."""
 
 COLUMNS = {"opening": "length", "mass_flow": "mass_flow"}
 
@@ -57,9 +57,15 @@ class BeverlooFit:
 
 
 def fit_beverloo(
-    data: Discharge, grain: float, bulk_density: float, gravity: float = GRAVITY, exponent: float | None = EXPONENT
+    data: Discharge,
+    particle_diameter: float,
+    bulk_density: float,
+    gravity: float = GRAVITY,
+    exponent: float | None = EXPONENT,
 ) -> BeverlooFit:
-    """Fit C and k to flows of grains of diameter `grain` [m] and `bulk_density` [kg/m3]; the exponent too if None.
+    """Fit C and k to flows of grains of diameter `particle_diameter` [m] and `bulk_density` [kg/m3].
+
+    The exponent too if None.
 
     W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2. Raises GranflowError where the flows are
     too few, or not positive.
@@ -70,12 +76,12 @@ def fit_beverloo(
         raise GranflowError(f"Flows through {openings} different openings are too few: give {needed} or more.")
     if not (np.all(data.mass_flow > 0.0) and np.all(data.opening > 0.0)):
         raise GranflowError("A flow or an opening is not above 0: leave out openings that were blocked.")
-    ratio = data.opening / grain
-    height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * grain**EXPONENT))
+    ratio = data.opening / particle_diameter
+    height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * particle_diameter**EXPONENT))
     k = _best_k(ratio, height, exponent)
     level, power, residual = (values[0] for values in _line(ratio, height, np.array([k]), exponent))
-    slopes = [np.ones_like(ratio), -power / (ratio - k), np.log(ratio - k)][:needed]
-    errors = _errors(np.column_stack(slopes), residual)
+    derivatives = [np.ones_like(ratio), -power / (ratio - k), np.log(ratio - k)][:needed]
+    errors = _errors(np.column_stack(derivatives), residual)
     c = float(np.exp(level))
     free = float(errors[2]) if exponent is None else 0.0
     return BeverlooFit(c, k, float(power), c * float(errors[0]), float(errors[1]), free, residual)
@@ -85,10 +91,10 @@ def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> fl
     """The k below all D/d with the least sum of squares, by ever finer trials."""
     low, high = K_LOWEST, float(ratio.min())
     best = low
-    for _ in range(ROUNDS):
-        trials = np.linspace(low, high, TRIALS + 2)[1:-1]
-        costs = (_line(ratio, height, trials, exponent)[2] ** 2).sum(axis=1)
-        best, step = float(trials[int(np.argmin(costs))]), float(trials[1] - trials[0])
+    for _ in range(SEARCH_ROUNDS):
+        values = np.linspace(low, high, K_VALUES + 2)[1:-1]
+        costs = (_line(ratio, height, values, exponent)[2] ** 2).sum(axis=1)
+        best, step = float(values[int(np.argmin(costs))]), float(values[1] - values[0])
         low, high = best - step, min(best + step, float(ratio.min()))
     return best
 
@@ -105,63 +111,63 @@ def _line(
     return level, power, height - level[:, None] - power[:, None] * along
 
 
-def _errors(slopes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Standard errors from the scatter about the fit."""
-    surplus = len(residual) - slopes.shape[1]
-    if surplus < 1:
-        return np.full(slopes.shape[1], np.nan)
-    spread = np.linalg.pinv(slopes.T @ slopes) * (residual @ residual) / surplus
-    return np.asarray(np.sqrt(np.diag(spread)))
+    degrees_of_freedom = len(residual) - derivatives.shape[1]
+    if degrees_of_freedom < 1:
+        return np.full(derivatives.shape[1], np.nan)
+    covariance = np.linalg.pinv(derivatives.T @ derivatives) * (residual @ residual) / degrees_of_freedom
+    return np.asarray(np.sqrt(np.diag(covariance)))
 
 
-def read_discharges(places: Sequence[Path]) -> Discharge:
+def read_discharges(sources: Sequence[Path]) -> Discharge:
     """Flows of runs (directories that `granflow run` wrote) and of CSV files, all together.
 
     Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `opening` and
     `mass_flow`, in SI or with units. Raises GranflowError for what has neither.
     """
-    rows = [row for place in places for row in (_of_run(place) if place.is_dir() else _of_table(place))]
+    rows = [row for source in sources for row in (_of_run(source) if source.is_dir() else _of_table(source))]
     table = np.array(rows, dtype=float).reshape(-1, 2)
     return Discharge(table[:, 0], table[:, 1])
 
 
-def _of_run(place: Path) -> list[tuple[float, float]]:
+def _of_run(source: Path) -> list[tuple[float, float]]:
     from granflow.scene import load
 
-    path = place / "result.json"
+    path = source / "result.json"
     if not path.exists():
-        raise GranflowError(f"{place} has no result.json; name a run that has ended.")
+        raise GranflowError(f"{source} has no result.json; name a run that has ended.")
     try:
-        numbers = json.loads(read_regular_text(path))["meters"]
+        numbers = json.loads(read_regular_text(path))["flow_meters"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise GranflowError(f"{path} cannot be read ({error}): name a run that has ended.") from None
-    meters = load(place / "scene_as_run.yaml").output.meters
+    meters = load(source / "scene_as_run.yaml").output.flow_meters
     found = [
         (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
     ]
     if len(found) != 1:
         raise GranflowError(
-            f"{place} has {len(found)} flow meters with a radius; one is needed, as wide as the opening."
+            f"{source} has {len(found)} flow meters with a radius; one is needed, as wide as the opening."
         )
     return found
 
 
-def _of_table(place: Path) -> list[tuple[float, float]]:
-    reader = csv.DictReader(read_regular_text(place).splitlines())
+def _of_table(source: Path) -> list[tuple[float, float]]:
+    reader = csv.DictReader(read_regular_text(source).splitlines())
     try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            raise GranflowError(f"{place} has no column {missing[0]}; the columns are opening and mass_flow.")
+            raise GranflowError(f"{source} has no column {missing[0]}; the columns are opening and mass_flow.")
         found = []
         for row in reader:
             try:
                 opening, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
                 found.append((opening, flow))
             except UnitError as error:
-                raise GranflowError(f"{place}:{reader.line_num}: {error}.") from None
+                raise GranflowError(f"{source}:{reader.line_num}: {error}.") from None
         return found
     except csv.Error as error:
-        raise GranflowError(f"{place}:{reader.line_num}: this row cannot be read: {error}.") from None
+        raise GranflowError(f"{source}:{reader.line_num}: this row cannot be read: {error}.") from None
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:

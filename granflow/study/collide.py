@@ -11,17 +11,17 @@ from granflow.device.backend import start
 from granflow.device.engine import Engine
 from granflow.errors import GranflowError, SceneError
 from granflow.laws import theory
-from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.catalog import NORMAL_LAWS
 from granflow.laws.law import NormalLaw
 from granflow.laws.material import PairMaterial
 from granflow.plan import Plan, plan_for
 from granflow.plan.plan import build_law, pair_material
 from granflow.scene import Scene
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 from granflow.scene.presets import PRESETS
 from granflow.scene.reader import scene_in
 from granflow.scene.schema import LARGEST_OVERLAP
-from granflow.scene.suggest import known_or_meant
+from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
@@ -35,7 +35,7 @@ LONGEST = 20.0
 
 
 @dataclass(frozen=True)
-class Impact:
+class CollisionInput:
     """What collides: the pair, effective radius [m] and mass [kg], approach velocity [m/s]."""
 
     pair: PairMaterial
@@ -60,11 +60,12 @@ def collide(
 ) -> dict[str, float]:
     """Collide two spheres, or a sphere and a wall, head on; all in SI.
 
-    `settings` are those of the law as "key=value", such as "yield_ratio=2.8"; what is left out is as the catalogue's
+    `settings` are those of the law as "key=value", such as "yield_ratio=2.8"; what is left out is as the catalog's
     example has it.
 
     Returns `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N] as reached, the
-    same with `_asked` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError where the
+    same with `_restitution_given` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError
+    where the
     restitution is not given and not known, or the step is not stable.
     """
     sizes = (diameter, diameter2 or diameter)
@@ -87,15 +88,15 @@ def collide(
         raise GranflowError(f"A contact of {steps_per_contact:g} steps is not stable: give it more steps.") from None
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
-    return expected | _watch(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
+    return expected | _integrate_collision(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
 
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     if law not in NORMAL_LAWS:
-        raise GranflowError(f"There is no law {law}. {_sentence(known_or_meant(law, NORMAL_LAWS, 'laws'))}")
+        raise GranflowError(f"There is no law {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'laws'))}")
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"There is no preset {name}. {_sentence(known_or_meant(name, PRESETS, 'presets'))}")
+            raise GranflowError(f"There is no preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
 
 
 def _sentence(remedy: str) -> str:
@@ -147,39 +148,39 @@ def _scene_of(
 ) -> dict[str, Any]:
     """The scene of the collision, as a file would say it."""
     first, second = ("first", "second")
-    pair = {"friction": 0} | _asked(law, materials, restitution)
+    pair = {"friction": 0} | _restitution_given(law, materials, restitution)
     share = 1.0 if wall else 0.5
-    ball = {
+    sphere = {
         "material": first,
         "diameter": sizes[0],
         "velocity": [share * velocity, 0, 0],
-        "place": {"kind": "list", "positions": [[-0.5 * sizes[0], 0, 0]]},
+        "insert": {"kind": "positions", "positions": [[-0.5 * sizes[0], 0, 0]]},
     }
-    reach = 10.0 * max(sizes)
+    contact_distance = 10.0 * max(sizes)
     scene: dict[str, Any] = {
         "title": "Head-on collision",
         "gravity": [0, 0, 0],
         "materials": {first: {"preset": materials[0]}, second: {"preset": materials[1]}},
         "pairs": {"first-first": pair, "first-second": pair, "second-second": pair},
         "contact": {"normal": {"law": law, **NORMAL_LAWS[law].example}, "tangential": "none", "rolling": "none"},
-        "particles": {"ball": ball},
-        "domain": {"min": [-reach] * 3, "max": [reach] * 3, "leaving": "error"},
+        "particles": {"sphere": sphere},
+        "domain": {"min": [-contact_distance] * 3, "max": [contact_distance] * 3, "on_exit": "error"},
         "run": {"duration": 1.0, "velocity_max": velocity},
-        "numerics": {"overlap_limit": LARGEST_OVERLAP},
+        "numerics": {"max_overlap": LARGEST_OVERLAP},
         "output": {"interval": 1.0},
     }
     if wall:
         scene["walls"] = {WALL: {"shape": "plane", "point": [0, 0, 0], "normal": [-1, 0, 0], "material": second}}
     else:
-        other = {"kind": "list", "positions": [[0.5 * sizes[1], 0, 0]]}
+        other = {"kind": "positions", "positions": [[0.5 * sizes[1], 0, 0]]}
         velocity_back = [-0.5 * velocity, 0, 0]
         scene["particles"]["other"] = {
-            "material": second, "diameter": sizes[1], "velocity": velocity_back, "place": other
+            "material": second, "diameter": sizes[1], "velocity": velocity_back, "insert": other
         }  # fmt: skip
     return scene
 
 
-def _asked(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
+def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
     """The restitution of the pair, as a scene says it; nothing where the law has it from the materials."""
     if NORMAL_LAWS[law].restitution == "nothing":
         return {}
@@ -192,148 +193,152 @@ def _asked(law: str, materials: tuple[str, str], restitution: float | None) -> d
     )
 
 
-def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: bool) -> Impact:
+def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: bool) -> CollisionInput:
     pair = pair_material(scene, "first", "second")
     radii = 0.5 * np.array(sizes)
     densities = np.array([scene.materials[name].density for name in ("first", "second")])
     masses = 4.0 / 3.0 * np.pi * radii**3 * densities
     if wall:
-        return Impact(pair, float(radii[0]), float(masses[0]), velocity)
-    return Impact(pair, float(radii.prod() / radii.sum()), float(masses.prod() / masses.sum()), velocity)
+        return CollisionInput(pair, float(radii[0]), float(masses[0]), velocity)
+    return CollisionInput(pair, float(radii.prod() / radii.sum()), float(masses.prod() / masses.sum()), velocity)
 
 
-def _expected(law: NormalLaw, impact: Impact) -> dict[str, float]:
+def _expected(law: NormalLaw, impact: CollisionInput) -> dict[str, float]:
     """Closed forms of the law; what a dashpot has none for by integrating one equation finely."""
     k = float(theory.hertz_stiffness(impact.pair.modulus_eff, impact.radius_eff))
     mass, velocity = impact.mass_eff, impact.velocity
-    promised = law.restitution(impact.pair, impact.radius_eff, mass, velocity)
+    requested = law.restitution(impact.pair, impact.radius_eff, mass, velocity)
     spring = float(theory.equivalent_spring(k, mass, velocity))
-    shared = {"velocity": velocity, "restitution_asked": promised, "spring_equation19": spring}
+    shared = {"velocity": velocity, "restitution_asked": requested, "spring_equation19": spring}
     return shared | (_integrated(law, impact) if law.rate_dependent else _closed(law, impact))
 
 
-def _closed(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, float]:
+def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
     """The law's own duration; largest overlap and force where the work of loading has used up the energy."""
     bodies = (impact.radius_eff, impact.mass_eff)
     loading, unloading = law.phase_durations(impact.pair, *bodies, impact.velocity)
-    constants, memory = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
+    constants, history = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
     moment = loading / steps
     step = impact.velocity * moment
-    overlap, force, before, energy = 0.0, 0.0, 0.0, 0.5 * impact.mass_eff * impact.velocity**2
+    overlap, force, force_before, energy = 0.0, 0.0, 0.0, 0.5 * impact.mass_eff * impact.velocity**2
     while energy > 0.0:
-        before, overlap = force, overlap + step
-        force, memory = law.reference_force(constants, *bodies, moment, overlap, impact.velocity, memory)
-        energy -= 0.5 * (before + force) * step
+        force_before, overlap = force, overlap + step
+        force, history = law.reference_force(constants, *bodies, moment, overlap, impact.velocity, history)
+        energy -= 0.5 * (force_before + force) * step
     # the work of the last step was too much by -energy
-    largest, strongest = overlap + energy / force, force + (force - before) * energy / force / step
+    overlap_max, force_max = overlap + energy / force, force + (force - force_before) * energy / force / step
     return {
         "duration_theory": loading + unloading,
-        "overlap_max_theory": largest,
-        "overlap_residual_theory": _freed_at(law, impact, moment, largest, memory),
-        "force_max_theory": strongest,
+        "overlap_max_theory": overlap_max,
+        "overlap_residual_theory": _end_overlap(law, impact, moment, overlap_max, history),
+        "force_max_theory": force_max,
     }
 
 
-def _freed_at(law: NormalLaw, impact: Impact, time_step: float, overlap: float, memory: np.ndarray) -> float:
+def _end_overlap(
+    law: NormalLaw, impact: CollisionInput, time_step: float, overlap: float, history: np.ndarray
+) -> float:
     """Overlap [m] at which the elastic force of a contact with this history has gone, by halving; 0 if it pulls."""
     constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
     for _ in range(HALVINGS if not law.attracts else 0):
         middle = 0.5 * (low + high)
         bodies = (impact.radius_eff, impact.mass_eff)
-        force, _memory = law.reference_force(constants, *bodies, time_step, middle, 0.0, memory)
+        force, _memory = law.reference_force(constants, *bodies, time_step, middle, 0.0, history)
         low, high = (low, middle) if force > 0.0 else (middle, high)
     return low
 
 
-def _integrated(law: NormalLaw, impact: Impact, steps: int = 4000) -> dict[str, float]:
+def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
     """Duration, largest overlap and force of M d'' = -F(d, d') by the classical Runge-Kutta method on the twin."""
     constants = np.array(law.pair_constants(impact.pair))
     step = sum(law.phase_durations(impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / steps
-    memory = np.zeros(max(law.history_count, 1))
-    _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, 0.0, impact.velocity, memory)
+    history = np.zeros(max(law.history_count, 1))
+    _, history = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, 0.0, impact.velocity, history)
 
     def force(overlap: float, rate: float) -> float:
         if overlap <= 0.0:
             return 0.0
         moment = SHORT * step
-        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, moment, overlap, rate, memory)[0]
+        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, moment, overlap, rate, history)[0]
 
     def slope(state: np.ndarray) -> np.ndarray:
         return np.array([state[1], -force(*state) / impact.mass_eff])
 
-    state, time, largest, strongest = np.array([0.0, impact.velocity]), 0.0, 0.0, 0.0
+    state, time, overlap_max, force_max = np.array([0.0, impact.velocity]), 0.0, 0.0, 0.0
     while time == 0.0 or force(*state) > 0.0:
         k1 = slope(state)
         k2 = slope(state + 0.5 * step * k1)
         k3 = slope(state + 0.5 * step * k2)
         state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(state + step * k3))
         time += step
-        _, memory = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, state[0], state[1], memory)
-        largest, strongest = max(largest, state[0]), max(strongest, force(*state))
-    return {"duration_theory": time, "overlap_max_theory": largest, "force_max_theory": strongest}
+        _, history = law.reference_force(
+            constants, impact.radius_eff, impact.mass_eff, step, state[0], state[1], history
+        )
+        overlap_max, force_max = max(overlap_max, state[0]), max(force_max, force(*state))
+    return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}
 
 
-def _watch(engine: Engine, plan: Plan, impact: Impact) -> dict[str, float]:
+def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> dict[str, float]:
     """Step through the collision and note what it reaches."""
-    engine.insert(initial_grains(plan.scene))
+    engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     limit = int(LONGEST * sum(plan.law.phase_durations(
         impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / plan.time_step) + 10  # fmt: skip
-    before = last = _look(engine, plan)
-    largest, strongest, duration, residual = 0.0, 0.0, 0.0, 0.0
+    previous = last = _sample(engine, plan)
+    overlap_max, force_max, duration, residual = 0.0, 0.0, 0.0, 0.0
     for _ in range(limit):
         engine.advance(1)
-        now = _look(engine, plan)
-        largest, strongest = max(largest, now.overlap), max(strongest, now.force)
-        if now.force == 0.0 and last.force > 0.0:
-            residual = _freed_at(plan.law, impact, plan.time_step, last.overlap, last.memory)
-            duration = engine.time - plan.time_step + _remaining(before, last, residual, plan)
+        current = _sample(engine, plan)
+        overlap_max, force_max = max(overlap_max, current.overlap), max(force_max, current.force)
+        if current.force == 0.0 and last.force > 0.0:
+            residual = _end_overlap(plan.law, impact, plan.time_step, last.overlap, last.history)
+            duration = engine.time - plan.time_step + _remaining(previous, last, residual, plan)
             break
-        before, last = last, now
+        previous, last = last, current
     engine.free()
     if duration == 0.0 and plan.law.attracts:
         raise GranflowError("The collision did not end: the attraction holds the spheres together.")
     if duration == 0.0:
         raise GranflowError("The collision did not end: give more --steps-per-contact.")
     return {
-        "restitution": float(-now.rate / impact.velocity),
+        "restitution": float(-current.rate / impact.velocity),
         "duration": duration,
-        "overlap_max": largest,
+        "overlap_max": overlap_max,
         "overlap_residual": residual,
-        "force_max": strongest,
+        "force_max": force_max,
     }
 
 
-def _remaining(before: "_Look", last: "_Look", residual: float, plan: Plan) -> float:
+def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: float, plan: Plan) -> float:
     """Time [s] from the last step with a force to the moment it vanishes.
 
     A viscous force vanishes while the spheres still overlap: on the line through the last two forces. Otherwise the
     surfaces part at a constant rate from then on.
     """
-    if plan.features.rate_dependent and before.force > last.force:
-        return min(plan.time_step * last.force / (before.force - last.force), plan.time_step)
+    if plan.features.rate_dependent and previous.force > last.force:
+        return min(plan.time_step * last.force / (previous.force - last.force), plan.time_step)
     return (last.overlap - residual) / -last.rate
 
 
 @dataclass(frozen=True)
-class _Look:
+class _ContactSample:
     """Overlap [m], rate of overlap [m/s], force [N] and history of the contact at one step."""
 
     overlap: float
     rate: float
     force: float
-    memory: np.ndarray
+    history: np.ndarray
 
 
-def _look(engine: Engine, plan: Plan) -> _Look:
+def _sample(engine: Engine, plan: Plan) -> _ContactSample:
     arrays = engine.synchronized(("position", "velocity", "force", "mass", "radius"))
-    history = engine.state.contacts.history.get("normal")
-    memory = np.zeros(3) if history is None else history.to_numpy()[0]
+    history_field = engine.state.neighbors.history.get("normal")
+    history = np.zeros(3) if history_field is None else history_field.to_numpy()[0]
     position, velocity, force = (arrays[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
-    reach = float(arrays["radius"].sum(dtype=float))
+    contact_distance = float(arrays["radius"].sum(dtype=float))
     if len(position) == 1:
-        return _Look(reach + position[0], float(velocity[0]), float(abs(force[0])), memory)
+        return _ContactSample(contact_distance + position[0], float(velocity[0]), float(abs(force[0])), history)
     left, right = np.argsort(position)
-    overlap = float(reach - (position[right] - position[left]))
-    return _Look(overlap, float(velocity[left] - velocity[right]), float(abs(force[0])), memory)
+    overlap = float(contact_distance - (position[right] - position[left]))
+    return _ContactSample(overlap, float(velocity[left] - velocity[right]), float(abs(force[0])), history)

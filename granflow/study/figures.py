@@ -10,7 +10,7 @@ import numpy as np
 from granflow.errors import GranflowError
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
-"""Told apart by the colour-blind and in grey (Okabe & Ito 2008, two more for many laws)."""
+"""Told apart by the color-blind and in gray (Okabe & Ito 2008, two more for many laws)."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}

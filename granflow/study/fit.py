@@ -14,7 +14,7 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.laws.material import Solid, VelocityRestitution, limit_velocity
 from granflow.scene.presets import PRESETS
-from granflow.scene.suggest import known_or_meant
+from granflow.scene.suggest import suggestion_or_list
 from granflow.study.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.study.measurements import Measurements
 
@@ -55,13 +55,13 @@ def fit(data: Measurements, limit: float | None = None) -> Fit:
     Standard errors come from the scatter about the curve, or from the deviations measured where the file has them.
     Raises GranflowError where the data do not determine the parameters.
     """
-    _refuse_undetermined(data, limit)
+    _check_determined(data, limit)
     starts = _starts(data, limit)
     found = min((_minimize(data, start, limit) for start in starts), key=lambda each: each[1])
     curve = VelocityRestitution(*found[0].tolist())
     errors = _standard_errors(data, found[0], limit)
     predicted = curve(data.velocity)
-    weights = 1.0 / data.spread**2
+    weights = 1.0 / data.uncertainty**2
     residual = data.restitution - predicted
     scatter = data.restitution - np.average(data.restitution, weights=weights)
     total = float(weights @ scatter**2)
@@ -74,7 +74,7 @@ def fit(data: Measurements, limit: float | None = None) -> Fit:
     )
 
 
-def _refuse_undetermined(data: Measurements, limit: float | None) -> None:
+def _check_determined(data: Measurements, limit: float | None) -> None:
     fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
     count = 2 if limit else 3
     if len(data) <= count:
@@ -85,8 +85,8 @@ def _refuse_undetermined(data: Measurements, limit: float | None) -> None:
             f"The spheres rebound at {fastest:g} m/s, but a limit velocity of {limit:g} m/s is given, "
             "from which on Eq. 12 says that they do not: give a higher one, or let --fit-limit find it."
         )
-    telling = (data.restitution > 0.0) & (data.restitution < 1.0)
-    velocities = len(np.unique(data.velocity[telling]))
+    informative = (data.restitution > 0.0) & (data.restitution < 1.0)
+    velocities = len(np.unique(data.velocity[informative]))
     if velocities < count:
         raise GranflowError(
             f"Restitutions between 0 and 1 at {velocities} different velocities are too few for {fitted}: "
@@ -96,9 +96,9 @@ def _refuse_undetermined(data: Measurements, limit: float | None) -> None:
 
 def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
     """Parameters to start from: ln(-ln e) = ln sigma + psi ln(v / (vlim - v)) is a straight line."""
-    telling = (data.restitution > 0.0) & (data.restitution < 1.0)
-    velocity = data.velocity[telling]
-    height = np.log(-np.log(data.restitution[telling]))
+    informative = (data.restitution > 0.0) & (data.restitution < 1.0)
+    velocity = data.velocity[informative]
+    height = np.log(-np.log(data.restitution[informative]))
     found = []
     for each in [limit] if limit else velocity.max() * (1.0 + np.array(START_MARGINS)):
         slope, level = np.polyfit(np.log(velocity / (each - velocity)), height, 1)
@@ -124,11 +124,11 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
         step[:free] = np.linalg.lstsq(
             normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual, rcond=None
         )[0].clip(-1.0, 1.0)  # fmt: skip
-        trial = floor + (point - floor) * np.exp(step)
-        new_residual, new_slopes = _linearized(data, trial)
+        build_scene = floor + (point - floor) * np.exp(step)
+        new_residual, new_slopes = _linearized(data, build_scene)
         new_cost = float(new_residual @ new_residual)
         if new_cost <= cost:
-            point, residual, slopes, cost, damping = trial, new_residual, new_slopes, new_cost, 0.3 * damping
+            point, residual, slopes, cost, damping = build_scene, new_residual, new_slopes, new_cost, 0.3 * damping
         else:
             damping *= 4.0
         if np.abs(step).max() < SMALLEST_STEP:
@@ -148,7 +148,7 @@ def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray,
     ratio = below / (limit - below)
     power_e = ratio**psi * e
     slopes = np.stack([-power_e, -sigma * power_e * np.log(ratio), sigma * psi * power_e / (limit - below)], axis=1)
-    return (data.restitution - e) / data.spread, slopes / data.spread[:, None]
+    return (data.restitution - e) / data.uncertainty, slopes / data.uncertainty[:, None]
 
 
 def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
@@ -181,7 +181,7 @@ def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarra
 def write_fit(out: Path, data: Measurements, result: Fit) -> None:
     """Write `fit.csv`, then `fit.png`. Raises GranflowError where matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
-    table = {"velocity": data.velocity, "measured": data.restitution, "fitted": result.curve(data.velocity)}
+    table = {"velocity": data.velocity, "analysis": data.restitution, "fitted": result.curve(data.velocity)}
     write_columns(out / "fit.csv", table | {"residual": result.residual})
     draw_to(out / "fit.png", lambda figure: _draw(figure, data, result), HEIGHT)
 
@@ -191,8 +191,8 @@ def _draw(figure: Any, data: Measurements, result: Fit) -> None:
     low, high = data.velocity.min() / 1.5, min(data.velocity.max() * 1.5, result.curve.limit_velocity)
     velocity = np.geomspace(low, high, 300)
     axes.semilogx(velocity, result.curve(velocity), color=COLORS[0], label=_legend(result))
-    bars = data.spread if data.absolute else None
-    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS)
+    bars = data.uncertainty if data.absolute else None
+    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="analysis", **POINTS)
     axes.set(xlabel="approach velocity $v$ [m/s]", ylabel="restitution coefficient $e$", ylim=(0.0, 1.05))
     axes.set_xlim(low, high)
     axes.legend(loc="lower left")
@@ -225,7 +225,7 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
     solids = []
     for name in (first, second or first):
         if name not in PRESETS:
-            raise GranflowError(f"There is no preset {name}: {known_or_meant(name, PRESETS, 'presets')}")
+            raise GranflowError(f"There is no preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
         preset = PRESETS[name]
         solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
     try:

@@ -31,12 +31,12 @@ SEPARATORS = (";", "\t", ",")
 class Measurements:
     """Rows of a file: approach velocity [m/s], restitution, and how far each restitution is to be trusted.
 
-    `spread` (n,) is its standard deviation, or a relative one where `absolute` is False.
+    `uncertainty` (n,) is its standard deviation, or a relative one where `absolute` is False.
     """
 
     velocity: np.ndarray
     restitution: np.ndarray
-    spread: np.ndarray
+    uncertainty: np.ndarray
     absolute: bool
 
     def __len__(self) -> int:
@@ -56,8 +56,8 @@ def read_measurements(path: Path) -> Measurements:
     problems: list[str] = []
     values: list[dict[str, float]] = []
     for line, cells in rows[1:]:
-        faults = _surplus(cells, width) or list(_read_row(cells, columns, values))
-        problems.extend(f"{path}:{line}: {fault}." for fault in faults)
+        problems_of_row = _extra_cells(cells, width) or list(_read_row(cells, columns, values))
+        problems.extend(f"{path}:{line}: {fault}." for fault in problems_of_row)
     if problems:
         raise FileError(problems)
     if not values:
@@ -81,11 +81,13 @@ def _text(path: Path) -> str:
 
 def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
     """Line number and stripped cells of every row; the separator is that of the header."""
-    kept = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"]
-    if not kept:
+    nonempty = [
+        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"
+    ]
+    if not nonempty:
         return
-    separator = next((mark for mark in SEPARATORS if mark in kept[0][1]), ",")
-    for number, line in kept:
+    separator = next((mark for mark in SEPARATORS if mark in nonempty[0][1]), ",")
+    for number, line in nonempty:
         try:
             cells = next(csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True))
         except csv.Error as error:
@@ -97,12 +99,12 @@ def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
     """Where each known column stands. Raises FileError where one is missing or there twice."""
     names = [cell.split("[")[0].split("(")[0].strip().lower().replace(" ", "_") for cell in cells]
     found: dict[str, int] = {}
-    for name, known in HEADINGS.items():
-        places = [n for n, each in enumerate(names) if each in known]
-        if len(places) > 1:
-            raise FileError(f"{path}:{line}: the header has {len(places)} columns for {name}: keep one.")
-        if places:
-            found[name] = places[0]
+    for name, aliases in HEADINGS.items():
+        columns = [n for n, each in enumerate(names) if each in aliases]
+        if len(columns) > 1:
+            raise FileError(f"{path}:{line}: the header has {len(columns)} columns for {name}: keep one.")
+        if columns:
+            found[name] = columns[0]
     missing = [name for name in ("velocity", "restitution") if name not in found]
     if missing:
         raise FileError(
@@ -125,7 +127,7 @@ def _unit_checked(path: Path, line: int, cells: Sequence[str], found: dict[str, 
     return found
 
 
-def _surplus(cells: Sequence[str], width: int) -> list[str]:
+def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
     """What is wrong with a row longer than the header."""
     if not any(cells[width:]):
         return []

@@ -44,7 +44,7 @@ pre i { color: #8a8a8a; font-style: normal; user-select: none; }
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """Rows of text under heads; cells that read as numbers are set to the right, others to the left."""
 
     caption: str
@@ -58,7 +58,7 @@ class Picture:
 
     image: Path
     caption: str
-    beside: tuple[str, ...] = ()
+    linked_files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Code:
     numbered: bool = True
 
 
-Part = str | Table | Picture | Gallery | Plot | Code
+PagePart = str | PageTable | Picture | Gallery | Plot | Code
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Section:
     """A title and what stands under it, in order; plain text becomes a paragraph."""
 
     title: str
-    parts: Sequence[Part]
+    parts: Sequence[PagePart]
 
 
 @dataclass(frozen=True)
@@ -127,14 +127,14 @@ def write_page(page: Page, path: Path) -> None:
 
 def html_of(page: Page) -> str:
     """The page as HTML, images embedded."""
-    links = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
+    adjacency = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
     sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections))
     scripts = f"<script>{page.script}</script>\n<script>{DRAW_PLOTS}</script>\n" if page.script else ""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(page.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f'<h1>{escape(page.title)}</h1>\n<p class="lead">{escape(page.lead)}</p>\n<nav>{links}</nav>\n'
+        f'<h1>{escape(page.title)}</h1>\n<p class="lead">{escape(page.lead)}</p>\n<nav>{adjacency}</nav>\n'
         f"{sections}\n{scripts}</body>\n</html>\n"
     )
 
@@ -148,9 +148,9 @@ def _section(number: int, section: Section) -> str:
     return f'<section id="{_anchor(number)}">\n<h2>{escape(section.title)}</h2>\n{parts}\n</section>'
 
 
-def _part(part: Part) -> str:
+def _part(part: PagePart) -> str:
     match part:
-        case Table():
+        case PageTable():
             return _table(part)
         case Picture():
             return _picture(part)
@@ -182,19 +182,19 @@ def _code(code: Code) -> str:
 def _picture(picture: Picture) -> str:
     data = b64encode(picture.image.read_bytes()).decode("ascii")
     kind = MEDIA_TYPES[picture.image.suffix]
-    links = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.beside)
+    adjacency = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.linked_files)
     source = f'src="data:{kind};base64,{data}"'
     shown = f"<video controls loop muted {source}></video>"
     if not kind.startswith("video"):
         shown = f'<img alt="{escape(picture.caption)}" {source}>'
-    return f"<figure>{shown}<figcaption>{escape(picture.caption)}{links}</figcaption></figure>"
+    return f"<figure>{shown}<figcaption>{escape(picture.caption)}{adjacency}</figcaption></figure>"
 
 
-def _table(table: Table) -> str:
-    words = [not all(_is_figure(row[column]) for row in table.rows) for column in range(len(table.heads))]
-    heads = "".join(_cell("th", head, is_words) for head, is_words in zip(table.heads, words, strict=True))
+def _table(table: PageTable) -> str:
+    text_columns = [not all(_is_figure(row[column]) for row in table.rows) for column in range(len(table.heads))]
+    heads = "".join(_cell("th", head, is_text) for head, is_text in zip(table.heads, text_columns, strict=True))
     rows = "\n".join(
-        "<tr>" + "".join(_cell("td", cell, is_words) for cell, is_words in zip(row, words, strict=True)) + "</tr>"
+        "<tr>" + "".join(_cell("td", cell, is_text) for cell, is_text in zip(row, text_columns, strict=True)) + "</tr>"
         for row in table.rows
     )
     return (
@@ -203,8 +203,8 @@ def _table(table: Table) -> str:
     )
 
 
-def _cell(tag: str, text: str, is_words: bool) -> str:
-    return f"<{tag}{' class=words' if is_words else ''}>{escape(text)}</{tag}>"
+def _cell(tag: str, text: str, is_text: bool) -> str:
+    return f"<{tag}{' class=words' if is_text else ''}>{escape(text)}</{tag}>"
 
 
 def _is_figure(text: str) -> bool:

@@ -17,9 +17,9 @@ from granflow.device.engine import Engine
 from granflow.laws.material import PairMaterial
 from granflow.plan import Plan, plan_for
 from granflow.plan.plan import pair_material
-from granflow.plan.sizes import diameter_range
+from granflow.plan.size_classes import diameter_range
 from granflow.scene import Scene
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
@@ -29,7 +29,7 @@ DECADES = 3
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Where within a step the spheres first touch."""
 SPACING = 2.5
-"""Distance of neighbouring collisions over the largest diameter."""
+"""Distance of neighboring collisions over the largest diameter."""
 LONGEST = 20.0
 """A collision not over after this many durations is given up: the spheres stick."""
 
@@ -48,7 +48,7 @@ HALVINGS = 6
 
 
 @dataclass(frozen=True)
-class Pairing:
+class MaterialPairing:
     """Two materials that can meet: their smallest spheres, or a sphere and a wall (no second radius) [m]."""
 
     first: str
@@ -75,7 +75,7 @@ def _mass(radius: float, density: float) -> float:
     return 4.0 / 3.0 * np.pi * radius**3 * density
 
 
-def pairings(scene: Scene) -> list[Pairing]:
+def pairings(scene: Scene) -> list[MaterialPairing]:
     """Every pair of materials that can meet in a scene, spheres first; of each the smallest sizes there are."""
     smallest: dict[str, float] = {}
     for group in scene.particles.values():
@@ -83,37 +83,39 @@ def pairings(scene: Scene) -> list[Pairing]:
         smallest[group.material] = min(radius, smallest.get(group.material, radius))
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]
-    met = [*spheres, *((a, b, None) for a in smallest for b in walls)]
-    return [Pairing(a, b, smallest[a], other) for a, b, other in met if scene.pair_key(a, b) in scene.pairs]
+    combinations = [*spheres, *((a, b, None) for a in smallest for b in walls)]
+    return [
+        MaterialPairing(a, b, smallest[a], other) for a, b, other in combinations if scene.pair_key(a, b) in scene.pairs
+    ]
 
 
 # ---------------------------------------------------------------- on the device
 
 
 @dataclass(frozen=True)
-class Row:
+class RestitutionRow:
     """One pair at one velocity [m/s]: restitution asked, and the smallest and largest reached over the phases."""
 
     pair: str
     velocity: float
-    asked: float
-    least: float
-    most: float
+    requested: float
+    min_reached: float
+    max_reached: float
 
     @property
     def reached(self) -> float:
         """Whichever of least and most is farther from what is asked."""
-        return max(self.least, self.most, key=lambda e: abs(e - self.asked))
+        return max(self.min_reached, self.max_reached, key=lambda e: abs(e - self.requested))
 
     @property
     def difference(self) -> float:
         """Reached minus asked, relative to asked; infinite where 0 is asked and not reached."""
-        if self.asked == 0.0:
+        if self.requested == 0.0:
             return 0.0 if self.reached == 0.0 else np.inf
-        return self.reached / self.asked - 1.0
+        return self.reached / self.requested - 1.0
 
 
-def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], float]:
+def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], float]:
     """Collide every pair of materials of a scene head on at velocities up to the largest expected.
 
     All collisions stand side by side at the far side of the scene's domain, where single precision is coarsest; each
@@ -124,95 +126,97 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[Row], float]:
     pairs = pairings(scene)
     count = DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
-    collisions = plan_for(_side_by_side(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
+    collisions = plan_for(_collision_scene(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
     engine = Engine(collisions, backend)
     engine.state.clock.change(plan.time_step)
-    rebound = _collide(engine, collisions, _longest(plan, pairs, velocities[0]))
+    rebound = _run_collisions(engine, collisions, _longest(plan, pairs, velocities[0]))
     reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
         material = pair_material(scene, pair.first, pair.second)
         for velocity, found in zip(velocities, per_velocity, strict=True):
-            asked = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
-            rows.append(Row(pair.name, float(velocity), asked, float(found.min()), float(found.max())))
+            requested = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
+            rows.append(RestitutionRow(pair.name, float(velocity), requested, float(found.min()), float(found.max())))
     return rows, plan.time_step
 
 
-def _longest(plan: Plan, pairs: Sequence[Pairing], velocity: float) -> int:
+def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
     """Steps after which the slowest collision is given up."""
     longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
     return int(LONGEST * longest / plan.time_step) + 10
 
 
-def _side_by_side(scene: Scene, plan: Plan, pairs: Sequence[Pairing], velocities: np.ndarray) -> Scene:
+def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
     """The scene of all collisions: along x, one lane after the other in y, one row for each pair in z."""
     radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
     spacing = SPACING * 2.0 * max(radii)
-    touch = float(np.abs([scene.domain.min, scene.domain.max]).max())
+    contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
     described: dict[str, Any] = {"particles": {}, "walls": {}}
     for row, pair in enumerate(pairs):
-        _add_row(described, pair, row, touch, spacing, velocities, plan.time_step)
-    reach = [touch + spacing, spacing * (len(velocities) * len(PHASES) + 1), spacing * (len(pairs) + 1)]
-    one = next(iter(scene.pairs.values()))
+        _add_row(described, pair, row, contact_x, spacing, velocities, plan.time_step)
+    reach = [contact_x + spacing, spacing * (len(velocities) * len(PHASES) + 1), spacing * (len(pairs) + 1)]
+    any_pair = next(iter(scene.pairs.values()))
     used = dict.fromkeys(material for pair in pairs for material in (pair.first, pair.second))
-    met = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), one)
+    material_pairs = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), any_pair)
            for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
     frictionless = {"friction": 0.0, "rolling_friction": None}
     return Scene.model_validate(described | {
         "title": "Restitution asked and reached",
         "gravity": [0, 0, 0],
         "materials": {name: scene.materials[name] for name in used},
-        "pairs": {key: pair.model_copy(update=frictionless) for key, pair in met.items()},
+        "pairs": {key: pair.model_copy(update=frictionless) for key, pair in material_pairs.items()},
         "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
-        "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
+        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
         "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
-        "numerics": scene.numerics.model_copy(update={"overlap_limit": LARGEST_OVERLAP}),
+        "numerics": scene.numerics.model_copy(update={"max_overlap": LARGEST_OVERLAP}),
         "output": {"interval": 1.0},
     })  # fmt: skip
 
 
 def _add_row(
-    described: Mapping[str, dict[str, Any]], pair: Pairing, row: int, touch: float, spacing: float,
+    described: Mapping[str, dict[str, Any]], pair: MaterialPairing, row: int, contact_x: float, spacing: float,
     velocities: np.ndarray, step: float,
 ) -> None:  # fmt: skip
-    """Spheres of one pair, one collision for each velocity and phase; they would touch at x = `touch` [m]."""
+    """Spheres of one pair, one collision for each velocity and phase; they would touch at x = `contact_x` [m]."""
     speed = np.repeat(velocities, len(PHASES))
     gap = speed * step * np.tile(PHASES, len(velocities))
-    lanes = np.stack(
+    positions = np.stack(
         [np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1
     )
-    sides = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
+    spheres = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
     share = 1.0 if pair.other_radius is None else 0.5
-    for name, material, radius, side in sides:
+    for name, material, radius, side in spheres:
         if radius is None:
-            corner = [touch, -0.5 * spacing, spacing * (row - 0.5)]
+            corner = [contact_x, -0.5 * spacing, spacing * (row - 0.5)]
             extent = [[0.0, spacing * len(speed), 0.0], [0.0, 0.0, spacing]]
             described["walls"][f"wall_{row}"] = {
                 "shape": "rectangle", "corner": corner, "sides": extent, "material": material
             }  # fmt: skip
             continue
-        centre = lanes + np.array([touch, 0.0, 0.0])
-        centre[:, 0] += side * (radius + share * gap)
+        sphere_centers = positions + np.array([contact_x, 0.0, 0.0])
+        sphere_centers[:, 0] += side * (radius + share * gap)
         velocity = np.outer(-side * share * speed, [1.0, 0.0, 0.0])
         described["particles"][f"{name}_{row}"] = {
             "material": material, "diameter": 2.0 * radius, "velocity": velocity.tolist(),
-            "place": {"kind": "list", "positions": centre.tolist()},
+            "insert": {"kind": "positions", "positions": sphere_centers.tolist()},
         }  # fmt: skip
 
 
-def _collide(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
+def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
     """Rebound velocity [m/s] of every collision, in the order of the scene; 0 where the spheres stick."""
-    engine.insert(initial_grains(plan.scene))
+    engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     batch = max(most_steps // 200, 1)
-    done, met = 0, np.zeros(0, dtype=bool)
+    done, has_touched = 0, np.zeros(0, dtype=bool)
     while done < most_steps:
         engine.advance(batch)
         done += batch
         rate, force = _relative(engine, plan)
-        met = (met if len(met) else np.zeros(len(rate), dtype=bool)) | (force != 0.0) | (rate < 0.0)
-        if np.all(met & (force == 0.0) & (rate < 0.0)):
+        has_touched = (
+            (has_touched if len(has_touched) else np.zeros(len(rate), dtype=bool)) | (force != 0.0) | (rate < 0.0)
+        )
+        if np.all(has_touched & (force == 0.0) & (rate < 0.0)):
             break
     engine.free()
     return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
@@ -235,40 +239,45 @@ def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(rates), np.concatenate(forces)
 
 
-def restitution_rows(rows: Sequence[Row]) -> list[tuple[str, str, str, str, str]]:
+def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str, str, str]]:
     """The table of what was asked and reached: pair, velocity, asked, reached, difference in percent."""
     found = []
     for before, row in zip([None, *rows], rows, strict=False):
         name = row.pair if before is None or before.pair != row.pair else ""
         difference = f"{100.0 * row.difference:+.3f}" + (" *" if abs(row.difference) > TOLERANCE else "")
-        found.append((name, f"{row.velocity:.4g}", f"{row.asked:.5f}", f"{row.reached:.5f}", difference))
+        found.append((name, f"{row.velocity:.4g}", f"{row.requested:.5f}", f"{row.reached:.5f}", difference))
     return found
 
 
-def write_restitution(out: Path, rows: Sequence[Row], title: str) -> None:
+def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> None:
     """Write `restitution.csv`, then `restitution.png`. Raises GranflowError where matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
-    names = ("pair", "velocity", "asked", "least", "most", "difference")
+    names = ("pair", "velocity", "requested", "min_reached", "max_reached", "difference")
     write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
     draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
 
 
-def _draw(figure: Any, rows: Sequence[Row], title: str) -> None:
+def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
     """Restitution above, difference in percent below, both against velocity; bars from least to most."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     below.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="0.93", zorder=0)
     for number, name in enumerate(dict.fromkeys(row.pair for row in rows)):
-        mine = [row for row in rows if row.pair == name]
-        velocity, asked, least, most = (
-            np.array([getattr(row, key) for row in mine]) for key in ("velocity", "asked", "least", "most")
+        is_pair = [row for row in rows if row.pair == name]
+        velocity, requested, min_reached, max_reached = (
+            np.array([getattr(row, key) for row in is_pair])
+            for key in ("velocity", "requested", "min_reached", "max_reached")
         )
-        color, middle, half = COLORS[number % len(COLORS)], 0.5 * (least + most), 0.5 * (most - least)
-        look = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
-        above.semilogx(velocity, asked, color=color)
-        above.errorbar(velocity, middle, half, label=name, **look)
-        known = asked > 0.0
-        percent = 100.0 / asked[known]
-        below.errorbar(velocity[known], (middle - asked)[known] * percent, half[known] * percent, **look)
+        color, middle, half = (
+            COLORS[number % len(COLORS)],
+            0.5 * (min_reached + max_reached),
+            0.5 * (max_reached - min_reached),
+        )
+        style = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
+        above.semilogx(velocity, requested, color=color)
+        above.errorbar(velocity, middle, half, label=name, **style)
+        known = requested > 0.0
+        percent = 100.0 / requested[known]
+        below.errorbar(velocity[known], (middle - requested)[known] * percent, half[known] * percent, **style)
     above.set(ylabel="restitution coefficient $e$", title=f"{title}: asked (lines) and reached (points)")
     above.legend(loc="best")
     below.set(xlabel="approach velocity $v$ [m/s]", ylabel="reached over asked, less 1 [%]")
@@ -283,26 +292,26 @@ def warnings(plan: Plan) -> list[str]:
     It names the collision with the largest error of the pair. Collisions that cannot occur, and those that the plan
     warns of, are left out.
     """
-    worst: dict[str, tuple[float, Pairing, _Impact]] = {}
+    worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
     steps = 0
     for pair in pairings(plan.scene):
         if not _occurs(plan.scene, pair):
             continue
-        misses: list[tuple[float, _Impact]] = []
+        deviations: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
             impact = _impact(plan, pair, share * plan.velocity_max)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
-            if steps > QUICK_STEPS or _out_of_reach(plan, impact):
+            if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
-            misses.append((abs(_worst_reached(plan, impact, plan.time_step) / impact.asked - 1.0), impact))
+            deviations.append((abs(_worst_restitution(plan, impact, plan.time_step) / impact.requested - 1.0), impact))
         key = plan.scene.pair_key(pair.first, pair.second)
-        for size, impact in misses:
+        for size, impact in deviations:
             if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
                 worst[key] = (size, pair, impact)
     return [_sentence(plan, pair, impact) for _, pair, impact in worst.values()]
 
 
-def _occurs(scene: Scene, pair: Pairing) -> bool:
+def _occurs(scene: Scene, pair: MaterialPairing) -> bool:
     """Whether the particles of a scene can collide like this: neither two fixed ones, nor a single one with itself."""
     groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
     mobile = {group.material for group in groups if not group.fixed}
@@ -319,38 +328,38 @@ class _Impact:
     radius_eff: float
     mass_eff: float
     velocity: float
-    asked: float
+    requested: float
     duration: float
 
 
-def _impact(plan: Plan, pair: Pairing, velocity: float) -> _Impact:
+def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
     collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
     return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
 
 
-def _out_of_reach(plan: Plan, impact: _Impact) -> bool:
+def _unreachable(plan: Plan, impact: _Impact) -> bool:
     """Whether 0 is asked, or less than the step can carry, of which the plan warns."""
-    if plan.law.least_restitution is None or impact.asked == 0.0:
-        return impact.asked == 0.0
+    if plan.law.least_restitution is None or impact.requested == 0.0:
+        return impact.requested == 0.0
     collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
-    return impact.asked < plan.law.least_restitution(*collision, plan.time_step)
+    return impact.requested < plan.law.least_restitution(*collision, plan.time_step)
 
 
-def _worst_reached(plan: Plan, impact: _Impact, step: float) -> float:
+def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
     """Restitution of the twin that is farthest from what is asked, over a few phases of a step."""
-    found = [_twin_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
-    return max(found, key=lambda e: abs(e - impact.asked))
+    found = [_reference_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
+    return max(found, key=lambda e: abs(e - impact.requested))
 
 
-def _twin_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
+def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
     """Restitution of one collision with the numpy twin of the law, in the device's leapfrog."""
     law, mass = plan.law, impact.mass_eff
-    constants, memory = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
+    constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
     rate = rate_now = impact.velocity
     overlap = phase * rate * step
     for _ in range(int(LONGEST * impact.duration / step)):
-        felt = rate_now if law.rate_dependent else rate
-        force, memory = law.reference_force(constants, impact.radius_eff, mass, step, overlap, felt, memory)
+        rate_seen = rate_now if law.rate_dependent else rate
+        force, history = law.reference_force(constants, impact.radius_eff, mass, step, overlap, rate_seen, history)
         kick = force / mass * step
         rate -= kick
         rate_now = rate - 0.5 * kick
@@ -360,12 +369,12 @@ def _twin_restitution(plan: Plan, impact: _Impact, step: float, phase: float) ->
     return 0.0
 
 
-def _sentence(plan: Plan, pair: Pairing, impact: _Impact) -> str:
-    reached = _worst_reached(plan, impact, plan.time_step)
+def _sentence(plan: Plan, pair: MaterialPairing, impact: _Impact) -> str:
+    reached = _worst_restitution(plan, impact, plan.time_step)
     remedy = next(_remedies(plan, impact), None)
     advice = f"A run.time_step of {remedy:.2g} s would do." if remedy else "A smaller run.time_step brings it nearer."
     return (
-        f"{pair.name}: restitution {impact.asked:.4g} is asked for at {impact.velocity:.3g} m/s, but {reached:.4g} "
+        f"{pair.name}: restitution {impact.requested:.4g} is asked for at {impact.velocity:.3g} m/s, but {reached:.4g} "
         f"comes out with a step of {plan.time_step:.3g} s. {advice}"
     )
 
@@ -374,5 +383,5 @@ def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
     """Steps, each half the one before, at which the restitution is reached within the tolerance."""
     for halvings in range(1, HALVINGS + 1):
         step = plan.time_step / 2.0**halvings
-        if abs(_worst_reached(plan, impact, step) / impact.asked - 1.0) <= TOLERANCE:
+        if abs(_worst_restitution(plan, impact, step) / impact.requested - 1.0) <= TOLERANCE:
             yield step

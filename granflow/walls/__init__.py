@@ -1,11 +1,11 @@
 """Wall shapes (device function and numpy twin), the rims they share, and how walls move."""
 
-from granflow.walls.catalogue import SHAPE_KINDS, kind_code, reach_about, triangles
+from granflow.walls.catalog import SHAPE_KINDS, kind_code, reach_about, triangles
 from granflow.walls.motion import Motion, Poses, Rotation, Translation, Vibration, pose, speed_bound
 from granflow.walls.plane import half_space, rectangle
 from granflow.walls.revolved import cone, cylinder, disc
-from granflow.walls.rims import join_rims
 from granflow.walls.shape import FAR_AWAY, PARAMETER_COUNT, Shape, ShapeKind
+from granflow.walls.shared_edges import join_shared_edges
 
 __all__ = [
     "FAR_AWAY",
@@ -22,7 +22,7 @@ __all__ = [
     "cylinder",
     "disc",
     "half_space",
-    "join_rims",
+    "join_shared_edges",
     "kind_code",
     "pose",
     "reach_about",

@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from granflow.walls.mesh_file import Soup
-from granflow.walls.mesh_links import Links, link
+from granflow.walls.mesh_adjacency import MeshAdjacency, adjacency_of
+from granflow.walls.mesh_file import RawTriangles
 from granflow.walls.mesh_split import divided
 from granflow.walls.shape import distance_from_axis
 
@@ -33,9 +33,9 @@ class Mesh:
     divided_count: int = 0
 
     @cached_property
-    def links(self) -> Links:
+    def adjacency(self) -> MeshAdjacency:
         """What decides which triangle answers for a contact."""
-        return link(self.points, self.corners)
+        return adjacency_of(self.points, self.corners)
 
     @property
     def triangle_count(self) -> int:
@@ -74,18 +74,18 @@ class Mesh:
         return replace(self, points=points + offset)
 
 
-def mesh_of(soup: Soup) -> Mesh:
+def mesh_of(triangles_read: RawTriangles) -> Mesh:
     """Weld the points, drop triangles without area and those that are there twice, divide those that do not fit.
 
     Raises ValueError if none is left.
     """
-    used, corners = np.unique(soup.corners, return_inverse=True)
-    points = soup.points[used]
+    used, corners = np.unique(triangles_read.corners, return_inverse=True)
+    points = triangles_read.points[used]
     tolerance = WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     label = welded(points, tolerance)
     corners = label[corners.reshape(-1, 3)]
-    sound = heights(points[corners]) > tolerance
-    corners, degenerate = corners[sound], int((~sound).sum())
+    is_valid = heights(points[corners]) > tolerance
+    corners, degenerate = corners[is_valid], int((~is_valid).sum())
     first = first_of_each(np.sort(corners, axis=1))
     duplicate = len(corners) - len(first)
     corners = corners[first]
@@ -93,7 +93,7 @@ def mesh_of(soup: Soup) -> Mesh:
         raise ValueError("has no triangle with an area")
     corners, split = divided(points, corners, tolerance)
     kept, corners = np.unique(corners, return_inverse=True)
-    return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, soup.quad_count, split)
+    return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, triangles_read.quad_count, split)
 
 
 def first_of_each(rows: np.ndarray) -> np.ndarray:

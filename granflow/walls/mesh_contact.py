@@ -2,99 +2,110 @@
 
 import numpy as np
 
-from granflow.walls.mesh_links import OPEN, SHARED, SILENT, Links
+from granflow.walls.mesh_adjacency import NOT_OWNED, OPEN_EDGE, SHARED_EDGE, MeshAdjacency
 from granflow.walls.shape import FAR_AWAY
 
 ROUNDING = 16.0
-"""Units in the last place of the lengths about a corner within which a centre counts as straight above it."""
+"""Units in the last place of the lengths about a corner within which a center counts as straight above it."""
 
 
 def bare_distance(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distance (n,) [m] of points (n, 3) from triangles (n, 3, 3): to the face if the foot is on it, or an edge."""
     sides = np.roll(vertex, -1, axis=1) - vertex
-    away = points[:, None, :] - vertex
-    share = np.clip(_dot(away, sides) / _dot(sides, sides), 0.0, 1.0)
-    to_edges = np.linalg.norm(away - share[:, :, None] * sides, axis=2).min(axis=1)
+    from_vertex = points[:, None, :] - vertex
+    share = np.clip(_dot(from_vertex, sides) / _dot(sides, sides), 0.0, 1.0)
+    to_edges = np.linalg.norm(from_vertex - share[:, :, None] * sides, axis=2).min(axis=1)
     normal = np.cross(sides[:, 0], -sides[:, 2])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    over = np.all(_dot(np.cross(normal[:, None, :], sides), away) > 0.0, axis=1)
-    return np.where(over, np.abs(_dot(away[:, 0], normal)), to_edges)
+    is_over = np.all(_dot(np.cross(normal[:, None, :], sides), from_vertex) > 0.0, axis=1)
+    return np.where(is_over, np.abs(_dot(from_vertex[:, 0], normal)), to_edges)
 
 
-def reference_contact(links: Links, triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reference_contact(
+    adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Gap (n,) [m] and normal (n, 3) of the contact of points (n, 3) with triangles (n,) by number.
 
     FAR_AWAY where another triangle answers, or where the nearest point of the triangle is none of the mesh.
     """
-    gap, normal = reference_own_contact(links, triangles, points)
-    height = _dot(points - links.vertex[triangles, 0], links.normal[triangles])
+    gap, normal = reference_contact_alone(adjacency, triangles, points)
+    height = _dot(points - adjacency.vertex[triangles, 0], adjacency.normal[triangles])
     key = 2 * triangles + (height < 0.0)
-    asked, place = rows(links.rival_start, key)
-    rival = links.rival[place]
-    nearer, _ = reference_own_contact(links, rival, points[asked])
-    outdone = (nearer < gap[asked]) | ((nearer == gap[asked]) & (rival < triangles[asked]))
-    yields = np.zeros(len(points), bool)
-    yields[asked[outdone]] = True
-    return np.where(yields, FAR_AWAY, gap), normal
+    query, entry = row_entries(adjacency.competitor_start, key)
+    competitor = adjacency.competitor[entry]
+    competitor_gap, _ = reference_contact_alone(adjacency, competitor, points[query])
+    is_beaten = (competitor_gap < gap[query]) | ((competitor_gap == gap[query]) & (competitor < triangles[query]))
+    not_owner = np.zeros(len(points), bool)
+    not_owner[query[is_beaten]] = True
+    return np.where(not_owner, FAR_AWAY, gap), normal
 
 
-def rows(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All entries (r,) of the wanted rows (n,), which begin at `start`, and which of the wanted (r,) each is from."""
-    counts = start[wanted + 1] - start[wanted]
-    asked = np.repeat(np.arange(len(wanted)), counts)
-    within = np.arange(len(asked)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return asked, start[wanted][asked] + within
+    is_edge_contact = start[wanted + 1] - start[wanted]
+    query = np.repeat(np.arange(len(wanted)), is_edge_contact)
+    within = np.arange(len(query)) - np.repeat(np.cumsum(is_edge_contact) - is_edge_contact, is_edge_contact)
+    return query, start[wanted][query] + within
 
 
-def reference_own_contact(links: Links, triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reference_contact_alone(
+    adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """As `reference_contact`, before rivals are asked."""
-    gap, normal = np.full(len(points), FAR_AWAY), links.normal[triangles].copy()
-    away = points[:, None, :] - links.vertex[triangles]
-    height = _dot(away[:, 0], normal)
+    gap, normal = np.full(len(points), FAR_AWAY), adjacency.normal[triangles].copy()
+    from_vertex = points[:, None, :] - adjacency.vertex[triangles]
+    height = _dot(from_vertex[:, 0], normal)
     normal[height < 0.0] *= -1.0
-    above = _above_corner(links, triangles, points)
-    lost = above.any(axis=1)
-    s, s_beyond = _over(links, triangles, away)
-    over = (s > 0.0) | ((s == 0.0) & links.tie[triangles])
-    on_face = ~lost & over.all(axis=1)
+    above = _above_vertex(adjacency, triangles, points)
+    above_any_vertex = above.any(axis=1)
+    s, s_beyond = _over(adjacency, triangles, from_vertex)
+    is_over = (s > 0.0) | ((s == 0.0) & adjacency.owns_tie[triangles])
+    on_face = ~above_any_vertex & is_over.all(axis=1)
     gap[on_face] = np.abs(height[on_face])
     for k in range(3):
-        own = above[:, k] & (links.owner[links.point[triangles, k]] == triangles)
-        _enter(gap, normal, own & ~on_face, away[:, k])
-        t, role = _dot(away[:, k], links.along[triangles, k]), links.role[triangles, k]
-        counts = ~lost & ~over[:, k] & (role != SILENT) & (t > 0.0) & (t < links.length[triangles, k])
-        counts &= (role == OPEN) | ((role == SHARED) & (s_beyond[:, k] <= 0.0))
-        _enter(gap, normal, counts & ~on_face, away[:, k] - t[:, None] * links.along[triangles, k])
+        is_owner = above[:, k] & (adjacency.owner[adjacency.point[triangles, k]] == triangles)
+        _enter(gap, normal, is_owner & ~on_face, from_vertex[:, k])
+        t, role = _dot(from_vertex[:, k], adjacency.edge_direction[triangles, k]), adjacency.role[triangles, k]
+        is_edge_contact = (
+            ~above_any_vertex & ~is_over[:, k] & (role != NOT_OWNED) & (t > 0.0) & (t < adjacency.length[triangles, k])
+        )
+        is_edge_contact &= (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_beyond[:, k] <= 0.0))
+        _enter(
+            gap,
+            normal,
+            is_edge_contact & ~on_face,
+            from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k],
+        )
     return gap, normal
 
 
-def _over(links: Links, triangles: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _over(adjacency: MeshAdjacency, triangles: np.ndarray, from_vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance (n, 3) over the own face at every edge, and over that of the other triangle."""
-    from_base = np.take_along_axis(away, links.base[triangles][:, :, None], axis=1)
-    return _dot(from_base, links.inward[triangles]), _dot(from_base, links.beyond[triangles])
+    from_base = np.take_along_axis(from_vertex, adjacency.base[triangles][:, :, None], axis=1)
+    return _dot(from_base, adjacency.inward[triangles]), _dot(from_base, adjacency.inward_other[triangles])
 
 
-def _above_corner(links: Links, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _above_vertex(adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Whether (n, 3) no edge that leaves a corner comes nearer to the point."""
     found = np.zeros((len(points), 3), bool)
     eps = np.finfo(points.dtype).eps
     for k in range(3):
-        corner = links.point[triangles, k]
-        away = points - links.vertex[triangles, k]
-        slack = ROUNDING * eps * (links.longest[corner] + np.linalg.norm(away, axis=1))
-        point, spoke = rows(links.spoke_start, corner)
-        rises = np.full(len(points), -np.inf)
-        np.maximum.at(rises, point, _dot(links.spoke[spoke], away[point]))
-        found[:, k] = rises <= slack
+        corner = adjacency.point[triangles, k]
+        from_vertex = points - adjacency.vertex[triangles, k]
+        slack = ROUNDING * eps * (adjacency.longest[corner] + np.linalg.norm(from_vertex, axis=1))
+        point, vertex_edge = row_entries(adjacency.vertex_edge_start, corner)
+        height = np.full(len(points), -np.inf)
+        np.maximum.at(height, point, _dot(adjacency.vertex_edge[vertex_edge], from_vertex[point]))
+        found[:, k] = height <= slack
     return found
 
 
-def _enter(gap: np.ndarray, normal: np.ndarray, where: np.ndarray, away: np.ndarray) -> None:
-    """Contacts with an edge or a corner: `away` (n, 3) from its nearest point to the centre."""
-    distance = np.linalg.norm(away, axis=1)
+def _enter(gap: np.ndarray, normal: np.ndarray, where: np.ndarray, from_vertex: np.ndarray) -> None:
+    """Contacts with an edge or a corner: `from_vertex` (n, 3) from its nearest point to the center."""
+    distance = np.linalg.norm(from_vertex, axis=1)
     gap[where] = distance[where]
     some = where & (distance > 0.0)
-    normal[some] = away[some] / distance[some, None]
+    normal[some] = from_vertex[some] / distance[some, None]
 
 
 def _dot(one: np.ndarray, other: np.ndarray) -> np.ndarray:

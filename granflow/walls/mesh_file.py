@@ -17,16 +17,16 @@ from granflow.walls.vtu_file import VtuError, read_vtu
 LARGEST_FILE = 256 * 2**20
 """Bytes of a mesh file; reading that takes seconds."""
 
-MOST_TRIANGLES = 1_000_000
+MAX_TRIANGLES = 1_000_000
 
 FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
 
 STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
-LONGEST_WHY = 200
+MAX_REASON_LENGTH = 200
 """Characters of a message from elsewhere."""
 
-PASSED_OVER = ("vertex", "line")
+IGNORED_CELLS = ("vertex", "line")
 """Cells without a surface, which files may hold besides their triangles."""
 
 
@@ -35,7 +35,7 @@ class MeshFileError(Exception):
 
 
 @dataclass(frozen=True)
-class Soup:
+class RawTriangles:
     """Triangles as a file has them: points (n, 3), corners (t, 3), and how many four-sided cells were cut in two."""
 
     points: np.ndarray
@@ -43,19 +43,19 @@ class Soup:
     quad_count: int = 0
 
 
-def read_triangles(path: Path) -> Soup:
+def read_triangles(path: Path) -> RawTriangles:
     """The triangles in a file, in its own units. Raises MeshFileError with what keeps them from being a wall."""
     raw = _bytes(path)
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise MeshFileError(f"is no kind of file that is read here; the kinds are {', '.join(FORMATS)}")
-    return _sound(_soup(path, kind, raw))
+    return _validated(_soup(path, kind, raw))
 
 
-def _soup(path: Path, kind: str, raw: bytes) -> Soup:
+def _soup(path: Path, kind: str, raw: bytes) -> RawTriangles:
     try:
         if kind == "obj":
-            return Soup(*read_obj(raw))
+            return RawTriangles(*read_obj(raw))
         if kind == "vtu":
             return _soup_of(read_vtu(path, LARGEST_FILE))
     except (ObjError, VtuError) as error:
@@ -88,15 +88,15 @@ def _stl_count(raw: bytes) -> int:
     return int(np.frombuffer(raw, "<u4", 1, STL_HEADER - 4)[0]) if len(raw) >= STL_HEADER else -1
 
 
-def _binary_stl(raw: bytes) -> Soup:
-    count, room = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
+def _binary_stl(raw: bytes) -> RawTriangles:
+    count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
         raise MeshFileError(f"is cut short: it has {len(raw)} bytes, fewer than the head of an STL file")
-    if count > room:
-        raise MeshFileError(f"says it holds {count} triangles, but has room for {room}: it is cut short or damaged")
-    records = np.frombuffer(raw, STL_RECORD, min(count, MOST_TRIANGLES + 1), STL_HEADER)
+    if count > capacity:
+        raise MeshFileError(f"says it holds {count} triangles, but has room for {capacity}: it is cut short or damaged")
+    records = np.frombuffer(raw, STL_RECORD, min(count, MAX_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)
-    return Soup(points, np.arange(len(points)).reshape(-1, 3))
+    return RawTriangles(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
@@ -107,24 +107,24 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             return read(path)
     except (Exception, SystemExit) as error:
-        why = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:LONGEST_WHY]
-        why = why or "it is damaged, or of another kind"
-        raise MeshFileError(f"cannot be read as {kind.upper()}: {why}") from None
+        reason = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:MAX_REASON_LENGTH]
+        reason = reason or "it is damaged, or of another kind"
+        raise MeshFileError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
-def _soup_of(mesh: meshio.Mesh) -> Soup:
+def _soup_of(mesh: meshio.Mesh) -> RawTriangles:
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
     triangles, quads = _cells(mesh, "triangle", 3), _cells(mesh, "quad", 4)
     others = {block.type: len(block.data) for block in mesh.cells}
-    for known in ("triangle", "quad", *PASSED_OVER):
+    for known in ("triangle", "quad", *IGNORED_CELLS):
         others.pop(known, None)
     if any(others.values()):
         named = ", ".join(f"{count} {name}" for name, count in others.items())
         raise MeshFileError(f"holds {named}, but a wall is made of triangles; write out its surface alone")
-    halves = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return Soup(points, np.concatenate([triangles, halves]), len(quads))
+    triangles_of_quads = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return RawTriangles(points, np.concatenate([triangles, triangles_of_quads]), len(quads))
 
 
 def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
@@ -132,18 +132,22 @@ def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
     return np.concatenate([np.empty((0, corner_count), dtype=np.int64), *blocks])
 
 
-def _sound(soup: Soup) -> Soup:
+def _validated(triangles_read: RawTriangles) -> RawTriangles:
     """The same triangles, if there are some, not too many, with finite corners that exist."""
-    count = len(soup.corners)
+    count = len(triangles_read.corners)
     if not count:
         raise MeshFileError("holds no triangles")
-    if count > MOST_TRIANGLES:
-        raise MeshFileError(f"holds more than {MOST_TRIANGLES} triangles, the most a mesh may have")
-    if soup.points.ndim != 2 or soup.points.shape[1] != 3 or soup.corners.max() >= len(soup.points):
+    if count > MAX_TRIANGLES:
+        raise MeshFileError(f"holds more than {MAX_TRIANGLES} triangles, the most a mesh may have")
+    if (
+        triangles_read.points.ndim != 2
+        or triangles_read.points.shape[1] != 3
+        or triangles_read.corners.max() >= len(triangles_read.points)
+    ):
         raise MeshFileError("names corners that it does not hold: it is damaged")
-    if soup.corners.min() < 0:
+    if triangles_read.corners.min() < 0:
         raise MeshFileError("names corners that it does not hold: it is damaged")
-    wrong = ~np.isfinite(soup.points[soup.corners]).all(axis=(1, 2))
+    wrong = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
     if wrong.any():
         raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are no numbers")
-    return soup
+    return triangles_read

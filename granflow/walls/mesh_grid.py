@@ -1,4 +1,4 @@
-"""The grid of one mesh at rest: for every cell the triangles that a sphere centred there could touch. numpy only.
+"""The grid of one mesh at rest: for every cell the triangles that a sphere centered there could touch. numpy only.
 
 A triangle is listed in all cells that it comes within reach of, so that a sphere looks into one cell only and finds
 each triangle once. What a sphere costs is then what there is near it, however many triangles there are elsewhere.
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.walls.mesh_contact import bare_distance, rows
+from granflow.walls.mesh_contact import bare_distance, row_entries
 from granflow.walls.shape import FAR_AWAY
 
-CELLS_PER_TRIANGLE, LEAST_CELLS = 8.0, 4096
+CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
 """Most cells of a grid."""
 
-LISTED_PER_TRIANGLE, LEAST_LISTED = 64.0, 65536
+ENTRIES_PER_TRIANGLE, MIN_ENTRIES = 64.0, 65536
 """Most triangles looked at for all cells: a large one lies in many."""
 
 BOUND_SHARE = 1.0 + 1e-5
 """Room for the rounding of positions on the device, single precision included, over the reach."""
 
-PART = 200_000
+CHUNK_PAIRS = 200_000
 """Pairs of cell and triangle whose distance is found at a time."""
 
 
@@ -36,13 +36,13 @@ class MeshGrid:
 
 
 def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
-    """The grid of triangles (t, 3, 3) for centres within `reach` [m] of them."""
+    """The grid of triangles (t, 3, 3) for centers within `reach` [m] of them."""
     reach = reach * BOUND_SHARE
     low, high = vertex.min(axis=(0, 1)) - reach, vertex.max(axis=(0, 1)) + reach
     side = side_of(vertex, reach, low, high)
     shape = np.maximum(np.ceil((high - low) / side), 1).astype(np.int64)
     cell, triangle = overlaps(vertex, reach, low, side, shape)
-    cell, triangle = closer_ones(vertex, reach, low, side, shape, cell, triangle)
+    cell, triangle = within_reach(vertex, reach, low, side, shape, cell, triangle)
     order = np.lexsort((triangle, cell))
     start = np.searchsorted(cell[order], np.arange(int(np.prod(shape)) + 1))
     return MeshGrid(low, side, shape, start, triangle[order])
@@ -50,12 +50,12 @@ def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
 
 def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distance (n,) [m] of points (n, 3) from the triangles (t, 3, 3) of the grid; FAR_AWAY beyond its reach."""
-    place = np.floor((points - grid.low) / grid.side).astype(np.int64)
-    inside = np.flatnonzero(np.all((place >= 0) & (place < grid.shape), axis=1))
-    x, y, z = place[inside].T
-    asked, listed = rows(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
+    cell = np.floor((points - grid.low) / grid.side).astype(np.int64)
+    inside = np.flatnonzero(np.all((cell >= 0) & (cell < grid.shape), axis=1))
+    x, y, z = cell[inside].T
+    query, entry = row_entries(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
     found = np.full(len(points), FAR_AWAY)
-    np.minimum.at(found, inside[asked], bare_distance(vertex[grid.triangle[listed]], points[inside[asked]]))
+    np.minimum.at(found, inside[query], bare_distance(vertex[grid.triangle[entry]], points[inside[query]]))
     return found
 
 
@@ -65,9 +65,9 @@ def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray)
     count, side = len(vertex), reach
     while True:
         cells = np.prod(np.ceil((high - low) / side))
-        listed = np.prod(size / side + 1.0, axis=1).sum()
-        few = cells <= CELLS_PER_TRIANGLE * count + LEAST_CELLS
-        if few and listed <= LISTED_PER_TRIANGLE * count + LEAST_LISTED:
+        entries = np.prod(size / side + 1.0, axis=1).sum()
+        few = cells <= CELLS_PER_TRIANGLE * count + MIN_CELLS
+        if few and entries <= ENTRIES_PER_TRIANGLE * count + MIN_ENTRIES:
             return side
         side *= 1.25
 
@@ -88,15 +88,15 @@ def overlaps(
     return (z * shape[1] + y) * shape[0] + x, triangle
 
 
-def closer_ones(
+def within_reach(
     vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray, cell: np.ndarray,
     triangle: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Those pairs whose cell, seen as the ball around it, comes within `reach` of the triangle."""
-    kept = np.ones(len(cell), bool)
-    for begin in range(0, len(cell), PART):
-        part = slice(begin, begin + PART)
+    is_near = np.ones(len(cell), bool)
+    for begin in range(0, len(cell), CHUNK_PAIRS):
+        part = slice(begin, begin + CHUNK_PAIRS)
         x, y, z = cell[part] % shape[0], cell[part] // shape[0] % shape[1], cell[part] // (shape[0] * shape[1])
         center = low + side * (np.stack([x, y, z], axis=1) + 0.5)
-        kept[part] = bare_distance(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
-    return cell[kept], triangle[kept]
+        is_near[part] = bare_distance(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
+    return cell[is_near], triangle[is_near]

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from granflow.walls.mesh_links import edges_of, pairs_of
+from granflow.walls.mesh_adjacency import edges_of, pairs_of
 
-MOST_COMPARED = 2 * 10**8
+MAX_PAIRS = 2 * 10**8
 """Pairs of open edge and point beyond which a mesh is left as it is: nothing in it fits together."""
 
-PART = 10**6
+CHUNK_PAIRS = 10**6
 """Pairs that are looked at together."""
 
 
@@ -34,26 +34,28 @@ def hanging_points(
     _, _, open_ = pairs_of(edges_of(corners))
     open_ = np.sort(open_)
     start, end = corners.reshape(-1)[open_], np.roll(corners, -1, axis=1).reshape(-1)[open_]
-    loose = np.unique(start)
+    candidate_points = np.unique(start)
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
-    if len(open_) * len(loose) <= MOST_COMPARED:
-        step = max(PART // max(len(loose), 1), 1)
+    if len(open_) * len(candidate_points) <= MAX_PAIRS:
+        step = max(CHUNK_PAIRS // max(len(candidate_points), 1), 1)
         for first in range(0, len(open_), step):
             part = slice(first, first + step)
-            edge, point = np.nonzero(lies_on(points, start[part], end[part], loose, tolerance))
-            found.append(np.stack([open_[part][edge], loose[point]]))
+            edge, point = np.nonzero(lies_on(points, start[part], end[part], candidate_points, tolerance))
+            found.append(np.stack([open_[part][edge], candidate_points[point]]))
     edge, point = np.concatenate(found, axis=1)
     return edge // 3, edge % 3, point
 
 
-def lies_on(points: np.ndarray, start: np.ndarray, end: np.ndarray, loose: np.ndarray, tolerance: float) -> np.ndarray:
+def lies_on(
+    points: np.ndarray, start: np.ndarray, end: np.ndarray, candidate_points: np.ndarray, tolerance: float
+) -> np.ndarray:
     """Whether (e, p) each point lies on each edge, apart from its ends."""
     along = points[end] - points[start]
     length = np.linalg.norm(along, axis=1)
-    away = points[loose][None, :, :] - points[start][:, None, :]
+    away = points[candidate_points][None, :, :] - points[start][:, None, :]
     height = np.einsum("epx,ex->ep", away, along / length[:, None])
-    beside = np.sqrt(np.maximum(np.einsum("epx,epx->ep", away, away) - height**2, 0.0))
-    return (beside <= tolerance) & (height > tolerance) & (height < length[:, None] - tolerance)
+    distance = np.sqrt(np.maximum(np.einsum("epx,epx->ep", away, away) - height**2, 0.0))
+    return (distance <= tolerance) & (height > tolerance) & (height < length[:, None] - tolerance)
 
 
 def fans(
@@ -62,9 +64,9 @@ def fans(
     """Triangles from the corner across to the pieces of the divided side, for each divided triangle."""
     found = []
     for each in np.unique(triangle):
-        mine = triangle == each
-        start, end, across = np.roll(corners[each], -int(side[mine][0]))
-        inner = on_edge[mine]
+        is_this = triangle == each
+        start, end, across = np.roll(corners[each], -int(side[is_this][0]))
+        inner = on_edge[is_this]
         inner = inner[np.argsort((points[inner] - points[start]) @ (points[end] - points[start]), kind="stable")]
         ends = np.array([start, *inner, end])
         found += [[a, b, across] for a, b in zip(ends[:-1], ends[1:], strict=True)]

@@ -17,7 +17,7 @@ class Vibration:
 
         s(t) = A [sin(w (t - start) + phase) - sin(phase)]        start <= t < end
 
-    so that nothing jumps at `start`; the centre of the vibration is at -A sin(phase). The velocity starts at
+    so that nothing jumps at `start`; the center of the vibration is at -A sin(phase). The velocity starts at
     A w cos(phase): with a phase of a quarter turn (pi/2 or -pi/2) it starts from rest.
     """
 
@@ -50,14 +50,14 @@ class Rotation:
 
 
 @dataclass(frozen=True)
-class Driven:
+class ForceControlled:
     """A wall that the grains' forces move from `start` to `end`: its displacement is found step by step, not here."""
 
     start: float = 0.0
     end: float = inf
 
 
-Motion = Vibration | Translation | Rotation | Driven
+Motion = Vibration | Translation | Rotation | ForceControlled
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     offset = np.zeros((len(times), 3))
     velocity = np.zeros((len(times), 3))
     for motion in motions:
-        if not isinstance(motion, Rotation | Driven):
+        if not isinstance(motion, Rotation | ForceControlled):
             displacement, rate = displacement_and_rate(motion, times)
             offset += displacement
             velocity += rate
-    rotation, angular_velocity, pivot = turning(single_rotation(motions), times)
+    rotation, angular_velocity, pivot = rotation_of(single_rotation(motions), times)
     return Poses(offset, rotation, velocity, angular_velocity, pivot)
 
 
@@ -105,7 +105,7 @@ def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) ->
     return np.outer(displacement, direction), np.outer(rate, direction)
 
 
-def turning(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m]."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
@@ -146,7 +146,7 @@ def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     Driven motions are not counted.
 
     `reach` is the largest distance [m] from the rotation's axis of geometry that moves when turning
-    (`catalogue.reach_about`); it does not matter without a rotation.
+    (`catalog.reach_about`); it does not matter without a rotation.
     """
     bound = 0.0
     for motion in motions:

@@ -1,6 +1,6 @@
 """Flat walls: the half space (one-sided) and the rectangle (two-sided).
 
-Edges of rectangles are not joined with their neighbours (see `rims` for surfaces of revolution). Inside a
+Edges of rectangles are not joined with their neighbors (see `edges` for surfaces of revolution). Inside a
 box of rectangles nothing is needed: the nearest points are on faces. Outside, at a convex edge that two
 rectangles share, a grain touches both edges and feels twice the stiffness there. A rectangle on a half space
 is harmless: the shared edge can only be reached through the half space.
@@ -82,10 +82,10 @@ def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -
     """Twin of `closest_on_rectangle`: find the nearest point in space, then look from there to the point."""
     corner, frame, lengths = parameters[0:3], parameters[3:9].reshape(2, 3), parameters[12:14]
     along = np.clip((points - corner) @ frame.T, 0.0, lengths)
-    away = points - (corner + along @ frame)
-    distance = np.linalg.norm(away, axis=1)
+    from_surface = points - (corner + along @ frame)
+    distance = np.linalg.norm(from_surface, axis=1)
     touching = distance == 0.0
-    normal = away / np.where(touching, 1.0, distance)[:, None]
+    normal = from_surface / np.where(touching, 1.0, distance)[:, None]
     normal[touching] = np.cross(frame[0], frame[1])
     return distance, normal
 

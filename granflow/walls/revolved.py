@@ -1,7 +1,7 @@
 """Surfaces of revolution: a straight segment in the (r, z) half plane turned about an axis.
 
 Cylinder, cone frustum and disc (with a round hole or none) are all this. The surface is thin and felt from
-both sides. Each end of the segment is a circular rim; `rims.join_rims` tells it who else shares the rim.
+both sides. Each end of the segment is a circular rim; `edges.join_shared_edges` tells it who else shares the rim.
 """
 
 import numpy as np
@@ -57,10 +57,10 @@ def revolved_distance(point, parameters):
 
 
 @ti.func
-def counts_here(along, height, parameters):
+def owns_contact(along, height, parameters):
     """Whether this surface answers for the contact.
 
-    Always on its face; on a rim only if it owns the rim and the point lies beyond the end of the neighbour too
+    Always on its face; on a rim only if it owns the rim and the point lies beyond the end of the neighbor too
     (whose face is nearer otherwise).
     """
     before = along <= 0.0
@@ -92,7 +92,7 @@ def closest_on_revolved(point, parameters):
     normal_r = tangential * parameters[8] + perpendicular * parameters[9]
     normal_z = tangential * parameters[9] - perpendicular * parameters[8]
     normal = normal_r * radial + normal_z * ti.Vector([parameters[3], parameters[4], parameters[5]])
-    distance = ti.select(counts_here(along, height, parameters), gap, FAR_AWAY)
+    distance = ti.select(owns_contact(along, height, parameters), gap, FAR_AWAY)
     return distance, normal
 
 
@@ -106,21 +106,23 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
     chord = rim2 - rim1
     fraction = np.sum((points - rim1) * chord, axis=1) / np.sum(chord * chord, axis=1)
     foot = rim1 + np.clip(fraction, 0.0, 1.0)[:, None] * chord
-    away = points - foot
-    distance = np.linalg.norm(away, axis=1)
+    from_surface = points - foot
+    distance = np.linalg.norm(from_surface, axis=1)
     touching = distance == 0.0
     face_normal = np.cross(chord, np.cross(axis, outward)) / np.linalg.norm(chord, axis=1)[:, None]
-    normal = away / np.where(touching, 1.0, distance)[:, None]
+    normal = from_surface / np.where(touching, 1.0, distance)[:, None]
     normal[touching] = face_normal[touching]
-    refused = (fraction <= 0) & ~reference_rim_counts(away, outward, axis, parameters[10:13])
-    refused |= (fraction >= 1) & ~reference_rim_counts(away, outward, axis, parameters[13:16])
-    return np.where(refused, FAR_AWAY, distance), normal
+    not_owned = (fraction <= 0) & ~reference_edge_counts(from_surface, outward, axis, parameters[10:13])
+    not_owned |= (fraction >= 1) & ~reference_edge_counts(from_surface, outward, axis, parameters[13:16])
+    return np.where(not_owned, FAR_AWAY, distance), normal
 
 
-def reference_rim_counts(away: np.ndarray, outward: np.ndarray, axis: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Whether a rim (neighbour r, neighbour z, owner) answers for points that lie `away` (n, 3) from it."""
-    neighbour = rim[0] * outward + rim[1] * axis
-    return (rim[2] > 0) & (np.sum(away * neighbour, axis=1) <= 0)
+def reference_edge_counts(
+    from_surface: np.ndarray, outward: np.ndarray, axis: np.ndarray, edge: np.ndarray
+) -> np.ndarray:
+    """Whether a rim (neighbor r, neighbor z, owner) answers for points that lie `from_surface` (n, 3) from it."""
+    neighbor = edge[0] * outward + edge[1] * axis
+    return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
 
 
 def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -155,12 +157,12 @@ def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float
 
 def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
     """The farthest point of either rim from the axis; 0 if the surface turns about its own axis."""
-    origin, own_axis = parameters[0:3], parameters[3:6]
+    origin, axis_of_shape = parameters[0:3], parameters[3:6]
     radius = max(end[0] for end in profile(parameters))
-    centers = np.array([origin + end[1] * own_axis for end in profile(parameters)])
-    away = distance_from_axis(centers, point, axis).max()
+    centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
+    from_surface = distance_from_axis(centers, point, axis).max()
     size = radius + parameters[7]
-    return 0.0 if is_parallel(own_axis, axis) and away <= 1e-9 * size else float(away + radius)
+    return 0.0 if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size else float(from_surface + radius)
 
 
 def revolved_area(parameters: np.ndarray) -> float:
@@ -175,8 +177,8 @@ REVOLVED = ShapeKind(
         *("origin_x", "origin_y", "origin_z"),
         *("axis_x", "axis_y", "axis_z"),
         *("start_r", "length", "direction_r", "direction_z"),
-        *("start_neighbour_r", "start_neighbour_z", "start_owned"),
-        *("end_neighbour_r", "end_neighbour_z", "end_owned"),
+        *("start_neighbor_r", "start_neighbor_z", "start_owned"),
+        *("end_neighbor_r", "end_neighbor_z", "end_owned"),
     ),
     closest=closest_on_revolved,
     bare_distance=revolved_distance,

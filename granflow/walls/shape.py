@@ -9,7 +9,7 @@ PARAMETER_COUNT = 16
 """Every shape of every kind is described by this many floats, so that all of them fit one device field."""
 
 FAR_AWAY = 1e9
-"""Distance [m] reported where a surface has no contact to offer (see `rims`): beyond any radius plus skin,
+"""Distance [m] reported where a surface has no contact to offer (see `edges`): beyond any radius plus skin,
 and small enough for its square to be finite in f32."""
 
 

@@ -1,6 +1,6 @@
 """The scene that most cases start from, and its small variations."""
 
-from trials import plane
+from scene_builders import plane
 
 BEADS = """\
 title: Ten beads fall
@@ -15,8 +15,8 @@ particles:
     material: glass
     count: 10
     diameter: 4 mm
-    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
-domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], leaving: error}
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
+domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
 run: {duration: 50 ms}
 output: {interval: 10 ms}
 """
@@ -47,7 +47,7 @@ def scene(text: str, **files: str | bytes):
 
 
 def built(made, **files: str | bytes):
-    """A `prepare` that writes a scene built by `trials.trial`; `made` is the function that builds it."""
+    """A `prepare` that writes a scene built by `scene_builders.build_scene`; `made` is the function that builds it."""
     return lambda sandbox: scene(made().text(), **files)(sandbox)
 
 

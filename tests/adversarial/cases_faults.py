@@ -29,8 +29,8 @@ def signalled(number: int, wait: float = 0.0):
         running.send_signal(number)
         began = time.monotonic()
         done = sandbox.finish(running, "run beads.yaml --out out")
-        taken = time.monotonic() - began
-        assert taken < 10.0, f"{taken:.1f} s from the signal to the end"
+        copied = time.monotonic() - began
+        assert copied < 10.0, f"{copied:.1f} s from the signal to the end"
         return done
 
     return act

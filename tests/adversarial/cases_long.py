@@ -8,7 +8,7 @@ import numpy as np
 from adversarial.beads import BEADS, changed, scene, solid
 from adversarial.case import Case
 from adversarial.sandbox import Done, Sandbox, Skip
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 
 FRAMES = 100_000
 STEPS = 1_000_000
@@ -48,21 +48,21 @@ def settled_bed():
         unit = np.eye(3)[axis]
         walls[f"low_{name}"] = solid([0.0] * 3, unit.tolist())
         walls[f"high_{name}"] = solid((side * unit).tolist(), (-unit).tolist())
-    places = 0.0058 * (np.argwhere(np.ones((10, 10, 10))) + 0.7)
+    positions = 0.0058 * (np.argwhere(np.ones((10, 10, 10))) + 0.7)
     duration = STEPS * step
-    return trial(
-        {"beads": balls(places, np.random.default_rng(5).uniform(0.0046, 0.0054, len(places)))},
+    return build_scene(
+        {"beads": particle_group(positions, np.random.default_rng(5).uniform(0.0046, 0.0054, len(positions)))},
         walls,
         pair={"friction": 0.4, "restitution": 0.6},
         gravity=[0.0, 0.0, -9.81],
-        domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.5], "leaving": "error"},
+        domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.5], "on_exit": "error"},
         materials={"glass": {"young_modulus": 5e6, "poisson_ratio": 0.25, "density": 2500.0}},
         run={"duration": duration, "time_step": step, "velocity_max": 2.0},
         output={"interval": duration / 100.0, "contacts": True, "checkpoint": {"interval": duration / 50.0}},
     )
 
 
-def watched(sandbox: Sandbox) -> Done:
+def run_and_sample(sandbox: Sandbox) -> Done:
     """Resident memory [kB] and open files of the process every second, compared after the run has warmed up."""
     if not Path("/proc/self/statm").exists():
         raise Skip("memory and open files are read from /proc")
@@ -116,7 +116,7 @@ CASES = [
         "long runs",
         "long_steps",
         "1 000 000 steps of 1000 particles",
-        act=watched,
+        act=run_and_sample,
         code=0,
         prepare=lambda sandbox: sandbox.write("beads.yaml", settled_bed().text()),
         verify=all_particles,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from adversarial.beads import beads, solid
 from adversarial.case import Case
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 from walls.meshes import sheet
 
 from adversarial.cases_input import as_stl  # isort: skip
@@ -68,8 +68,8 @@ def corner():
         "lid": solid([0, 0, 0], [0.7, 0, -0.7]),
         "back": solid([0, 0, 0], [0, 1, 0]),
     }
-    ball = balls([[0.02, 0.006, 0.006]], velocity=[-1.0, -1.0, 0.0])
-    return trial({"ball": ball}, walls, pair=HARD, **FALL)
+    ball = particle_group([[0.02, 0.006, 0.006]], velocity=[-1.0, -1.0, 0.0])
+    return build_scene({"ball": ball}, walls, pair=HARD, **FALL)
 
 
 def check_corner(seen):
@@ -80,9 +80,9 @@ def check_corner(seen):
 
 def hole():
     """Two particles above a floor of triangles with a square hole of 6 cm in its middle."""
-    ball = balls([[0.0, 0.0, 0.02], [0.06, 0.06, 0.02]])
+    ball = particle_group([[0.0, 0.0, 0.02], [0.06, 0.06, 0.02]])
     floor = {"shape": "mesh", "file": "floor.stl", "material": "glass"}
-    return trial({"ball": ball}, {"floor": floor}, pair=HARD, **(FALL | {"run": {"duration": 0.15}}))
+    return build_scene({"ball": ball}, {"floor": floor}, pair=HARD, **(FALL | {"run": {"duration": 0.15}}))
 
 
 def floor_with_hole() -> bytes:
@@ -101,8 +101,8 @@ def check_hole(seen):
 
 def fixed_on_fixed():
     """Two fixed particles that overlap, and a free one that falls beside them."""
-    fixed = balls([[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]]) | {"fixed": True}
-    return trial({"fixed": fixed, "free": balls([[0.1, 0.0, 0.1]])}, pair=HARD, **FALL)
+    fixed = particle_group([[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]]) | {"fixed": True}
+    return build_scene({"fixed": fixed, "free": particle_group([[0.1, 0.0, 0.1]])}, pair=HARD, **FALL)
 
 
 def check_fixed(seen):
@@ -115,8 +115,8 @@ def walls_cross():
     """A plane that moves through another plane, with a particle between them: it is squeezed until a limit aborts."""
     down = {"kind": "translation", "velocity": [0, 0, -0.5]}
     walls = {"floor": solid([0, 0, 0], [0, 0, 1]), "lid": solid([0, 0, 0.02], [0, 0, -1]) | {"motion": [down]}}
-    return trial(
-        {"ball": balls([[0.0, 0.0, 0.006]])},
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.006]])},
         walls,
         pair=HARD,
         **(FALL | {"run": {"duration": 0.1, "velocity_max": 1.0}}),
@@ -136,7 +136,7 @@ def walls_cross_empty():
             "motion": [down],
         },
     }
-    return trial({"ball": balls([[0.1, 0.0, 0.0049]])}, walls, pair=HARD, **FALL)
+    return build_scene({"ball": particle_group([[0.1, 0.0, 0.0049]])}, walls, pair=HARD, **FALL)
 
 
 def check_rest(seen):
@@ -145,10 +145,13 @@ def check_rest(seen):
 
 def narrow(width: float):
     """Four particles of 1 cm in a periodic box that is `width` wide along x and y."""
-    domain = {"min": [0, 0, -0.05], "max": [width, width, 0.1], "periodic": ["x", "y"], "leaving": "error"}
-    places = [[0.25 * width, 0.25 * width, 0.006 + 0.02 * k] for k in range(4)]
-    return trial(
-        {"ball": balls(places)}, {"floor": solid([0, 0, 0], [0, 0, 1])}, pair=HARD, **(FALL | {"domain": domain})
+    domain = {"min": [0, 0, -0.05], "max": [width, width, 0.1], "periodic": ["x", "y"], "on_exit": "error"}
+    positions = [[0.25 * width, 0.25 * width, 0.006 + 0.02 * k] for k in range(4)]
+    return build_scene(
+        {"ball": particle_group(positions)},
+        {"floor": solid([0, 0, 0], [0, 0, 1])},
+        pair=HARD,
+        **(FALL | {"domain": domain}),
     )
 
 
@@ -165,8 +168,8 @@ def check_narrow(seen):
 def ratio():
     """A sphere of 10 cm on which particles of 0.1 mm fall: a radius ratio of 1000."""
     side = 1.5e-4 * np.argwhere(np.ones((5, 5, 1))) + [0.0, 0.0, 0.0502]
-    groups = {"large": balls([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True}, "small": balls(side, 1e-4)}
-    return trial(
+    groups = {"large": particle_group([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True}, "small": particle_group(side, 1e-4)}
+    return build_scene(
         groups, pair=HARD, **(FALL | {"run": {"duration": 0.01, "velocity_max": 0.2}, "output": {"interval": 0.005}})
     )
 
@@ -180,8 +183,8 @@ def check_ratio(seen):
 def fast_motion():
     """A floor that vibrates with a period of 1 us, a tenth of the time step."""
     shake = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-9, "frequency": 1e6}
-    return trial(
-        {"ball": balls([[0.0, 0.0, 0.006]])},
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.006]])},
         {"floor": solid([0, 0, 0], [0, 0, 1]) | {"motion": [shake]}},
         pair=HARD,
         **(FALL | {"run": {"duration": 0.01, "time_step": 1e-5, "velocity_max": 1.0}}),
@@ -196,8 +199,8 @@ def bullet(velocity: float, **numerics):
         "sides": [[0.2, 0, 0], [0, 0.2, 0]],
         "material": "glass",
     }
-    ball = balls([[0.0, 0.0, 0.05]], 0.002, velocity=[0.0, 0.0, -velocity])
-    return trial(
+    ball = particle_group([[0.0, 0.0, 0.05]], 0.002, velocity=[0.0, 0.0, -velocity])
+    return build_scene(
         {"ball": ball},
         {"plate": plate},
         pair={"restitution": 0.9, "friction": 0.0},
@@ -215,8 +218,10 @@ def check_not_through(seen):
 
 def speed_of_light():
     """Two particles that collide at 1e6 m/s although the time step is for 1 m/s."""
-    ball = balls([[-0.02, 0, 0], [0.02, 0, 0]], velocity=[[1e6, 0, 0], [-1e6, 0, 0]])
-    return trial({"ball": ball}, pair=HARD, run={"duration": 1e-4, "velocity_max": 1.0}, output={"interval": 1e-5})
+    ball = particle_group([[-0.02, 0, 0], [0.02, 0, 0]], velocity=[[1e6, 0, 0], [-1e6, 0, 0]])
+    return build_scene(
+        {"ball": ball}, pair=HARD, run={"duration": 1e-4, "velocity_max": 1.0}, output={"interval": 1e-5}
+    )
 
 
 def abort_files(sandbox, done):
@@ -341,7 +346,9 @@ def physics() -> list[Case]:
             (2, 3),
             says=("overlap|same position|coincide",),
             verify=abort_files,
-            prepare=beads(("    count: 10\n", ""), (LATTICE, "{kind: list, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}")),
+            prepare=beads(
+                ("    count: 10\n", ""), (LATTICE, "{kind: positions, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}")
+            ),
         ),
     ]
 

@@ -104,11 +104,11 @@ def other_python(sandbox: Sandbox) -> Done:
 
 
 def forced(*arguments: str, prepare=rain):
-    """A finished run, then `run --force` with arguments that are refused: the old run must stay."""
+    """A finished run, then `run --overwrite` with arguments that are refused: the old run must stay."""
 
     def act(sandbox: Sandbox) -> Done:
         shutil.copytree(reference(), sandbox.path("out"))
-        done = sandbox.run(" ".join(["run beads.yaml --out out --force", *arguments]))
+        done = sandbox.run(" ".join(["run beads.yaml --out out --overwrite", *arguments]))
         as_undisturbed(sandbox)
         return done
 
@@ -148,14 +148,14 @@ def resumptions() -> list[Case]:
         refused(
             "resume_step",
             "another time step, although told to accept changes",
-            "resume out --anyway --set run.time_step=1e-6",
+            "resume out --allow-changes --set run.time_step=1e-6",
             "time_step",
         ),
         refused("resume_precision", "another precision", "resume out --precision f32", "precision"),
         refused(
             "resume_precision_anyway",
             "another precision, although told to accept changes",
-            "resume out --precision f32 --anyway",
+            "resume out --precision f32 --allow-changes",
             "precision|time_step|f64",
         ),
         refused("resume_arch", "an accelerator that is absent", "resume out --arch cuda", "cuda"),
@@ -229,7 +229,7 @@ def resumptions() -> list[Case]:
         case(
             group,
             "force_arch",
-            "`run --force` on an accelerator that is absent",
+            "`run --overwrite` on an accelerator that is absent",
             forced("--arch cuda"),
             2,
             ("cuda",),
@@ -238,7 +238,7 @@ def resumptions() -> list[Case]:
         case(
             group,
             "force_step",
-            "`run --force` with a time step that is too large",
+            "`run --overwrite` with a time step that is too large",
             forced("--set run.time_step=1s"),
             2,
             ("above the stable",),
@@ -247,9 +247,9 @@ def resumptions() -> list[Case]:
         case(
             group,
             "force_room",
-            "`run --force` with more particles than fit",
+            "`run --overwrite` with more particles than fit",
             forced(
-                "--set 'particles.beads.place={kind: lattice, region: {box: {min: [0, 0, 0], max: [5mm, 5mm, 5mm]}}}'"
+                "--set 'particles.beads.insert={kind: lattice, region: {box: {min: [0, 0, 0], max: [5mm, 5mm, 5mm]}}}'"
             ),
             2,
             ("only",),
@@ -258,7 +258,7 @@ def resumptions() -> list[Case]:
         case(
             group,
             "force_start",
-            "`run --force` with `start_from` in the same directory",
+            "`run --overwrite` with `start_from` in the same directory",
             forced("--set start_from=out"),
             2,
             ("start_from",),

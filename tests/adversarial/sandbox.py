@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from resume.faults import VICTIM
+from resume.faults import FAULT_INJECTION
 
 ROOT = Path(__file__).parents[2]
 CACHE = ROOT / ".pytest_cache" / "kernels"
@@ -69,12 +69,12 @@ class Sandbox:
         return path
 
     def run(self, command: str, fault: tuple[str, str] | None = None, **options) -> Done:
-        """`granflow COMMAND` to its end; `fault`: in a process with that fault, see tests/resume/victim.py."""
+        """`granflow COMMAND` to its end; `fault`: in a process with that fault, see tests/resume/fault_injection.py."""
         return self.finish(self.start(command, fault, **options), command)
 
     def start(self, command: str, fault: tuple[str, str] | None = None, **options) -> subprocess.Popen:
         """`granflow COMMAND` as a running process, its outputs in files beside the directory."""
-        program = ["-m", "granflow"] if fault is None else [VICTIM, *fault]
+        program = ["-m", "granflow"] if fault is None else [FAULT_INJECTION, *fault]
         return self.start_program([sys.executable, *program, *shlex.split(command)], **options)
 
     def start_program(self, words: list[str], env=(), **options) -> subprocess.Popen:
@@ -83,8 +83,8 @@ class Sandbox:
         outputs = [open(self.home.parent / f"output_{number}.{end}", "w+b") for end in ("out", "err")]
         variables = {**os.environ, "GRANFLOW_CACHE": str(CACHE), **dict(env)}
         given = {"cwd": self.home, "stdout": outputs[0], "stderr": outputs[1], "stdin": subprocess.DEVNULL} | options
-        kept = {name: value for name, value in variables.items() if value is not None}
-        process = subprocess.Popen(words, env=kept, **given)
+        saved = {name: value for name, value in variables.items() if value is not None}
+        process = subprocess.Popen(words, env=saved, **given)
         process.outputs = outputs
         return process
 

@@ -12,10 +12,10 @@ import pytest
 import granflow.scene
 from granflow.cli.main import build_parser, main
 from granflow.cli.messages import Terminated, show_comparison
-from granflow.cli.scenes import make_room
+from granflow.cli.scenes import prepare_output
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.observe import RESULT_FILES, Judgement, Result, locked
-from granflow.scene.places import FromFile
+from granflow.observe import RESULT_FILES, ExpectationResult, Result, locked
+from granflow.scene.insertion_schema import FileInsertion
 from granflow.scene.schema import MeshWall
 
 
@@ -131,7 +131,7 @@ def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (False, 1)])
 def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
-    stand_ins.judged = (Judgement("kinetic_energy is 1 J", True), Judgement("mass_flow is 2 kg/s", met))
+    stand_ins.judged = (ExpectationResult("kinetic_energy is 1 J", True), ExpectationResult("mass_flow is 2 kg/s", met))
     assert main(["run", "a.yaml"]) == code
     shown = capsys.readouterr().out
     assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in shown) is not met
@@ -194,30 +194,30 @@ def test_earlier_run_is_refused_without_force_and_left_to_the_new_run_with_it(st
         (out / name).write_text(name)
     assert main(["run", "a.yaml"]) == 2
     assert "out/a holds an earlier run" in capsys.readouterr().err.replace("\\", "/")
-    assert main(["run", "a.yaml", "--force"]) == 0
+    assert main(["run", "a.yaml", "--overwrite"]) == 0
     stand_ins.raises = GranflowError("This machine has no cuda device.")
-    assert main(["run", "a.yaml", "--force"]) == 2
+    assert main(["run", "a.yaml", "--overwrite"]) == 2
     assert {path.name: path.read_text() for path in out.iterdir()} == {name: name for name in names} | {".lock": ""}
 
 
 @pytest.mark.parametrize("pattern", RESULT_FILES)
 def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
-    make_room(tmp_path, empty_scene(), force=False)
+    prepare_output(tmp_path, empty_scene(), overwrite=False)
     path = tmp_path / pattern.replace("*", "0003")
     path.parent.mkdir(exist_ok=True)
     path.touch()
-    with pytest.raises(GranflowError, match="--force"):
-        make_room(tmp_path, empty_scene(), force=False)
+    with pytest.raises(GranflowError, match="--overwrite"):
+        prepare_output(tmp_path, empty_scene(), overwrite=False)
 
 
 def empty_scene(folder=".", start_from=None, walls=(), particles=()):
-    """What `make_room` reads of a scene."""
+    """What `prepare_output` reads of a scene."""
     return types.SimpleNamespace(
         folder=Path(folder), start_from=start_from, walls=dict(walls), particles=dict(particles)
     )
 
 
-@pytest.mark.parametrize("inside", ["start_from", "walls.bowl.file", "particles.beads.place.file"])
+@pytest.mark.parametrize("inside", ["start_from", "walls.bowl.file", "particles.beads.insert.file"])
 def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
     """Also through a symbolic link; a scene whose inputs lie elsewhere replaces the run."""
     out = tmp_path / "out"
@@ -226,15 +226,15 @@ def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
         (out / name).touch()
     (tmp_path / "link").symlink_to(out)
     bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
-    beads = types.SimpleNamespace(place=FromFile.model_construct(kind="file", file="link/particles_0007.vtu"))
+    beads = types.SimpleNamespace(insertion=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu"))
     given = {
         "start_from": empty_scene(start_from=str(tmp_path / "link")),
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
-        "particles.beads.place.file": empty_scene(tmp_path, particles={"beads": beads}),
+        "particles.beads.insert.file": empty_scene(tmp_path, particles={"beads": beads}),
     }[inside]
     with pytest.raises(GranflowError, match=rf"^{inside} is .*, which lies in the output directory .*--out\.$"):
-        make_room(out, given, force=True)
-    make_room(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), force=True)
+        prepare_output(out, given, overwrite=True)
+    prepare_output(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), overwrite=True)
 
 
 def test_the_directory_stays_locked_while_the_run_is_made(stand_ins, monkeypatch):

@@ -25,8 +25,8 @@ particles:
     material: glass
     count: 10
     diameter: 4 mm
-    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
-domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], leaving: error}
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
+domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
 run: {duration: 50 ms}
 output: {interval: 10 ms}
 expect:
@@ -112,7 +112,7 @@ def test_an_earlier_run_is_kept_unless_forced_and_until_ends_early(home, done):
     (home / "out" / "beads" / "notes.txt").write_text("mine")
     assert granflow(home, "run", "beads.yaml", "--until", "20 ms").returncode == 2
     assert len(frames(home / "out" / "beads")) == 6
-    forced = granflow(home, "run", "beads.yaml", "--until", "20 ms", "--force")
+    forced = granflow(home, "run", "beads.yaml", "--until", "20 ms", "--overwrite")
     assert forced.returncode == 0, forced.stderr
     assert "Expectations are left out: --until ended the run at 0.02" in forced.stdout
     assert "as expected" not in forced.stdout
@@ -131,12 +131,12 @@ def test_an_expectation_that_is_not_met_and_a_warning(home):
 
 
 def test_a_guard_stops_the_run_after_writing_the_state(home):
-    stopped = granflow(home, "run", "beads.yaml", "--out", "guard", "--set", "numerics.overlap_limit=1e-4")
+    stopped = granflow(home, "run", "beads.yaml", "--out", "guard", "--set", "numerics.max_overlap=1e-4")
     assert stopped.returncode == 3, stopped.stderr
     sentence = stopped.stderr.splitlines()[-1]
     assert (
         sentence.startswith("granflow: Stopped: particle ")
-        and "overlaps by more than numerics.overlap_limit 0.0001" in sentence
+        and "overlaps by more than numerics.max_overlap 0.0001" in sentence
     )
     assert "Traceback" not in stopped.stderr
     out = home / "guard"
@@ -205,9 +205,9 @@ def test_a_run_that_is_told_to_stop_leaves_whole_files(home, sent, code):
     while len(frames(out)) < 3 and running.poll() is None and time.monotonic() < give_up:
         time.sleep(0.05)
     running.send_signal(sent)
-    _, said = running.communicate(timeout=60)
+    _, message = running.communicate(timeout=60)
     assert running.returncode == code
-    assert said.splitlines()[-1].endswith(f"{out.name} holds the run up to there.") and "Traceback" not in said
+    assert message.splitlines()[-1].endswith(f"{out.name} holds the run up to there.") and "Traceback" not in message
     assert not [path.name for path in out.iterdir() if path.name.endswith(".part")]
     named = (out / "particles.pvd").read_text().count("particles_")
     assert named in (len(frames(out)), len(frames(out)) - 1)

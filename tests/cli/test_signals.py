@@ -23,8 +23,8 @@ walls: {floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: gla
 particles:
   beads:
     {material: glass, count: COUNT, diameter: 4 mm,
-    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [0.4, 0.4, 0.4]}}}}
-domain: {min: [-1, -1, -0.1], max: [1.5, 1.5, 1], leaving: delete}
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [0.4, 0.4, 0.4]}}}}
+domain: {min: [-1, -1, -0.1], max: [1.5, 1.5, 1], on_exit: delete}
 output: {interval: 10 ms}
 run: {velocity_max: 5 m/s, duration: 1000 s}
 """
@@ -56,9 +56,9 @@ def end(running, number):
     """Send a signal; seconds until the process has ended, its exit code as a shell gives it, and its messages."""
     began = time.monotonic()
     running.send_signal(number)
-    _, said = running.communicate(timeout=60)
+    _, message = running.communicate(timeout=60)
     code = running.returncode if running.returncode >= 0 else 128 - running.returncode
-    return time.monotonic() - began, code, said
+    return time.monotonic() - began, code, message
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -68,27 +68,27 @@ def test_stop_while_kernels_compile(tmp_path, number, delay):
     running = started(tmp_path)
     wait_until((tmp_path / "out").exists, running)
     time.sleep(delay)
-    seconds, code, said = end(running, number)
+    seconds, code, message = end(running, number)
     assert seconds < LIMIT
     assert code == 128 + number
-    assert "Traceback" not in said
+    assert "Traceback" not in message
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stop_while_a_large_packing_is_placed(tmp_path, number):
     running = started(tmp_path, 900_000)
     time.sleep(2.0)
-    seconds, code, said = end(running, number)
+    seconds, code, message = end(running, number)
     assert seconds < LIMIT
     assert code == 128 + number
-    assert "Traceback" not in said
+    assert "Traceback" not in message
 
 
 def test_stop_between_launches_writes_a_checkpoint(tmp_path):
     running = started(tmp_path)
     wait_until((tmp_path / "out" / "particles_0001.vtu").exists, running)
-    seconds, code, said = end(running, signal.SIGTERM)
+    seconds, code, message = end(running, signal.SIGTERM)
     assert seconds < LIMIT
     assert code == 143
-    assert "granflow resume out" in said
+    assert "granflow resume out" in message
     assert len(list((tmp_path / "out").glob("checkpoint_*.npz"))) == 1

@@ -30,8 +30,8 @@ def with_closed_pipes(program, *arguments, stderr):
         process = subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=writing, stderr=stderr(writing))
     finally:
         os.close(writing)
-    _, said = process.communicate(timeout=60)
-    return process.returncode, (said or b"").decode()
+    _, message = process.communicate(timeout=60)
+    return process.returncode, (message or b"").decode()
 
 
 def read(_):
@@ -57,9 +57,9 @@ def test_a_reader_that_leaves_after_the_first_line():
 
 @pytest.mark.parametrize("stderr", [read, same])
 def test_output_that_is_not_needed_is_dropped(stderr):
-    code, said = with_closed_pipes(WITHOUT_ANY_NEED, stderr=stderr)
+    code, message = with_closed_pipes(WITHOUT_ANY_NEED, stderr=stderr)
     assert code == 7
-    assert said == ("a line of progress\n" * 1000 if stderr is read else "")
+    assert message == ("a line of progress\n" * 1000 if stderr is read else "")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux that is always full")

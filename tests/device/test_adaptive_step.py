@@ -4,14 +4,14 @@ import hashlib
 
 import numpy as np
 import pytest
-from child import in_child
-from device.test_same_bits import ARRAYS, busy_scene
-from trials import SOFT, balls, finished, trial
+from device.test_bit_identity import ARRAYS, complex_scene
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
+from subprocess_runner import in_subprocess
 
 from granflow.device import stepper
 from granflow.laws import theory
-from granflow.plan.pace import MARGIN, RUNGS_TO_DOUBLE, STEPS_BETWEEN_LOOKS
-from granflow.plan.plan import meetings_of
+from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
+from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import choose_time_step
 from granflow.scene import Scene
 from granflow.simulation import Simulation
@@ -27,9 +27,9 @@ def adaptive(scene, **run):
 
 def pair_at(gap, velocity, **run):
     """Two spheres with a gap between them that closes at a velocity; the plan reckons with 4 m/s."""
-    places = [[-RADIUS - 0.5 * gap, 0, 0], [RADIUS + 0.5 * gap, 0, 0]]
-    group = balls(places, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]])
-    return trial({"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run)
+    positions = [[-RADIUS - 0.5 * gap, 0, 0], [RADIUS + 0.5 * gap, 0, 0]]
+    group = particle_group(positions, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]])
+    return build_scene({"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run)
 
 
 def step_after_first_look(scene):
@@ -43,15 +43,19 @@ def step_after_first_look(scene):
 
 def planned(plan, velocity):
     numerics = plan.scene.numerics
-    bounds = (numerics.time_step_safety, numerics.rayleigh_fraction)
-    return choose_time_step(None, meetings_of(plan.scene), plan.law, velocity, *bounds).value
+    bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
+    return choose_time_step(None, pair_cases_of(plan.scene), plan.law, velocity, *bounds).value
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])
 def test_step_is_that_of_the_plan_for_the_approach_there_is(taichi_f64, velocity):
     """With the margin, and no longer or shorter than one rung of the table allows."""
     step, plan = step_after_first_look(pair_at(1e-5, velocity))
-    assert planned(plan, MARGIN * velocity * 2.0 ** (1.0 / RUNGS_TO_DOUBLE)) <= step <= planned(plan, MARGIN * velocity)
+    assert (
+        planned(plan, VELOCITY_MARGIN * velocity * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
+        <= step
+        <= planned(plan, VELOCITY_MARGIN * velocity)
+    )
 
 
 def test_an_overlap_counts_as_the_velocity_that_it_took_up(taichi_f64):
@@ -66,29 +70,29 @@ def test_an_overlap_counts_as_the_velocity_that_it_took_up(taichi_f64):
 def test_step_lengthens_when_nothing_is_near_and_the_parabola_stays_exact(taichi_f64):
     """The leapfrog is exact for a constant acceleration, and must stay so where the step changes."""
     start, throw, gravity = np.array([0.0, 0.0, 0.4]), np.array([0.3, 0.0, 2.0]), np.array([0.5, 0.0, -9.81])
-    group = balls([start], 2.0 * RADIUS, velocity=throw)
-    scene = trial(
+    group = particle_group([start], 2.0 * RADIUS, velocity=throw)
+    scene = build_scene(
         {"ball": group}, gravity=gravity.tolist(),
         run={"duration": 0.1, "velocity_max": 4.0, "time_step": "adaptive"},
     )  # fmt: skip
-    last, simulation = finished(scene)
+    last, simulation = run_to_end(scene)
     engine = simulation.engine
     assert engine.time_step > 1.2 * simulation.plan.time_step
     assert engine.mean_time_step == pytest.approx(last.time / engine.step_count)
-    place = start + throw * last.time + 0.5 * gravity * last.time**2
-    np.testing.assert_allclose(last.particles["position"][0], place, rtol=0.0, atol=1e-12)
+    insertion = start + throw * last.time + 0.5 * gravity * last.time**2
+    np.testing.assert_allclose(last.particles["position"][0], insertion, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(last.particles["velocity"][0], throw + gravity * last.time, rtol=0.0, atol=1e-11)
 
 
 def test_collision_under_a_changing_step_reaches_its_restitution(taichi_f64):
     """Slow spheres after fast ones: the step grows behind the first collision, both rebound as asked (0.8)."""
-    places = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [[1e-5, 0.02 * side, 0] for side in (0, 1)]
+    positions = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [[1e-5, 0.02 * side, 0] for side in (0, 1)]
     velocity = [[3.0, 0, 0], [0.02, 0, 0], [0, 0, 0], [0, 0, 0]]
-    scene = trial(
-        {"balls": balls(places, 2.0 * RADIUS, velocity=velocity)},
+    scene = build_scene(
+        {"balls": particle_group(positions, 2.0 * RADIUS, velocity=velocity)},
         run={"duration": 0.004, "velocity_max": 4.0, "time_step": "adaptive"},
     )  # fmt: skip
-    last, simulation = finished(scene)
+    last, simulation = run_to_end(scene)
     assert simulation.engine.time_step > 1.5 * simulation.plan.time_step
     parting = last.particles["velocity"][2:, 0] - last.particles["velocity"][:2, 0]
     np.testing.assert_allclose(parting / [3.0, 0.02], 0.8, rtol=1e-3)
@@ -97,8 +101,8 @@ def test_collision_under_a_changing_step_reaches_its_restitution(taichi_f64):
 def fingerprint(threads, in_parallel):
     """Digest, steps done and present time step of a busy run."""
     if in_parallel:
-        stepper.ONE_WORKER = 0
-    simulation = Simulation(adaptive(busy_scene(), duration=0.01), threads=threads)
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    simulation = Simulation(adaptive(complex_scene(), duration=0.01), threads=threads)
     simulation.run()
     last = simulation.snapshot()
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
@@ -106,12 +110,12 @@ def fingerprint(threads, in_parallel):
 
 
 def test_bits_do_not_depend_on_threads():
-    one, two = in_child(fingerprint, 1, False), in_child(fingerprint, 2, True)
-    assert one[1] > 3 * STEPS_BETWEEN_LOOKS
+    one, two = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint, 2, True)
+    assert one[1] > 3 * STEPS_BETWEEN_UPDATES
     assert one == two
 
 
 def test_a_scene_without_it_has_no_table(taichi_f64):
-    plain, simulation = finished(pair_at(1e-5, 0.4, time_step="auto", duration=1e-4))
-    assert simulation.plan.pace is None
+    plain, simulation = run_to_end(pair_at(1e-5, 0.4, time_step="auto", duration=1e-4))
+    assert simulation.plan.adaptive_time_step is None
     assert plain.time == simulation.engine.step_count * simulation.plan.time_step

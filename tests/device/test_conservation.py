@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trials import balls, box, column, finished, trial, watched
+from scene_builders import box, build_scene, column, particle_group, run_and_sample, run_to_end
 
 EPS = np.finfo(float).eps
 MATERIALS = {
@@ -15,15 +15,17 @@ def cloud(count, seed=1):
     """Two kinds of spheres on a loose lattice, all flying at the middle with spins at random."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(count ** (1.0 / 3.0)))
-    places = 0.011 * (np.argwhere(np.ones((side, side, side)))[:count] - 0.5 * (side - 1))
-    places = rng.permutation(places)
-    velocity = -20.0 * places + rng.normal(0.0, 0.5, places.shape)
-    spin = rng.normal(0.0, 100.0, places.shape)
+    positions = 0.011 * (np.argwhere(np.ones((side, side, side)))[:count] - 0.5 * (side - 1))
+    positions = rng.permutation(positions)
+    velocity = -20.0 * positions + rng.normal(0.0, 0.5, positions.shape)
+    angular_velocity = rng.normal(0.0, 100.0, positions.shape)
     diameter = rng.uniform(0.006, 0.0108, count)
     half = count // 2
     parts = {"glass": slice(0, half), "steel": slice(half, count)}
     return {
-        name: balls(places[cut], diameter[cut], name, velocity=velocity[cut], spin=spin[cut])
+        name: particle_group(
+            positions[cut], diameter[cut], name, velocity=velocity[cut], angular_velocity=angular_velocity[cut]
+        )
         for name, cut in parts.items()
     }
 
@@ -33,7 +35,7 @@ def momenta(snapshot):
     p = snapshot.particles
     linear = p["mass"][:, None] * p["velocity"]
     inertia = 0.4 * p["mass"] * p["radius"] ** 2
-    angular = np.cross(p["position"], linear) + inertia[:, None] * p["spin"]
+    angular = np.cross(p["position"], linear) + inertia[:, None] * p["angular_velocity"]
     return linear.sum(axis=0), angular.sum(axis=0), np.linalg.norm(linear), np.linalg.norm(angular)
 
 
@@ -45,11 +47,11 @@ def test_momentum_of_a_closed_cloud_is_kept_to_rounding(taichi_f64, rolling):
     steps. Positions are rounded in free flight, by the same in every step, at random between particles only.
     """
     pair = {"restitution": 0.7, "friction": 0.5} | ({"rolling_friction": 0.2} if rolling != "none" else {})
-    scene = trial(
+    scene = build_scene(
         cloud(1000), pair=pair, rolling=rolling, materials=MATERIALS,
         numerics={"chunk_size": 128}, run={"duration": 0.006, "velocity_max": 5.0},
     )  # fmt: skip
-    seen = watched(scene, 0.002)
+    seen = run_and_sample(scene, 0.002)
     collided = np.any(seen[-1].particles["velocity"] != seen[0].particles["velocity"], axis=1)
     assert collided.sum() > 900
     linear, angular, *_ = momenta(seen[0])
@@ -59,7 +61,7 @@ def test_momentum_of_a_closed_cloud_is_kept_to_rounding(taichi_f64, rolling):
         assert np.linalg.norm(now[1] - angular) <= 6.0 * 0.5 * EPS * snapshot.step * now[3]
 
 
-def meeting_pairs(count=40):
+def pair_case_pairs(count=40):
     """Pairs far apart from each other that collide obliquely, spinning, of unequal sizes and materials."""
     rng = np.random.default_rng(3)
     middle = 0.04 * np.argwhere(np.ones((4, 4, 4)))[:count] - 0.08
@@ -69,19 +71,21 @@ def meeting_pairs(count=40):
     velocity = 0.4 * normal + rng.normal(0.0, 0.2, (count, 3))
     groups = {}
     for k, (name, sign) in enumerate((("glass", 1.0), ("steel", -1.0))):
-        places = middle - sign * radius[:, [k]] * normal
-        spin = rng.normal(0.0, 60.0, (count, 3))
-        groups[name] = balls(places, 2.0 * radius[:, k], name, velocity=sign * velocity, spin=spin)
+        positions = middle - sign * radius[:, [k]] * normal
+        angular_velocity = rng.normal(0.0, 60.0, (count, 3))
+        groups[name] = particle_group(
+            positions, 2.0 * radius[:, k], name, velocity=sign * velocity, angular_velocity=angular_velocity
+        )
     return groups
 
 
 def pair_forces(chunk_size, rolling):
     pair = {"restitution": {"sigma": 1.0, "psi": 0.5, "limit_velocity": 3.0}, "friction": 0.3, "rolling_friction": 0.1}
-    scene = trial(
-        meeting_pairs(), pair=pair, rolling=rolling, materials=MATERIALS,
+    scene = build_scene(
+        pair_case_pairs(), pair=pair, rolling=rolling, materials=MATERIALS,
         numerics={"chunk_size": chunk_size}, run={"duration": 0.0008, "velocity_max": 2.0},
     )  # fmt: skip
-    seen = watched(scene, 0.0001)
+    seen = run_and_sample(scene, 0.0001)
     half = seen[0].particles["id"].size // 2
     force = column(seen, "force")
     return force[:, :half], force[:, half:], column(seen, "torque"), column(seen, "velocity")
@@ -100,21 +104,23 @@ def test_action_is_reaction_to_the_last_bit(taichi_f64, rolling):
 
 def bouncing_box(time_step, normal="zhou", rolling="epsd"):
     rng = np.random.default_rng(5)
-    places = 0.012 * (np.argwhere(np.ones((3, 3, 4))) + 0.55)
-    group = balls(places, rng.uniform(0.009, 0.0105, len(places)), velocity=rng.normal(0.0, 0.7, places.shape))
+    positions = 0.012 * (np.argwhere(np.ones((3, 3, 4))) + 0.55)
+    group = particle_group(
+        positions, rng.uniform(0.009, 0.0105, len(positions)), velocity=rng.normal(0.0, 0.7, positions.shape)
+    )
     restitution = 0.7 if normal != "zhou" else {"sigma": 0.6, "psi": 0.6, "limit_velocity": 20.0}
-    return trial(
+    return build_scene(
         {"balls": group}, walls=box(0.05), normal=normal, rolling=rolling, gravity=[0.0, 0.0, -9.81],
         pair={"restitution": restitution, "friction": 0.4, "rolling_friction": 0.1},
         run={"duration": 0.03, "time_step": time_step, "velocity_max": 4.0},
-        output={"interval": 1.0, "energy": True},
+        output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(("normal", "rolling"), [("zhou", "epsd"), ("zhou", "cdt"), ("hertz", "epsd")])
-def test_energy_ledger_closes_better_with_a_shorter_step(taichi_f64, normal, rolling):
+def test_energy_energy_budget_closes_better_with_a_shorter_step(taichi_f64, normal, rolling):
     """First order in the step: an eighth of it leaves about an eighth of the error or less."""
-    coarse, fine = (finished(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))
+    coarse, fine = (run_to_end(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))
     dissipated = "plastic_dissipation" if normal == "zhou" else "damping_dissipation"
     for part in ("friction_dissipation", "rolling_dissipation", dissipated):
         assert fine[part] > 0.01 * fine["kinetic_energy"], part

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from granflow.device.books import Books, ledger_totals, mechanical_energy
+from granflow.device.accounting import Accounting, energy_budget_totals, mechanical_energy
 from granflow.device.state import LOSSES
 
 ENERGIES = (7.0, 2.0, -4.0)
@@ -21,7 +21,7 @@ def test_mechanical_energy_of_two_particles():
         "mass": np.array([2.0, 3.0, 100.0]), "radius": np.array([0.5, 1.0, 1.0]), "fixed": np.array([0, 0, 1]),
         "position": np.array([[0.0, 0.0, 4.0], [0.0, 0.0, -1.0], [0.0, 0.0, 9.0]]),
         "velocity": np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]]),
-        "spin": np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 0.0], [5.0, 0.0, 0.0]]),
+        "angular_velocity": np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 0.0], [5.0, 0.0, 0.0]]),
     }  # fmt: skip
     kinetic, rotational, potential = mechanical_energy(arrays, np.array([0.0, 0.0, -10.0]))
     assert kinetic == pytest.approx(25.0 + 6.0)
@@ -32,8 +32,8 @@ def test_mechanical_energy_of_two_particles():
 def totals(brought, removed=0.5, **changes):
     losses = GIVEN | changes
     field = SimpleNamespace(to_numpy=lambda: np.array([[losses[name] for name in LOSSES]]))
-    state = SimpleNamespace(control=SimpleNamespace(losses=field, border_work=None), drive=None)
-    return ledger_totals(state, Books(brought_energy=brought, removed_energy=removed), ENERGIES, MEASURED)
+    state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), drive=None)
+    return energy_budget_totals(state, Accounting(inserted_energy=brought, removed_energy=removed), ENERGIES, MEASURED)
 
 
 BALANCED = 7.0 + 2.0 - 4.0 + 1.5 + (0.5 + 0.75 + 0.25 + 0.125 + 1.0) + 0.5 - 3.0

@@ -3,10 +3,10 @@
 import hashlib
 
 import numpy as np
-from child import in_child
-from trials import balls, box, finished, trial
+from scene_builders import box, build_scene, particle_group, run_to_end
+from subprocess_runner import in_subprocess
 
-ARRAYS = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
+ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
 
 
 def falling_lattice():
@@ -14,28 +14,35 @@ def falling_lattice():
     walls = box(0.06)
     walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
     rng = np.random.default_rng(4)
-    places = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
-    lattice = balls(places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal(0.0, 0.3, places.shape))
-    return trial(
-        {"lattice": lattice}, walls=walls, rolling="epsd", gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 1},
+    positions = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    lattice = particle_group(
+        positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.3, positions.shape)
+    )
+    return build_scene(
+        {"lattice": lattice},
+        walls=walls,
+        rolling="epsd",
+        gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": 1},
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
-        run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6}, output={"interval": 1.0, "energy": True},
-    )  # fmt: skip
+        run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6},
+        output={"interval": 1.0, "energy_budget": True},
+    )
 
 
 def fingerprint(as_on_gpu):
     from granflow.device import backend, stepper
 
-    stepper.ONE_WORKER = 0  # a scene this small would be stepped on one thread
+    stepper.SINGLE_WORKER_PARTICLES = 0  # a scene this small would be stepped on one thread
     if as_on_gpu:
         backend.Backend.on_cpu = property(lambda self: False)
-    last, simulation = finished(falling_lattice(), threads=2)
+    last, simulation = run_to_end(falling_lattice(), threads=2)
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
     return digest.hexdigest(), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
 
 
 def test_the_branch_for_gpus_gives_the_bits_of_the_one_for_cpus():
-    cpu, gpu = in_child(fingerprint, False), in_child(fingerprint, True)
+    cpu, gpu = in_subprocess(fingerprint, False), in_subprocess(fingerprint, True)
     assert gpu[1] == 1 and cpu[1] > 1, "another branch ran"
     assert cpu[2] > 20
     assert gpu[0] == cpu[0]

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from trials import balls, begun, plane, trial
+from scene_builders import build_scene, particle_group, plane, prepared_simulation
 from walls.meshes import sheet, write
 
-from granflow.device.guards import GUARDS, NO_PARTICLE
+from granflow.device.limits import ABORT_REASONS, NO_PARTICLE
 from granflow.simulation import Simulation
-from granflow.walls.motion import Driven
+from granflow.walls.motion import ForceControlled
 
 NEAR = 1e-6
 """Relative distance from a limit, on either side."""
@@ -26,7 +26,7 @@ LOW, HIGH = np.array([-0.1, -0.2, -1.0]), np.array([0.4, 0.5, 0.6])
 def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
     """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are reused."""
     state = simulation.engine.state
-    state.control.guard[0], state.control.guard_particle[0] = 0, NO_PARTICLE
+    state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
     state.count = simulation.plan.particle_capacity  # a particle outside the domain was sorted behind the others
     for index, number in enumerate(state.particles.id.to_numpy()[: state.count]):
         if positions is not None:
@@ -36,7 +36,7 @@ def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
     simulation.engine.refresh()
     if steps:
         simulation.engine.advance(steps)
-    return GUARDS.get(simulation.engine.stepper.guard_code)
+    return ABORT_REASONS.get(simulation.engine.stepper.abort_code)
 
 
 # ---------------------------------------------------------------- contacts
@@ -58,14 +58,18 @@ def contacts(request, taichi_f64, tmp_path_factory):
     folder = tmp_path_factory.mktemp("mesh")
     write(folder / "sheet.ply", *sheet(3))
     radii = (RADIUS, SMALLER, RADIUS, RADIUS)
-    groups = {f"g{n}": balls(at, 2 * radius) for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))}
+    groups = {
+        f"g{n}": particle_group(at, 2 * radius) for n, (at, radius) in enumerate(zip(touching(), radii, strict=True))
+    }
     walls = {
         "floor": plane([0, 0, FLOOR], [0, 0, 1]), "sheet": {"shape": "mesh", "file": "sheet.ply", "material": "glass"}
     }  # fmt: skip
-    domain = {"min": LOW.tolist(), "max": HIGH.tolist(), "leaving": "error"}
+    domain = {"min": LOW.tolist(), "max": HIGH.tolist(), "on_exit": "error"}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        simulation = begun(trial(groups, walls=walls, domain=domain, numerics={"chunk_size": request.param}))
+        simulation = prepared_simulation(
+            build_scene(groups, walls=walls, domain=domain, numerics={"chunk_size": request.param})
+        )
     assert (simulation.engine.state.batch is not None) == (request.param > 1)
     yield simulation
     simulation.free()
@@ -74,7 +78,7 @@ def contacts(request, taichi_f64, tmp_path_factory):
 @pytest.mark.parametrize("contact", ["pair", "floor", "mesh"])
 def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
     """The limit is a share of the smaller radius."""
-    limit = contacts.plan.overlap_limit
+    limit = contacts.plan.max_overlap
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
 
@@ -99,16 +103,18 @@ def test_a_center_outside_any_face_of_the_domain_stops_the_run(contacts, side):
 def flying(taichi_f64):
     """One sphere without contacts."""
     run = {"duration": 1.0, "time_step": STEP, "velocity_max": 1.0}
-    simulation = begun(trial({"ball": balls([0.0, 0.0, 0.0])}, numerics={"skin": SKIN}, run=run))
+    simulation = prepared_simulation(
+        build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, numerics={"skin": SKIN}, run=run)
+    )
     yield simulation
     simulation.free()
 
 
 def after_one_step(flying, displacement):
     """The limit that a step of so many meters exceeds, and whether it requested a rebuild of the neighbor list."""
-    rebuilds = flying.engine.timing.search_count + 1  # that of the refresh
+    rebuilds = flying.engine.timing.rebuild_count + 1  # that of the refresh
     found = limit_exceeded(flying, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]], steps=1)
-    return found, flying.engine.timing.search_count > rebuilds
+    return found, flying.engine.timing.rebuild_count > rebuilds
 
 
 def test_a_displacement_of_half_a_skin_requests_a_rebuild(flying):
@@ -130,16 +136,16 @@ def test_a_position_that_is_not_finite_stops_the_run(flying, speed, limit):
 def servo_after_one_step(displacement):
     """As `after_one_step`, of a wall far from its force, whose speed is its `velocity_max`."""
     motion = {"kind": "servo", "direction": [0, 0, 1], "force": 1e6, "velocity_max": displacement / STEP}
-    scene = trial(
-        {"ball": balls([0.0, 0.0, 0.5])}, walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
+    scene = build_scene(
+        {"ball": particle_group([0.0, 0.0, 0.5])}, walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
         numerics={"skin": SKIN}, run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
     )  # fmt: skip
     simulation = Simulation(scene)
-    simulation.engine.set_walls([True], [[Driven()]])
+    simulation.engine.set_walls([True], [[ForceControlled()]])
     simulation.engine.refresh()
-    rebuilds = simulation.engine.timing.search_count
+    rebuilds = simulation.engine.timing.rebuild_count
     simulation.engine.advance(1)
-    found = GUARDS.get(simulation.engine.stepper.guard_code), simulation.engine.timing.search_count > rebuilds
+    found = ABORT_REASONS.get(simulation.engine.stepper.abort_code), simulation.engine.timing.rebuild_count > rebuilds
     simulation.free()
     return found
 

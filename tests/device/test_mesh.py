@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import taichi as ti
-from child import in_child
 from resume.runs import last_state
-from trials import balls, plane, trial
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
 from walls.meshes import cube, sheet, tube, write
 
 from granflow.device import backend, stepper
@@ -38,11 +38,11 @@ def all_meshes(folder):
     for name, surface in (("cube", cube()), ("hills", sheet(5, bumps=0.03)), ("tube", tube(20, rings=3))):
         write(folder / f"{name}.ply", *surface)
     walls = {name: wall(f"{name}.ply", rotate=turn) for name in ("cube", "hills", "tube")}
-    domain = {"min": [-5.0] * 3, "max": [5.0] * 3, "leaving": "error"}
-    return plan_for(trial({"b": balls([0.0, 0.0, 4.0], 0.3)}, walls=walls, domain=domain))
+    domain = {"min": [-5.0] * 3, "max": [5.0] * 3, "on_exit": "error"}
+    return plan_for(build_scene({"b": particle_group([0.0, 0.0, 4.0], 0.3)}, walls=walls, domain=domain))
 
 
-def test_the_device_finds_what_the_twin_finds(taichi_f64, folder):
+def test_the_device_finds_what_the_reference_finds(taichi_f64, folder):
     """The same triangle answers, with the same gap and normal, to rounding; what may answer nearby is listed."""
     plan = all_meshes(folder)
     state = State(plan, backend.start("cpu", "f64", 2))
@@ -57,8 +57,8 @@ def test_the_device_finds_what_the_twin_finds(taichi_f64, folder):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
             for t in range(gap.shape[1]):
                 gap[i, t], direction = geometry.contact(t, point)
-                bare[i, t] = geometry.away(t, point).norm()
-                near[i, t] = geometry.may_answer(t, point, slack)
+                bare[i, t] = geometry.from_nearest(t, point).norm()
+                near[i, t] = geometry.may_own(t, point, slack)
                 for axis in ti.static(range(3)):
                     normal[i, t, axis] = direction[axis]
 
@@ -78,14 +78,14 @@ def test_the_device_finds_what_the_twin_finds(taichi_f64, folder):
         first += mesh.triangle_count
         triangles = np.tile(np.arange(mesh.triangle_count), len(points))
         repeated = np.repeat(points, mesh.triangle_count, axis=0)
-        expected, direction = reference_contact(mesh.links, triangles, repeated)
-        distance = bare_distance(mesh.links.vertex[triangles], repeated)
+        expected, direction = reference_contact(mesh.adjacency, triangles, repeated)
+        distance = bare_distance(mesh.adjacency.vertex[triangles], repeated)
         np.testing.assert_allclose(gap[:, own].reshape(-1), expected, rtol=0.0, atol=2e-15)
         answered = expected < FAR_AWAY
         found = normal[:, own].reshape(-1, 3)[answered & (expected > 0.0)]
         np.testing.assert_allclose(found, direction[answered & (expected > 0.0)], rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(bare[:, own].reshape(-1), distance, rtol=0.0, atol=2e-15)
-        later, _ = reference_contact(mesh.links, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
+        later, _ = reference_contact(mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
         assert np.all(near[:, own].reshape(-1)[(later < FAR_AWAY) | answered] == 1)
         assert near[:, own].mean() < 0.7, "most are ruled out"
     state.free()
@@ -106,29 +106,39 @@ def stirred(out):
                                    [(1 - 2 * end) * (axis == k) for k in range(3)])
              for axis, name in enumerate("xy") for end in (0, 1)}  # fmt: skip
     rng = np.random.default_rng(4)
-    places = 0.0062 * (np.argwhere(np.ones((7, 7, 2))) - [3, 3, 0]) + [0.0, 0.0, 0.0048]
-    places = places[np.abs(places - [0, 0, 0.019]).max(axis=1) > 0.0135]
-    places[0] = [0.003, 0.004, 0.0325]  # falls on the block
-    grains = balls(places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal(0.0, 0.2, places.shape))
-    scene = trial(
-        {"grains": grains}, walls={"hills": wall("hills.ply", motion=[SHAKEN]), "block": block, **sides},
-        rolling="epsd", pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
-        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 16, "overlap_limit": 0.3},
+    positions = 0.0062 * (np.argwhere(np.ones((7, 7, 2))) - [3, 3, 0]) + [0.0, 0.0, 0.0048]
+    positions = positions[np.abs(positions - [0, 0, 0.019]).max(axis=1) > 0.0135]
+    positions[0] = [0.003, 0.004, 0.0325]  # falls on the block
+    particles = particle_group(
+        positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.2, positions.shape)
+    )
+    scene = build_scene(
+        {"grains": particles},
+        walls={"hills": wall("hills.ply", motion=[SHAKEN]), "block": block, **sides},
+        rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
+        gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": 16, "max_overlap": 0.3},
         run={"duration": 0.012, "velocity_max": 2.0, "time_step": 4e-6},
-        output={"interval": 0.004, "energy": True, "contacts": True, "checkpoint": {"interval": 0.004, "keep": 9}},
-    )  # fmt: skip
+        output={
+            "interval": 0.004,
+            "energy_budget": True,
+            "contacts": True,
+            "checkpoint": {"interval": 0.004, "keep": 9},
+        },
+    )
     scene._folder = out
     return scene
 
 
 def run_and_go_on(folder, threads, precision):
     """State at the end of a run, and of one gone on from its first checkpoint; contacts, spin of the first grain."""
-    stepper.ONE_WORKER = 0
+    stepper.SINGLE_WORKER_PARTICLES = 0
     first, again = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
     simulation = Simulation(stirred(first), out=first, threads=threads, precision=precision)
     simulation.run()
     last = simulation.snapshot()
-    touched = [last.totals["contact_count"], abs(last.particles["spin"][0]).max()]
+    touched = [last.totals["contact_count"], abs(last.particles["angular_velocity"][0]).max()]
     simulation.free()
     shutil.copytree(first, again)
     middle = read_checkpoint(sorted(again.glob("checkpoint_*.npz"))[0])
@@ -144,9 +154,9 @@ def run_and_go_on(folder, threads, precision):
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_bits_do_not_depend_on_threads_nor_on_stopping(tmp_path, precision):
     """Two moving meshes among planes, friction and rolling springs, the ledger kept."""
-    one, two = (in_child(run_and_go_on, str(tmp_path), n, precision, seconds=500) for n in (1, 2))
-    whole, gone_on, touched, energy_error = one
-    assert whole == gone_on
+    one, two = (in_subprocess(run_and_go_on, str(tmp_path), n, precision, seconds=500) for n in (1, 2))
+    whole, resumed, touched, energy_error = one
+    assert whole == resumed
     assert one == two
     assert min(touched) > 0, "grains lie on the floor, one has been turned by the block"
     assert energy_error < 0.02

@@ -5,13 +5,13 @@ from math import pi
 
 import numpy as np
 import pytest
-from child import in_child
 from resume.runs import files_of, states_of
-from trials import SOFT, balls, finished, trial
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
+from subprocess_runner import in_subprocess
 
 from granflow.device import stepper
 from granflow.observe import read_checkpoint
-from granflow.plan.outlets import drains_of, taken_by
+from granflow.plan.outlets import outlet_of, planned_outlets
 from granflow.simulation import Simulation
 
 MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.004, 0.005)}
@@ -24,20 +24,20 @@ def chute(**parts):
     fed = {
         "material": "glass", "velocity": [0, 0, -1.5], "mass": 0.02,
         "diameter": {"distribution": "classes", "by": "number", "classes": classes},
-        "place": {"kind": "inlet", "face": face, "mass_flow": 1.0, "start": 0.001},
+        "insert": {"kind": "inlet", "face": face, "mass_flow": 1.0, "start": 0.001},
     }  # fmt: skip
-    row = balls([[0.012 * k - 0.012, 0, 0] for k in range(3)] + [[0.5, 0, 0]], 0.006) | {"fixed": True}
+    row = particle_group([[0.012 * k - 0.012, 0, 0] for k in range(3)] + [[0.5, 0, 0]], 0.006) | {"fixed": True}
     given = {
         "outlets": {
             "side": {"box": {"min": [0.0, -1.0, -0.05], "max": [1.0, 1.0, 0.001]}},
-            "below": {"beyond": {"point": [0, 0, -0.02], "normal": [0, 0, -3]}},
-            "nowhere": {"beyond": {"point": [0, 0, 0.1], "normal": [0, 0, 1], "radius": 0.01}},
+            "below": {"half_space": {"point": [0, 0, -0.02], "normal": [0, 0, -3]}},
+            "nowhere": {"disc": {"point": [0, 0, 0.1], "normal": [0, 0, 1], "radius": 0.01}},
         },
         "gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3, "restitution": 0.7},
         "run": {"duration": 0.25, "velocity_max": 3.0, "time_step": 1e-5}, "numerics": {"chunk_size": 32},
-        "output": {"interval": 0.05, "energy": True, "checkpoint": {"interval": 0.009, "keep": 100}},
+        "output": {"interval": 0.05, "energy_budget": True, "checkpoint": {"interval": 0.009, "keep": 100}},
     }  # fmt: skip
-    return trial({"fed": fed, "row": row}, **(given | parts))
+    return build_scene({"fed": fed, "row": row}, **(given | parts))
 
 
 def test_what_flows_in_flows_out_and_is_counted(tmp_path, taichi_f64):
@@ -47,23 +47,23 @@ def test_what_flows_in_flows_out_and_is_counted(tmp_path, taichi_f64):
     last = simulation.snapshot()
     simulation.free()
     count = round(0.02 / np.mean(list(MASSES.values())))
-    assert result.numbers["came_count.fed"] == count and result.numbers["missing_count.fed"] == 0.0
-    taken = {name: result.numbers[f"outlet_count.{name}"] for name in ("side", "below", "nowhere")}
-    assert sum(taken.values()) == count == result.totals["deleted_count"] and taken["nowhere"] == 0.0
-    assert taken["side"] > 20 and taken["below"] > 20
-    masses = [result.numbers[f"outlet_mass.{name}"] for name in taken]
-    assert sum(masses) == pytest.approx(result.numbers["came_mass.fed"]) == pytest.approx(0.02, abs=MASSES[0.005])
+    assert result.numbers["inserted_count.fed"] == count and result.numbers["not_inserted_count.fed"] == 0.0
+    outlet_index = {name: result.numbers[f"outlet_count.{name}"] for name in ("side", "below", "nowhere")}
+    assert sum(outlet_index.values()) == count == result.totals["deleted_count"] and outlet_index["nowhere"] == 0.0
+    assert outlet_index["side"] > 20 and outlet_index["below"] > 20
+    masses = [result.numbers[f"outlet_mass.{name}"] for name in outlet_index]
+    assert sum(masses) == pytest.approx(result.numbers["inserted_mass.fed"]) == pytest.approx(0.02, abs=MASSES[0.005])
     assert last.particles["fixed"].tolist() == [1] * 4, "fixed grains stay in an outlet, and nothing left the domain"
     assert abs(result.totals["energy_error"]) < 1e-3
     head = (whole / "timeseries.csv").read_text().splitlines()[0]
-    assert "waiting_count,deleted_count" in head and "outlet_count.side,outlet_mass.side [kg]" in head
-    kept = sorted(whole.glob("checkpoint_*.npz"))
-    in_the_stream = read_checkpoint(kept[1])
-    assert 0 < in_the_stream.kept["feeds"]["fed"]["due_count"] < count
+    assert "queued_count,deleted_count" in head and "outlet_count.side,outlet_mass.side [kg]" in head
+    saved = sorted(whole.glob("checkpoint_*.npz"))
+    during_insertion = read_checkpoint(saved[1])
+    assert 0 < during_insertion.saved["insertion"]["fed"]["due_count"] < count
     again.mkdir()
-    for path in [*whole.glob("*.vtu"), *whole.glob("*.pvd"), whole / "timeseries.csv", kept[1]]:
+    for path in [*whole.glob("*.vtu"), *whole.glob("*.pvd"), whole / "timeseries.csv", saved[1]]:
         (again / path.name).write_bytes(path.read_bytes())
-    simulation = Simulation(chute(), out=again, resume=read_checkpoint(again / kept[1].name))
+    simulation = Simulation(chute(), out=again, resume=read_checkpoint(again / saved[1].name))
     simulation.run()
     simulation.free()
     assert files_of(again) == files_of(whole)
@@ -73,26 +73,28 @@ def test_what_flows_in_flows_out_and_is_counted(tmp_path, taichi_f64):
 def fingerprint(threads, precision):
     """Digest of what a run leaves half-way, and what the outlets took."""
     if threads > 1:  # a scene this small would be stepped on one thread
-        stepper.ONE_WORKER = 0
-    last, _ = finished(chute(), until=0.045, threads=threads, precision=precision)
-    digest = hashlib.sha256(b"".join(last.particles[name].tobytes() for name in ("id", "position", "velocity", "spin")))
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    last, _ = run_to_end(chute(), until=0.045, threads=threads, precision=precision)
+    digest = hashlib.sha256(
+        b"".join(last.particles[name].tobytes() for name in ("id", "position", "velocity", "angular_velocity"))
+    )
     return digest.hexdigest(), [last.totals[f"outlet_count.{name}"] for name in ("side", "below")]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_bits_do_not_depend_on_threads(precision):
-    one, two = in_child(fingerprint, 1, precision), in_child(fingerprint, 2, precision)
+    one, two = in_subprocess(fingerprint, 1, precision), in_subprocess(fingerprint, 2, precision)
     assert one == two
     assert min(one[1]) > 5
 
 
 def test_the_deepest_outlet_takes_and_rounding_puts_none_beside_all():
     """At x = -1, 0.5, 2: beyond the plane by 20 mm, in the box by 4 mm; past it by a hair; far from both."""
-    drains = drains_of(chute())
+    outlets = planned_outlets(chute())
     position = np.array([[0.5, 0, -0.04], [0.5, 0, -0.003], [0.5, 0, 0.001 + 1e-12], [0.5, 0, 0.5]])
     inside = np.array([True, True, True, False])
-    assert [drains[k].name for k in taken_by(drains, position, inside)[:3]] == ["below", "side", "side"]
-    assert taken_by(drains, position, inside)[3] == -1
-    disc = drains[2].depth(np.array([[0, 0, 0.103], [0.009, 0, 0.2], [0.02, 0, 0.2], [0, 0, 0.0]]))
+    assert [outlets[k].name for k in outlet_of(outlets, position, inside)[:3]] == ["below", "side", "side"]
+    assert outlet_of(outlets, position, inside)[3] == -1
+    disc = outlets[2].depth(np.array([[0, 0, 0.103], [0.009, 0, 0.2], [0.02, 0, 0.2], [0, 0, 0.0]]))
     np.testing.assert_allclose(disc, [0.003, 0.001, -0.01, -0.1], atol=1e-15)

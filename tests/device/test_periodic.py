@@ -2,38 +2,52 @@
 
 import numpy as np
 import pytest
+from scene_builders import (
+    build_scene,
+    column,
+    neighbors_of,
+    particle_group,
+    plane,
+    prepared_simulation,
+    run_and_sample,
+    run_to_end,
+    times,
+)
 from scipy.spatial import cKDTree
-from trials import balls, begun, column, finished, plane, rows_of, times, trial, watched
 
 from granflow.errors import SceneError
 from granflow.plan import plan_for
-from granflow.scene.border import Border
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
+from granflow.scene.periodic_box import PeriodicBox
 
 GRAVITY = 9.81
 
 
 def domain(size, axes):
     """A box from the origin that is periodic along some axes."""
-    return {"min": [0.0] * 3, "max": list(size), "periodic": list(axes), "leaving": "error"}
+    return {"min": [0.0] * 3, "max": list(size), "periodic": list(axes), "on_exit": "error"}
 
 
 @pytest.mark.parametrize("axes", ["xyz", "y"])
 def test_rows_hold_exactly_the_near_pairs_of_nearest_images(taichi_f64, axes):
-    """Against a search over all pairs; with eight cells along x, three along y, and two, both neighbours, along z."""
+    """Against a search over all pairs; with eight cells along x, three along y, and two, both neighbors, along z."""
     size, skin = np.array([0.15, 0.06, 0.037]), 0.002
     rng = np.random.default_rng(5)
-    places, diameter = size * rng.random((500, 3)), rng.uniform(0.004, 0.016, 500)
-    simulation = begun(
-        trial({"balls": balls(places, diameter)}, domain=domain(size, axes), numerics={"chunk_size": 37, "skin": skin})
+    positions, diameter = size * rng.random((500, 3)), rng.uniform(0.004, 0.016, 500)
+    simulation = prepared_simulation(
+        build_scene(
+            {"balls": particle_group(positions, diameter)},
+            domain=domain(size, axes),
+            numerics={"chunk_size": 37, "skin": skin},
+        )
     )
     periodic = np.array([axis in axes for axis in "xyz"])
-    tree = cKDTree(places, boxsize=np.where(periodic, size, 10.0))
+    tree = cKDTree(positions, boxsize=np.where(periodic, size, 10.0))
     pairs = tree.query_pairs(0.018, output_type="ndarray")
-    between = places[pairs[:, 0]] - places[pairs[:, 1]]
-    between -= np.where(periodic, np.round(between / size) * size, 0.0)
-    close = np.linalg.norm(between, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
-    rows = rows_of(simulation.engine)
+    distance = positions[pairs[:, 0]] - positions[pairs[:, 1]]
+    distance -= np.where(periodic, np.round(distance / size) * size, 0.0)
+    close = np.linalg.norm(distance, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
+    rows = neighbors_of(simulation.engine)
     within = [tuple(sorted(row[:2])) for row in rows if row[2]]
     across = [row[:2] for row in rows if not row[2]]
     assert len(within) == len(set(within)) > 100
@@ -46,39 +60,39 @@ def test_rows_hold_exactly_the_near_pairs_of_nearest_images(taichi_f64, axes):
 def gas(shift, **run):
     """Rough spheres that begin close on a lattice, fly into each other and go through every face of a 4 cm box."""
     rng = np.random.default_rng(3)
-    places = 0.01 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
-    velocity = rng.normal(0.0, 0.3, places.shape)
-    group = balls((places + shift) % 0.04, 0.0099, velocity=velocity - velocity.mean(axis=0))
-    return trial(
+    positions = 0.01 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+    velocity = rng.normal(0.0, 0.3, positions.shape)
+    group = particle_group((positions + shift) % 0.04, 0.0099, velocity=velocity - velocity.mean(axis=0))
+    return build_scene(
         {"balls": group}, pair={"friction": 0.4, "restitution": 0.7}, domain=domain([0.04] * 3, "xyz"),
-        run={"duration": 0.02, "velocity_max": 5.0} | run, output={"interval": 0.01, "energy": True},
+        run={"duration": 0.02, "velocity_max": 5.0} | run, output={"interval": 0.01, "energy_budget": True},
         numerics={"skin": 0.001},
     )  # fmt: skip
 
 
 def test_moving_everything_by_half_a_box_changes_nothing(taichi_f64):
     """Histories, spins and energies, too: only rounding tells the lattice at the border from one in the middle."""
-    (middle, simulation), (border, _) = finished(gas(0.0)), finished(gas([0.02, 0.017, 0.0]))
-    assert simulation.engine.timing.search_count > 4
+    (middle, simulation), (periodic_box, _) = run_to_end(gas(0.0)), run_to_end(gas([0.02, 0.017, 0.0]))
+    assert simulation.engine.timing.rebuild_count > 4
     assert middle.totals["friction_dissipation"] > 1e-3
-    for name in ("velocity", "spin", "force"):
+    for name in ("velocity", "angular_velocity", "force"):
         largest = np.abs(middle.particles[name]).max()
-        np.testing.assert_allclose(middle.particles[name], border.particles[name], atol=1e-6 * largest, rtol=0)
-    apart = (border.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
-    np.testing.assert_allclose(apart, np.round(apart), atol=1e-9)
-    assert np.all((border.particles["position"] >= 0.0) & (border.particles["position"] <= 0.04))
+        np.testing.assert_allclose(middle.particles[name], periodic_box.particles[name], atol=1e-6 * largest, rtol=0)
+    separation = (periodic_box.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
+    np.testing.assert_allclose(separation, np.round(separation), atol=1e-9)
+    assert np.all((periodic_box.particles["position"] >= 0.0) & (periodic_box.particles["position"] <= 0.04))
 
 
 def test_a_gas_keeps_its_momentum_and_its_energy_is_accounted_for(taichi_f64):
-    *_, last = watched(gas(0.013), 0.01, contacts=True)
+    *_, last = run_and_sample(gas(0.013), 0.01, contacts=True)
     mass = last.particles["mass"][:, None]
     scale = np.sum(mass * np.abs(last.particles["velocity"]))
     np.testing.assert_allclose(np.sum(mass * last.particles["velocity"], axis=0), 0.0, atol=1e-13 * scale)
     np.testing.assert_allclose(last.particles["force"].sum(axis=0), 0.0, atol=1e-9)
     assert abs(last.totals["energy_error"]) < 1e-3
-    lines = last.contacts["first_position"] - last.contacts["second_position"]
+    lines = last.contacts["position_i"] - last.contacts["position_j"]
     np.testing.assert_allclose(np.linalg.norm(lines, axis=1), 0.0099 - last.contacts["overlap"], rtol=1e-9)
-    assert np.any(np.abs(last.contacts["second_position"] - 0.02) > 0.02), "some contacts reach through the border"
+    assert np.any(np.abs(last.contacts["position_j"] - 0.02) > 0.02), "some contacts reach through the border"
 
 
 def test_who_falls_through_the_box_comes_in_at_the_top(taichi_f64):
@@ -88,17 +102,17 @@ def test_who_falls_through_the_box_comes_in_at_the_top(taichi_f64):
     """
     size, drop = 0.1, 0.62
     duration = float(np.sqrt(2.0 * drop / GRAVITY))
-    scene = trial(
-        {"ball": balls([[0.05, 0.05, 0.09]])}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([size] * 3, "xyz"),
+    scene = build_scene(
+        {"ball": particle_group([[0.05, 0.05, 0.09]])}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([size] * 3, "xyz"),
         run={"duration": duration, "velocity_max": 5.0, "time_step": 1e-5},
         output={
-            "interval": 0.01, "energy": True,
-            "meters": {"middle": {"point": [0.05, 0.05, 0.05], "normal": [0, 0, -1]}},
+            "interval": 0.01, "energy_budget": True,
+            "flow_meters": {"middle": {"point": [0.05, 0.05, 0.05], "normal": [0, 0, -1]}},
         },
     )  # fmt: skip
-    last, simulation = finished(scene)
+    last, simulation = run_to_end(scene)
     mass = last.particles["mass"][0]
-    assert last.totals["border_work"] == pytest.approx(6 * mass * GRAVITY * size, rel=1e-12)
+    assert last.totals["boundary_work"] == pytest.approx(6 * mass * GRAVITY * size, rel=1e-12)
     assert last.totals["kinetic_energy"] == pytest.approx(mass * GRAVITY * drop, rel=1e-3)
     assert abs(last.totals["energy_error"]) < 1e-4
     assert last.particles["position"][0, 2] == pytest.approx(0.09 - drop + 6 * size, abs=1e-4)
@@ -108,25 +122,25 @@ def test_who_falls_through_the_box_comes_in_at_the_top(taichi_f64):
 def test_there_is_no_seam_in_a_floor_that_ends_at_the_border(taichi_f64):
     """A ball that slides over the border keeps the height of one that stays in the middle, to the last bit."""
     floor = {"shape": "rectangle", "corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
-    group = balls([[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    scene = trial(
+    group = particle_group([[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    scene = build_scene(
         {"balls": group}, walls={"floor": floor}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([0.1] * 3, "xy"),
         run={"duration": 0.03, "velocity_max": 2.0, "time_step": 1e-5}, numerics={"skin": 0.002},
     )  # fmt: skip
-    seen = watched(scene, 1e-4)
-    place, moment = column(seen, "position"), times(seen)
-    assert np.ptp(place[:, 1, 2]) > 1e-5, "both bounce"
-    np.testing.assert_array_equal(place[:, 0, 2], place[:, 1, 2])
-    np.testing.assert_allclose(place[:, 0, 0], (0.09 + moment) % 0.1, atol=1e-12)
+    seen = run_and_sample(scene, 1e-4)
+    cell_of_point, moment = column(seen, "position"), times(seen)
+    assert np.ptp(cell_of_point[:, 1, 2]) > 1e-5, "both bounce"
+    np.testing.assert_array_equal(cell_of_point[:, 0, 2], cell_of_point[:, 1, 2])
+    np.testing.assert_allclose(cell_of_point[:, 0, 0], (0.09 + moment) % 0.1, atol=1e-12)
 
 
 def test_a_box_too_narrow_for_nearest_images_is_refused():
     """A grain could touch two images of another within two largest diameters and twice the skin: 21 mm and 2 mm."""
-    group = {"balls": balls([[0.01, 0.01, 0.01]], 0.0105)}
+    group = {"balls": particle_group([[0.01, 0.01, 0.01]], 0.0105)}
     parts = {"numerics": {"skin": 0.001}, "pair": {}}
-    plan_for(trial(group, domain=domain([0.02301] * 3, "xyz"), **parts))
+    plan_for(build_scene(group, domain=domain([0.02301] * 3, "xyz"), **parts))
     with pytest.raises(SceneError, match=r"has y, along which the domain is 0.022 m wide.*at least 0.023 m"):
-        plan_for(trial(group, domain=domain([0.1, 0.022, 0.1], "xy"), **parts))
+        plan_for(build_scene(group, domain=domain([0.1, 0.022, 0.1], "xy"), **parts))
 
 
 @pytest.mark.parametrize(
@@ -142,8 +156,10 @@ def test_a_box_too_narrow_for_nearest_images_is_refused():
     ],
 )
 def test_walls_run_through_the_border_or_keep_clear_of_it(wall, fits):
-    scene = trial(
-        {"ball": balls([[0.05] * 3])}, walls={"it": {"material": "glass"} | wall}, domain=domain([0.1] * 3, "x")
+    scene = build_scene(
+        {"ball": particle_group([[0.05] * 3])},
+        walls={"it": {"material": "glass"} | wall},
+        domain=domain([0.1] * 3, "x"),
     )
     if fits:
         assert plan_for(scene).walls
@@ -154,25 +170,30 @@ def test_walls_run_through_the_border_or_keep_clear_of_it(wall, fits):
 
 def test_who_is_placed_keeps_clear_of_images():
     """A sphere at a corner of the box has seven images, which a pack and a lattice must not meet."""
-    scene = trial(
+    scene = build_scene(
         {
-            "corner": balls([[0.001, 0.099, 0.001]], 0.04),
+            "corner": particle_group([[0.001, 0.099, 0.001]], 0.04),
             "pack": {
                 "material": "glass", "count": 300, "diameter": 0.01,
-                "place": {"kind": "pack", "region": {"box": {"min": [0.0] * 3, "max": [0.1] * 3}}},
+                "insert": {"kind": "pack", "region": {"box": {"min": [0.0] * 3, "max": [0.1] * 3}}},
             },
         },
         domain=domain([0.1] * 3, "xyz"),
     )  # fmt: skip
-    grains, border = initial_grains(scene), Border.of(scene.domain)
-    gaps = np.linalg.norm(border.beside(grains.position[1:], grains.position[:1]) - grains.position[0], axis=1) - 0.025
+    particles, periodic_box = initial_particles(scene), PeriodicBox.of(scene.domain)
+    gaps = (
+        np.linalg.norm(
+            periodic_box.nearest_images(particles.position[1:], particles.position[:1]) - particles.position[0], axis=1
+        )
+        - 0.025
+    )
     assert gaps.min() >= 0.0
-    assert np.count_nonzero(np.linalg.norm(grains.position[1:] - grains.position[0], axis=1) - gaps > 0.026) > 10
+    assert np.count_nonzero(np.linalg.norm(particles.position[1:] - particles.position[0], axis=1) - gaps > 0.026) > 10
 
 
 def test_an_endless_wall_does_not_turn_in_a_domain_that_grows():
     turning = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
-    parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "leaving": "grow"}}
+    parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"}}
     floor = plane([0, 0, 0], [0, 0, 1], motion=turning)
     with pytest.raises(SceneError, match="walls.floor is endless and turns"):
-        plan_for(trial({"ball": balls([[0.05] * 3])}, walls={"floor": floor}, **parts))
+        plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, walls={"floor": floor}, **parts))

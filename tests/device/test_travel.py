@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from child import in_child
-from trials import balls, plane, trial
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
 
 from granflow.errors import RunError, SceneError
 from granflow.plan import plan_for
@@ -30,7 +30,9 @@ THIN = {
 
 def shot(velocity, group=None, walls=None, **parts):
     """A sphere with no velocity at the start that has one after it: the check of the plan does not see it."""
-    simulation = Simulation(trial({"shot": group or balls([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts)))
+    simulation = Simulation(
+        build_scene({"shot": group or particle_group([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts))
+    )
     simulation.engine.state.particles.velocity.fill(0.0)
     simulation.engine.state.particles.velocity[0] = list(velocity)
     return simulation
@@ -55,7 +57,7 @@ def messages_of(precision, on_gpu, few):
         backend.Backend.on_cpu = property(lambda self: False)
     crowd = [[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(1 if few else 80)]
     return [
-        stopped(shot((0.0, 0.0, -share * FASTEST), balls(crowd), run=FAST["run"] | {"precision": precision}))
+        stopped(shot((0.0, 0.0, -share * FASTEST), particle_group(crowd), run=FAST["run"] | {"precision": precision}))
         for share in (0.999, 1.001)
     ]  # fmt: skip
 
@@ -63,7 +65,7 @@ def messages_of(precision, on_gpu, few):
 @pytest.mark.parametrize(("precision", "on_gpu", "few"), [("f32", False, False), ("mixed", False, False),
                                                           ("f64", True, True)])  # fmt: skip
 def test_limit_from_both_sides_in_every_precision_and_on_the_branch_for_gpus(precision, on_gpu, few):
-    below, above = in_child(messages_of, precision, on_gpu, few)
+    below, above = in_subprocess(messages_of, precision, on_gpu, few)
     assert below == "" and "moves 0.001 m in one step" in above
 
 
@@ -93,9 +95,11 @@ def test_fast_particles_do_not_cross_a_thin_wall(taichi_f64, tmp_path, monkeypat
     wall = (THIN.get(kind) or sheet()) | {"material": "glass"}
     speed = 0.99 * FASTEST
     heights = 0.02 + speed * STEP * np.arange(20) / 20
-    places = [[0.04 * k - 0.4, 0.03 * (k % 2), side * height] for k, height in enumerate(heights)]
-    numerics = FAST["numerics"] | {"overlap_limit": 0.5}
-    simulation = shot((0, 0, 0), balls(places), {"sheet": wall}, materials={"glass": STIFF}, numerics=numerics)
+    positions = [[0.04 * k - 0.4, 0.03 * (k % 2), side * height] for k, height in enumerate(heights)]
+    numerics = FAST["numerics"] | {"max_overlap": 0.5}
+    simulation = shot(
+        (0, 0, 0), particle_group(positions), {"sheet": wall}, materials={"glass": STIFF}, numerics=numerics
+    )
     velocity = simulation.engine.state.particles.velocity
     velocity.from_numpy(np.tile(np.float64([0, 0, -side * speed]), (velocity.shape[0], 1)))
     simulation.run(until=8e-4)
@@ -108,9 +112,9 @@ def test_fast_particles_do_not_cross_a_thin_wall(taichi_f64, tmp_path, monkeypat
 def test_a_speed_that_would_cross_the_wall_is_refused_or_stops_the_run(taichi_f64, velocity):
     """With a skin of 3 mm, 2500 m/s is 25 mm in a step: across the wall and out of its reach."""
     sheet_wall = {"sheet": THIN["rectangle"] | {"material": "glass"}}
-    said = stopped(shot((0, 0, -velocity), balls([[0, 0, 0.012]]), sheet_wall))
-    assert f"moves {velocity * STEP:.3g} m in one step" in said
-    scene = trial({"shot": balls([[0, 0, 0.012]], velocity=[0, 0, -velocity])}, walls=sheet_wall, **FAST)
+    message = stopped(shot((0, 0, -velocity), particle_group([[0, 0, 0.012]]), sheet_wall))
+    assert f"moves {velocity * STEP:.3g} m in one step" in message
+    scene = build_scene({"shot": particle_group([[0, 0, 0.012]], velocity=[0, 0, -velocity])}, walls=sheet_wall, **FAST)
     with pytest.raises(SceneError) as refused:
         plan_for(scene)
     assert f"particles.shot starts with {velocity:.3g} m/s, which is {velocity * STEP:.3g} m" in str(refused.value)
@@ -124,7 +128,9 @@ def moving(kind, speed, **parts):
         "rotation": {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": speed / 0.5},
     }
     walls = {"paddle": THIN["rectangle"] | {"material": "glass", "motion": [motion[kind]]}}
-    return trial({"ball": balls([[0, 0, 0.1]])}, walls=walls, **(FAST | {"numerics": {"skin": 0.003}}), **parts)
+    return build_scene(
+        {"ball": particle_group([[0, 0, 0.1]])}, walls=walls, **(FAST | {"numerics": {"skin": 0.003}}), **parts
+    )
 
 
 @pytest.mark.parametrize("kind", ["translation", "vibration", "rotation"])
@@ -151,11 +157,13 @@ def test_walls_are_refused_that_outrun_the_neighbor_list():
 @pytest.mark.parametrize(("share", "refused"), [(0.999, False), (1.001, True)])
 def test_images_of_a_sheared_box_are_refused_above_the_limit(share, refused):
     rate = share * FASTEST / 0.1
-    shear = {"velocity_along": "x", "gradient_along": "y", "rate": rate}
-    domain = {"min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "leaving": "error", "shear": shear}
-    scene = trial({"ball": balls([[0.05] * 3])}, domain=domain, **FAST)
+    shear = {"flow": "x", "gradient": "y", "rate": rate}
+    domain = {"min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "on_exit": "error", "lees_edwards": shear}
+    scene = build_scene({"ball": particle_group([[0.05] * 3])}, domain=domain, **FAST)
     if refused:
-        with pytest.raises(SceneError, match="domain.shear moves the images at 100 m/s, which is 0.001 m per step"):
+        with pytest.raises(
+            SceneError, match="domain.lees_edwards moves the images at 100 m/s, which is 0.001 m per step"
+        ):
             plan_for(scene)
     else:
         plan_for(scene)
@@ -168,7 +176,7 @@ def test_a_free_wall_stops_the_run_above_the_limit(taichi_f64, share, stops):
     force = share * SHARE * RADIUS * mass / (STEP**2 * (steps - 0.5))
     motion = [{"kind": "free", "direction": [0, 0, 1], "mass": mass, "force": force}]
     walls = {"lid": plane([0, 0, -0.5], [0, 0, 1], motion=motion)}
-    simulation = Simulation(trial({"ball": balls([[0, 0, 0.5]])}, walls=walls, **FAST))
+    simulation = Simulation(build_scene({"ball": particle_group([[0, 0, 0.5]])}, walls=walls, **FAST))
     error = None
     try:
         simulation.run(until=steps * STEP)
@@ -183,13 +191,15 @@ def test_a_free_wall_stops_the_run_above_the_limit(taichi_f64, share, stops):
 def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
     """A soft sphere: its contacts at 100 m/s would allow 6 mm in a step."""
     soft = {"materials": {"glass": {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}}}
-    plan = plan_for(trial({"ball": balls([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft))
+    plan = plan_for(
+        build_scene({"ball": particle_group([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft)
+    )
     assert plan.time_step == pytest.approx(SHARE * RADIUS / 100.0, rel=1e-12)
     assert "0.2 of the smallest radius" in plan.step.limited_by
 
 
 def test_the_overlap_limit_stays_below_one_minus_the_limit_per_step():
     assert STEP_SHARE == pytest.approx(SHARE)
-    trial({"ball": balls([[0.0] * 3])}, numerics={"overlap_limit": 1.0 - SHARE})
+    build_scene({"ball": particle_group([[0.0] * 3])}, numerics={"max_overlap": 1.0 - SHARE})
     with pytest.raises(ValueError, match="an overlap limit must be above 0 and at most 0.8"):
-        trial({"ball": balls([[0.0] * 3])}, numerics={"overlap_limit": 0.801})
+        build_scene({"ball": particle_group([[0.0] * 3])}, numerics={"max_overlap": 0.801})

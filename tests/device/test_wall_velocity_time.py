@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trials import SOFT, balls, finished, plane, trial
+from scene_builders import SOFT, build_scene, particle_group, plane, run_to_end
 
 RADIUS, OVERLAP = 0.005, 1e-4
 AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
@@ -20,13 +20,13 @@ def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
     motion = {
         "kind": "vibration", "direction": [1, 0, 0], "amplitude": AMPLITUDE, "angular_frequency": OMEGA
     }  # fmt: skip
-    scene = trial(
-        {"ball": balls([0.0, 0.0, RADIUS - OVERLAP], 2 * RADIUS)},
+    scene = build_scene(
+        {"ball": particle_group([0.0, 0.0, RADIUS - OVERLAP], 2 * RADIUS)},
         walls={"plate": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
         pair={"restitution": 1.0, "friction": 10.0}, normal="hertz", materials=heavy,
         run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
     )  # fmt: skip
-    last, _ = finished(scene, until=COUNT * STEP)
+    last, _ = run_to_end(scene, until=COUNT * STEP)
     modulus = SOFT["young_modulus"] / (2 * (1 + SOFT["poisson_ratio"])) / (2 * (2 - SOFT["poisson_ratio"]))
     stiffness = 8 * modulus * np.sqrt(RADIUS * OVERLAP)
     half = 0.5 * OMEGA * STEP

@@ -24,7 +24,7 @@ def scene_with(groups, seed=1):
             },
             "contact": {"normal": "zhou", "tangential": "none", "rolling": "none"},
             "particles": {name: {"material": "glass"} | group for name, group in groups.items()},
-            "domain": {"min": [-1, -1, -1], "max": [1, 1, 1], "leaving": "delete"},
+            "domain": {"min": [-1, -1, -1], "max": [1, 1, 1], "on_exit": "delete"},
             "run": {"duration": 1},
             "output": {"interval": 0.1},
         }
@@ -34,11 +34,11 @@ def scene_with(groups, seed=1):
 def smallest_gap(position, radius):
     """The smallest gap [m] between any two spheres; infinite if none are near each other."""
     pairs = cKDTree(position).query_pairs(2.001 * radius.max(), output_type="ndarray")
-    apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
-    return (apart - radius[pairs].sum(axis=1)).min(initial=np.inf)
+    separation = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+    return (separation - radius[pairs].sum(axis=1)).min(initial=np.inf)
 
 
-def room_left(region, position, radius):
+def clearance(region, position, radius):
     """How much room [m] the spheres leave to the boundary of their region, the tightest of them."""
     if "box" in region:
         low, high = np.array(region["box"]["min"]), np.array(region["box"]["max"])

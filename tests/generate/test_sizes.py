@@ -5,14 +5,14 @@ import pytest
 from generate.scenes import BOX, scene_with
 from scipy import integrate, stats
 
-from granflow.scene.sizes import class_counts, draw_diameters
+from granflow.scene.size_sampling import class_counts, draw_diameters
 
 COUNT = 20_000
 
 
 def sizes(spec):
     """A size distribution as the schema reads it."""
-    group = {"count": 10, "diameter": spec, "place": {"kind": "pack", "region": BOX}}
+    group = {"count": 10, "diameter": spec, "insert": {"kind": "pack", "region": BOX}}
     return scene_with({"beads": group}).particles["beads"].diameter
 
 

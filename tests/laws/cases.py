@@ -1,4 +1,4 @@
-"""The laws of the catalogue with their settings, and walks of many contacts along given overlaps."""
+"""The laws of the catalog with their settings, and walks of many contacts along given overlaps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,40 +7,40 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from granflow.laws.adhesion import with_sjkr
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import Asked, NormalLaw
+from granflow.laws.catalog import NORMAL_LAWS
+from granflow.laws.cohesion import with_sjkr
+from granflow.laws.complete_force import complete_force
+from granflow.laws.law import ModelRequest, NormalLaw
 from granflow.laws.material import PairMaterial, VelocityRestitution
-from granflow.laws.whole import whole_force
 
 
 @dataclass(frozen=True)
 class Units:
-    """How many of the units in use a metre, a kilogram and a second are."""
+    """How many of the units in use a meter, a kilogram and a second are."""
 
-    metre: float = 1.0
+    meter: float = 1.0
     kilogram: float = 1.0
     second: float = 1.0
 
     @property
     def pascal(self) -> float:
-        return self.kilogram / (self.metre * self.second**2)
+        return self.kilogram / (self.meter * self.second**2)
 
     @property
     def newton(self) -> float:
-        return self.kilogram * self.metre / self.second**2
+        return self.kilogram * self.meter / self.second**2
 
     @property
     def velocity(self) -> float:
-        return self.metre / self.second
+        return self.meter / self.second
 
 
 SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
 RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
-"""A soft centimetre sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
+"""A soft centimeter sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
 YIELD_STRENGTH = 1e6
-"""With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometres."""
+"""With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometers."""
 COHESION = 5e4
 """A pull of 3.1 kN/m times the overlap, less than a sixth of the spring of 20 kN/m."""
 ANGLE = 0.5
@@ -94,13 +94,13 @@ def law_of(case, units):
     return case.build(units)
 
 
-def asked(name, restitution, settings=lambda units: {}):
+def request(name, restitution, settings=lambda units: {}):
     """Builds the law of that name as a scene would ask for it."""
 
     def build(units):
         given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
         pair = pair_of(restitution, units)
-        return NORMAL_LAWS[name].build(Asked(given, (pair,), units.velocity, ANGLE))
+        return NORMAL_LAWS[name].build(ModelRequest(given, (pair,), units.velocity, ANGLE))
 
     return build
 
@@ -108,7 +108,7 @@ def asked(name, restitution, settings=lambda units: {}):
 def spring(number=None, velocity=None):
     """A linear spring as a scene gives it: a number [N/m], a reference velocity [m/s], or per contact."""
     if number is not None:
-        return lambda units: {"stiffness": {"value": number * units.newton / units.metre}}
+        return lambda units: {"stiffness": {"value": number * units.newton / units.meter}}
     if velocity is not None:
         return lambda units: {"stiffness": {"reference_velocity": velocity * units.velocity}}
     return lambda units: {"stiffness": "onset"}
@@ -135,7 +135,7 @@ def reference_velocity(velocity):
 
 def case(name, law, restitution, settings=lambda units: {}, **marks):
     """A case of the law `law`."""
-    return Case(name, asked(law, restitution, settings), restitution, **marks)
+    return Case(name, request(law, restitution, settings), restitution, **marks)
 
 
 def adhesive(plain):
@@ -144,17 +144,17 @@ def adhesive(plain):
 
 
 def zhou(source, damping_ratio=0.0):
-    return lambda units: {"restitution": source, "damping_ratio": damping_ratio}
+    return lambda units: {"restitution_at": source, "damping_ratio": damping_ratio}
 
 
 PLAIN = (
-    case("zhou_onset", "zhou", fit, zhou("onset"), plastic=True),
-    case("zhou_peak", "zhou", fit, zhou("peak"), plastic=True),
+    case("zhou_onset", "zhou", fit, zhou("impact"), plastic=True),
+    case("zhou_peak", "zhou", fit, zhou("max_overlap"), plastic=True),
     case("zhou_constant", "zhou", number(0.6), plastic=True),
     case("zhou_small", "zhou", number(0.05), plastic=True),
     case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
     case("zhou_elastic", "zhou", number(1.0)),
-    case("zhou_damped", "zhou", fit, zhou("onset", 0.2), plastic=True),
+    case("zhou_damped", "zhou", fit, zhou("impact", 0.2), plastic=True),
     case("hertz_elastic", "hertz", number(1.0)),
     case("hertz_damped", "hertz", number(0.6)),
     case("linear_onset", "linear", number(0.6), spring()),
@@ -210,8 +210,8 @@ def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME
     found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(law.history_count, 1)))
     constants = np.array(law.pair_constants(case.pair(units)))
-    bodies = (radius * units.metre, mass * units.kilogram, time_step * units.second)
-    given = (overlap * units.metre, rate * units.velocity)
+    bodies = (radius * units.meter, mass * units.kilogram, time_step * units.second)
+    given = (overlap * units.meter, rate * units.velocity)
     kernel_for(law, len(constants))(constants, *bodies, *(np.ascontiguousarray(g) for g in given), *found, history)
     return Walk(*found, history)
 
@@ -219,7 +219,7 @@ def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME
 @cache
 def kernel_for(law, constant_count):
     """A kernel that leads contacts along their overlaps."""
-    memory_size, force_of = max(law.history_count, 1), whole_force(law)
+    memory_size, force_of = max(law.history_count, 1), complete_force(law)
     table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
 
     @ti.kernel
@@ -247,22 +247,22 @@ def kernel_for(law, constant_count):
     return lead
 
 
-def twin_walk(case, overlap, rate):
+def reference_walk(case, overlap, rate):
     """The same walk by the numpy twin: force, history, and the force at an overlap larger by a relative NUDGE."""
     law = case.law()
     constants = np.array(law.pair_constants(case.pair()))
     size = max(law.history_count, 1)
     force, nudged, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
     for i in range(len(overlap)):
-        memory = np.zeros(size)
+        history_new = np.zeros(size)
         for s, (d, v) in enumerate(zip(overlap[i], rate[i], strict=True)):
             if d > 0.0:
                 bodies = (constants, RADIUS, MASS, TIME_STEP)
-                force[i, s], memory = law.reference_force(*bodies, d, v, memory)
-                nudged[i, s], _ = law.reference_force(*bodies, d * (1.0 + NUDGE), v, memory)
+                force[i, s], history_new = law.reference_force(*bodies, d, v, history_new)
+                nudged[i, s], _ = law.reference_force(*bodies, d * (1.0 + NUDGE), v, history_new)
             else:
-                memory = np.zeros(size)
-            history[i, s] = memory
+                history_new = np.zeros(size)
+            history[i, s] = history_new
     return force, nudged, history
 
 
@@ -273,8 +273,8 @@ def random_walks(contacts, steps, seed=1):
     """Overlaps [m] that rise, fall and rise again by random amounts, now and then apart, and rates [m/s]."""
     rng = np.random.default_rng(seed)
     turns = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
-    place = np.arange(steps) / 4.0
-    overlap = np.array([np.interp(place, np.arange(turns.shape[1]), row) for row in turns])
+    insertion = np.arange(steps) / 4.0
+    overlap = np.array([np.interp(insertion, np.arange(turns.shape[1]), row) for row in turns])
     direction = np.sign(np.diff(overlap, axis=1, prepend=-1.0))
     rate = direction * rng.uniform(0.01, 1.9, overlap.shape)
     rate[::7] *= -1.0

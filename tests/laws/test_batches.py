@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from child import in_child
-from trials import SOFT, balls, finished, trial
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
+from subprocess_runner import in_subprocess
 
 from granflow.plan import plan_for
 
@@ -18,35 +18,35 @@ SIDE, DIAMETER = 6, 0.01
 STEPS, TIME_STEP = 250, 1e-6
 
 
-def pressed_lattice(law, adhesion, chunk_size):
-    """Spheres that touch their neighbours from the start, in motion, so that contacts load, unload, pull and part."""
+def pressed_lattice(law, cohesion, chunk_size):
+    """Spheres that touch their neighbors from the start, in motion, so that contacts load, unload, pull and part."""
     rng = np.random.default_rng(3)
-    places = 0.999 * DIAMETER * (np.argwhere(np.ones((SIDE, SIDE, SIDE))) - 2.5)
-    group = balls(places, DIAMETER, velocity=rng.normal(0.0, 0.3, places.shape))
+    positions = 0.999 * DIAMETER * (np.argwhere(np.ones((SIDE, SIDE, SIDE))) - 2.5)
+    group = particle_group(positions, DIAMETER, velocity=rng.normal(0.0, 0.3, positions.shape))
     pair = {"friction": 0.4} | ({} if law == "thornton" else {"restitution": 0.7})
-    pair |= {} if adhesion == "none" else {"cohesion_energy_density": 1e4}
-    return trial(
+    pair |= {} if cohesion == "none" else {"cohesion_energy_density": 1e4}
+    return build_scene(
         {"balls": group}, pairs={"glass-glass": pair}, materials={"glass": SOFT | {"yield_strength": 3e6}},
-        contact={"normal": NORMALS[law], "tangential": "mindlin", "rolling": "none", "adhesion": adhesion},
+        contact={"normal": NORMALS[law], "tangential": "mindlin", "rolling": "none", "cohesion": cohesion},
         run={"duration": STEPS * TIME_STEP, "time_step": TIME_STEP, "velocity_max": 2.0},
         numerics={"chunk_size": chunk_size},
     )  # fmt: skip
 
 
-def both_ways(law, adhesion):
+def both_ways(law, cohesion):
     """Positions, velocities and spins after the same steps, contact by contact and in batches; contacts by then."""
     seen, contacts = [], []
     for chunk_size in (1, SIDE**3):
-        scene = pressed_lattice(law, adhesion, chunk_size)
+        scene = pressed_lattice(law, cohesion, chunk_size)
         assert plan_for(scene).chunk_size == chunk_size
-        last, _ = finished(scene)
-        seen.append([last.particles[name].tolist() for name in ("position", "velocity", "spin")])
+        last, _ = run_to_end(scene)
+        seen.append([last.particles[name].tolist() for name in ("position", "velocity", "angular_velocity")])
         contacts.append(last.totals["contact_count"])
     return seen, contacts
 
 
 @pytest.mark.parametrize(
-    ("law", "adhesion"),
+    ("law", "cohesion"),
     [
         ("luding", "sjkr"),
         pytest.param("thornton", "none", marks=pytest.mark.slow),
@@ -54,9 +54,9 @@ def both_ways(law, adhesion):
         pytest.param("luding, no tension", "none", marks=pytest.mark.slow),
     ],
 )
-def test_batches_give_what_single_contacts_give(law, adhesion):
+def test_batches_give_what_single_contacts_give(law, cohesion):
     """But for rounding, since forces are summed in another order: 1e-16 a step, which 250 steps of collisions raise."""
-    (single, batched), contacts = in_child(both_ways, law, adhesion)
+    (single, batched), contacts = in_subprocess(both_ways, law, cohesion)
     assert 0.3 * 3 * SIDE**2 * (SIDE - 1) < contacts[0] == contacts[1]
     for one, other, scale in zip(single, batched, (SIDE * DIAMETER, 0.3, 0.3 / DIAMETER), strict=True):
         np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-11 * scale)

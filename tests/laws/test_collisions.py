@@ -7,7 +7,7 @@ import pytest
 import taichi as ti
 from laws.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, walk
 
-from granflow.laws.whole import whole_force
+from granflow.laws.complete_force import complete_force
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 
@@ -18,7 +18,7 @@ TABLE = ti.types.ndarray(ti.f64, 1)
 @cache
 def kernel_for(law, constant_count):
     """A kernel that lets one pair collide for each velocity, by leapfrog as the many-particle step does."""
-    memory_size, force_of = max(law.history_count, 1), whole_force(law)
+    memory_size, force_of = max(law.history_count, 1), complete_force(law)
     since_parting = 1.0 if law.name == "zhou" else 0.5  # steps; a mean over the step ends half a step later
 
     @ti.kernel
@@ -141,13 +141,13 @@ def test_steepest_tangent_is_the_one_met(taichi_f64, case):
         assert met >= 0.98 * steepest
 
 
-def test_adhesion_alone_loses_nothing(taichi_f64):
+def test_cohesion_alone_loses_nothing(taichi_f64):
     """It is a conservative force: an elastic sphere comes back as fast as it came."""
     (case,) = (case for case in CASES if case.name == "sjkr_hertz_elastic")
     np.testing.assert_allclose(collisions(case, FINE)[0], 1.0, atol=1e-6)
 
 
-def test_adhesion_lowers_the_restitution_of_a_bilinear_contact(taichi_f64):
+def test_cohesion_lowers_the_restitution_of_a_bilinear_contact(taichi_f64):
     """The pull is a spring of -kc: the contact gets deeper, and e^2 = 1 - (1 - e0^2) / (1 - kc / k1)."""
     (case,) = (case for case in CASES if case.name == "sjkr_walton_braun_number")
     pull = 2.0 * np.pi * COHESION * RADIUS

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trials import SOFT, balls, box, column, finished, plane, times, trial, watched
+from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
 
 SPRING = {"stiffness": {"reference_velocity": 1.0}}
 NORMALS = {
@@ -13,23 +13,25 @@ NORMALS = {
 }
 
 
-def bouncing_box(law, adhesion, time_step):
+def bouncing_box(law, cohesion, time_step):
     rng = np.random.default_rng(5)
-    places = 0.012 * (np.argwhere(np.ones((3, 3, 4))) + 0.55)
-    group = balls(places, rng.uniform(0.009, 0.0105, len(places)), velocity=rng.normal(0.0, 0.7, places.shape))
+    positions = 0.012 * (np.argwhere(np.ones((3, 3, 4))) + 0.55)
+    group = particle_group(
+        positions, rng.uniform(0.009, 0.0105, len(positions)), velocity=rng.normal(0.0, 0.7, positions.shape)
+    )
     pair = {"friction": 0.4} | ({} if law == "thornton" else {"restitution": 0.7})
-    pair |= {} if adhesion == "none" else {"cohesion_energy_density": 1e4}
-    return trial(
+    pair |= {} if cohesion == "none" else {"cohesion_energy_density": 1e4}
+    return build_scene(
         {"balls": group}, walls=box(0.05), gravity=[0.0, 0.0, -9.81], pairs={"glass-glass": pair},
-        contact={"normal": NORMALS[law], "tangential": "mindlin", "rolling": "none", "adhesion": adhesion},
+        contact={"normal": NORMALS[law], "tangential": "mindlin", "rolling": "none", "cohesion": cohesion},
         materials={"glass": SOFT | {"yield_strength": 3e6}},
         run={"duration": 0.03, "time_step": time_step, "velocity_max": 4.0},
-        output={"interval": 1.0, "energy": True},
+        output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("law", "adhesion"),
+    ("law", "cohesion"),
     [
         ("luding", "sjkr"),
         pytest.param("thornton", "sjkr", marks=pytest.mark.slow),
@@ -37,15 +39,15 @@ def bouncing_box(law, adhesion, time_step):
         pytest.param("kuwabara_kono", "none", marks=pytest.mark.slow),
     ],
 )
-def test_energy_ledger_closes_in_a_box_of_bouncing_spheres(taichi_f64, law, adhesion):
-    totals = finished(bouncing_box(law, adhesion, 2e-6))[0].totals
+def test_energy_energy_budget_closes_in_a_box_of_bouncing_spheres(taichi_f64, law, cohesion):
+    totals = run_to_end(bouncing_box(law, cohesion, 2e-6))[0].totals
     dissipated = "damping_dissipation" if law == "kuwabara_kono" else "plastic_dissipation"
     for part in ("friction_dissipation", dissipated):
         assert totals[part] > 0.01 * totals["kinetic_energy"], part
     assert abs(totals["energy_error"]) < 1e-4
 
 
-def test_adhesion_presses_for_friction(taichi_f64):
+def test_cohesion_presses_for_friction(taichi_f64):
     """A sphere slides on a wall with nothing but adhesion to hold it: it slows by mu times the repulsion, the pull.
 
     Where k d^1.5 = 2 pi w R d the whole force is 0; capped with it, friction would be 0 too.
@@ -54,14 +56,14 @@ def test_adhesion_presses_for_friction(taichi_f64):
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
     spring, pull = 4.0 / 3.0 * modulus * np.sqrt(radius), 2.0 * np.pi * cohesion * radius
     overlap = (pull / spring) ** 2
-    sphere = balls([0.0, 0.0, radius - overlap], 2.0 * radius, velocity=[[speed, 0.0, 0.0]])
+    sphere = particle_group([0.0, 0.0, radius - overlap], 2.0 * radius, velocity=[[speed, 0.0, 0.0]])
     pair = {"restitution": 1.0, "friction": friction, "cohesion_energy_density": cohesion}
-    scene = trial(
+    scene = build_scene(
         {"sphere": sphere}, {"floor": plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])}, pair=pair,
-        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "adhesion": "sjkr"},
+        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "sjkr"},
         run={"duration": 3e-4, "time_step": 1e-6, "velocity_max": speed},
     )  # fmt: skip
-    seen = watched(scene, 1e-5)
+    seen = run_and_sample(scene, 1e-5)
     velocity, moment = column(seen, "velocity")[:, 0], times(seen)
     mass = 4.0 / 3.0 * np.pi * radius**3 * SOFT["density"]
     late = moment > 1e-4

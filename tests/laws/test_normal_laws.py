@@ -1,10 +1,10 @@
-"""What every normal law of the catalogue owes, whichever law it is."""
+"""What every normal law of the catalog owes, whichever law it is."""
 
 import numpy as np
 import pytest
-from laws.cases import CASES, CONTINUOUS, MASS, NUDGE, RADIUS, TIME_STEP, Units, random_walks, twin_walk, walk
+from laws.cases import CASES, CONTINUOUS, MASS, NUDGE, RADIUS, TIME_STEP, Units, random_walks, reference_walk, walk
 
-from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.catalog import NORMAL_LAWS
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 every_continuous_law = pytest.mark.parametrize("case", CONTINUOUS, ids=str)
@@ -21,20 +21,20 @@ def grid_paths(contacts, steps, seed=3):
     rng = np.random.default_rng(seed)
     there = np.cumsum(rng.choice([-1, 1], (contacts, steps)), axis=1)
     there -= there.min(axis=1, keepdims=True) - 1
-    back = np.array([np.resize(np.arange(row[-1], row[0] - np.sign(row[-1] - row[0]),
+    rebound = np.array([np.resize(np.arange(row[-1], row[0] - np.sign(row[-1] - row[0]),
                                          -1 if row[-1] > row[0] else 1), steps) for row in there])  # fmt: skip
-    return there, back
+    return there, rebound
 
 
-def test_every_law_of_the_catalogue_has_a_case():
+def test_every_law_of_the_catalog_has_a_case():
     assert {case.law().name for case in CASES} == set(NORMAL_LAWS)
 
 
 @every_law
-def test_device_equals_its_numpy_twin(taichi_f64, case):
+def test_device_equals_its_numpy_reference(taichi_f64, case):
     overlap, rate = random_walks(contacts=150, steps=60)
     found = walk(case, overlap, rate)
-    force, nudged, history = twin_walk(case, overlap, rate)
+    force, nudged, history = reference_walk(case, overlap, rate)
     names = case.law().history_names
     remembered = history[..., names.index("overlap_max")] if "overlap_max" in names else overlap
     pull = found.pressing - found.force
@@ -86,9 +86,9 @@ def test_force_is_continuous_at_every_change_of_branch(taichi_f64, case):
 @every_continuous_law
 def test_no_closed_path_gives_work(taichi_f64, case):
     """Work by the trapezoid rule: what is retraced elastically cancels, and unloading lies below loading."""
-    there, back = grid_paths(contacts=300, steps=60)
-    overlap = 6e-6 * np.concatenate([there, back], axis=1)
-    closed = [np.flatnonzero(back[i] == there[i, 0])[0] + there.shape[1] for i in range(len(there))]
+    there, rebound = grid_paths(contacts=300, steps=60)
+    overlap = 6e-6 * np.concatenate([there, rebound], axis=1)
+    closed = [np.flatnonzero(rebound[i] == there[i, 0])[0] + there.shape[1] for i in range(len(there))]
     step = np.diff(overlap, axis=1, prepend=overlap[:, :1])
     rate = step / TIME_STEP
     rate[:, 0] = 0.5
@@ -111,12 +111,12 @@ def test_work_put_in_is_stored_or_lost(taichi_f64, case):
     found = walk(case, overlap, rate, time_step=0.0)
     middle = 0.5 * (found.elastic[0, 1:] + found.elastic[0, :-1])
     work = np.concatenate([[0.0], np.cumsum(middle * np.diff(overlap[0]))]) + found.stored[0, 0] + found.lost[0, 0]
-    books = found.stored[0] + found.lost[0]
-    np.testing.assert_allclose(work, books, atol=2e-6 * books.max())
+    accounting = found.stored[0] + found.lost[0]
+    np.testing.assert_allclose(work, accounting, atol=2e-6 * accounting.max())
     if not case.adhesive:
         assert np.all(found.stored >= 0.0)
-    assert np.diff(found.lost[0]).min() >= -1e-12 * books.max()
-    assert case.plastic == bool(found.lost.max() > 1e-9 * books.max())
+    assert np.diff(found.lost[0]).min() >= -1e-12 * accounting.max()
+    assert case.plastic == bool(found.lost.max() > 1e-9 * accounting.max())
 
 
 @every_law
@@ -127,7 +127,7 @@ def test_units_do_not_matter(taichi_f64, case, units):
     # the residual overlap is a difference: its rounding weighs by the unloading tangent, at most 300 Hertz forces
     size = plain.force.max()
     np.testing.assert_allclose(scaled.force / units.newton, plain.force, rtol=1e-12, atol=1e-13 * size)
-    energy = units.newton * units.metre
+    energy = units.newton * units.meter
     np.testing.assert_allclose(scaled.stored / energy, plain.stored, rtol=1e-12, atol=1e-13 * plain.stored.max())
 
 

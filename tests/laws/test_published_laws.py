@@ -5,9 +5,9 @@ import pytest
 from laws.cases import CASES, MASS, RADIUS, SHEAR_MODULUS, SI, walk
 from scipy.integrate import solve_ivp
 
-from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.catalog import NORMAL_LAWS
 from granflow.laws.kuwabara_kono import dissipation_for, rebound_of
-from granflow.laws.law import Asked
+from granflow.laws.law import ModelRequest
 from granflow.laws.material import PairMaterial, Solid, modulus_eff
 
 STEEL = Solid(193e9, 0.35, 8030.0, 0.310e9)
@@ -15,7 +15,7 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 def law_of(name, pair, **settings):
-    return NORMAL_LAWS[name].build(Asked(settings, (pair,), 1.0, 0.5))
+    return NORMAL_LAWS[name].build(ModelRequest(settings, (pair,), 1.0, 0.5))
 
 
 def terminal(event):
@@ -124,11 +124,11 @@ def test_luding_under_tension_accounts_for_every_path(taichi_f64):
     path = np.interp(np.linspace(0.0, lengths[-1], 100_001), lengths, corners)[None, :]
     found = walk(BY_NAME["luding_tension"], path, np.ones_like(path))
     work = np.concatenate([[0.0], np.cumsum(0.5 * (found.force[0, 1:] + found.force[0, :-1]) * np.diff(path[0]))])
-    books = found.stored[0] + found.lost[0]
-    np.testing.assert_allclose(work, books, atol=1e-6 * books.max())
+    accounting = found.stored[0] + found.lost[0]
+    np.testing.assert_allclose(work, accounting, atol=1e-6 * accounting.max())
     assert found.force.min() < -0.05 * found.force.max()
-    assert np.diff(found.lost[0]).min() >= -1e-12 * books.max()
-    assert found.stored[0, -1] <= 1e-6 * books.max()
+    assert np.diff(found.lost[0]).min() >= -1e-12 * accounting.max()
+    assert found.stored[0, -1] <= 1e-6 * accounting.max()
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.7, 3.0])
@@ -173,7 +173,7 @@ def test_every_law_says_what_it_needs_and_where_it_fails(name):
     kind = NORMAL_LAWS[name]
     given = {key: each.default for key, each in kind.settings.items()} | dict(kind.example)
     pair = PairMaterial(4e7, SHEAR_MODULUS, None if kind.restitution == "nothing" else 0.7, 0.0, yield_strength=1e6)
-    law = kind.build(Asked(given, (pair,), 1.0, 0.5))
+    law = kind.build(ModelRequest(given, (pair,), 1.0, 0.5))
     assert law.name == name
     assert len(law.pair_constants(pair)) == len(law.constant_names)
     assert len(law.limits) > 20 and not law.limits.endswith(".")

@@ -14,7 +14,7 @@ NUMBERS = ti.types.ndarray(ti.f64, 1)
 @ti.kernel
 def stretch(
     stiffness: NUMBERS, share: NUMBERS, cap: NUMBERS, carried: VECTORS, step: VECTORS,
-    force: VECTORS, kept: VECTORS, lost: NUMBERS
+    force: VECTORS, spring_history: VECTORS, lost: NUMBERS
 ):  # fmt: skip
     for i in range(cap.shape[0]):
         before = ti.Vector([carried[i, 0], carried[i, 1], carried[i, 2]])
@@ -22,7 +22,7 @@ def stretch(
         pull, after = mindlin.elastic_plastic_spring(stiffness[i], share[i], cap[i], before, slide)
         lost[i] = mindlin.spring_loss(stiffness[i], share[i], before, slide, pull, after)
         for k in ti.static(range(3)):
-            force[i, k], kept[i, k] = pull[k], after[k]
+            force[i, k], spring_history[i, k] = pull[k], after[k]
 
 
 @ti.kernel
@@ -31,7 +31,7 @@ def turn(displacement: VECTORS, normal: VECTORS, middle: VECTORS, turned: VECTOR
         s = ti.Vector([displacement[i, 0], displacement[i, 1], displacement[i, 2]])
         n = ti.Vector([normal[i, 0], normal[i, 1], normal[i, 2]])
         m = ti.Vector([middle[i, 0], middle[i, 1], middle[i, 2]])
-        result = mindlin.carried_displacement(s, n, m)
+        result = mindlin.rotated_displacement(s, n, m)
         for k in ti.static(range(3)):
             turned[i, k] = result[k]
 
@@ -58,29 +58,29 @@ def random_springs(count=4000, seed=1):
 
 
 def stretched(stiffness, share, cap, carried, step):
-    force, kept, lost = np.zeros_like(carried), np.zeros_like(carried), np.zeros_like(cap)
-    stretch(stiffness, share, cap, carried, step, force, kept, lost)
-    return force, kept, lost
+    force, spring_history, lost = np.zeros_like(carried), np.zeros_like(carried), np.zeros_like(cap)
+    stretch(stiffness, share, cap, carried, step, force, spring_history, lost)
+    return force, spring_history, lost
 
 
-def test_spring_on_the_device_equals_its_twin_within_4_ulps(taichi_f64):
+def test_spring_on_the_device_equals_its_reference_within_4_ulps(taichi_f64):
     springs = random_springs()
-    force, kept, _ = stretched(*springs)
+    force, spring_history, _ = stretched(*springs)
     for i, numbers in enumerate(zip(*springs, strict=True)):
         expected = mindlin.reference_spring(*numbers)
-        for found, given in zip((force[i], kept[i]), expected, strict=True):
+        for found, given in zip((force[i], spring_history[i]), expected, strict=True):
             assert np.abs(found - given).max() <= 4.0 * np.finfo(float).eps * np.linalg.norm(given)
 
 
 def test_spring_holds_at_the_cap_and_never_above(taichi_f64):
     stiffness, share, cap, carried, step = random_springs(seed=2)
-    force, kept, _ = stretched(stiffness, share, cap, carried, step)
+    force, spring_history, _ = stretched(stiffness, share, cap, carried, step)
     size = np.linalg.norm(force, axis=1)
     assert np.all(size <= cap * (1.0 + 1e-15 * 4))
     sliding = stiffness * np.linalg.norm(np.minimum(share, 1.0)[:, None] * carried + step, axis=1) > cap
     assert 100 < sliding.sum() < len(cap) - 100
     np.testing.assert_allclose(size[sliding], cap[sliding], rtol=1e-14)
-    np.testing.assert_allclose(-stiffness[:, None] * kept, force, rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(-stiffness[:, None] * spring_history, force, rtol=1e-13, atol=1e-16)
 
 
 def test_spring_never_makes_energy(taichi_f64):

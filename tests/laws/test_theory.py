@@ -178,7 +178,7 @@ def test_restitution_falls_with_velocity_to_zero_at_the_limit():
     assert e[3] == pytest.approx(np.exp(-3.0432 * (1.0 / 339.0) ** 0.540), rel=1e-14)
 
 
-def test_moduli_are_symmetric_and_halve_with_a_twin():
+def test_moduli_are_symmetric_and_halve_with_a_reference():
     assert modulus_eff(STAINLESS, CHROME) == modulus_eff(CHROME, STAINLESS)
     assert shear_modulus_eff(STAINLESS, CHROME) == shear_modulus_eff(CHROME, STAINLESS)
     assert modulus_eff(CHROME, CHROME) == pytest.approx(0.5 * 203e9 / (1.0 - 0.28**2), rel=1e-14)

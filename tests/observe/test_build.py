@@ -14,11 +14,11 @@ def scene_of(**output):
     meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None, sides=None, by=None)
     block = {
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
-        "energy": False, "meters": {"outlet": meter}, "fields": {}, "indices": {}, **output,
+        "energy_budget": False, "flow_meters": {"outlet": meter}, "fields": {}, "metrics": {}, **output,
     }  # fmt: skip
     domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), shear=None, leaving="error")
     return SimpleNamespace(
-        output=SimpleNamespace(**block), domain=domain, walls={}, loaded_walls=(), meter_parts=lambda name: ()
+        output=SimpleNamespace(**block), domain=domain, walls={}, measured_walls=(), flow_meter_parts=lambda name: ()
     )
 
 
@@ -35,7 +35,7 @@ def test_what_is_asked_for_is_made(tmp_path):
 def test_series_has_its_own_interval(tmp_path):
     series, frames, _ = observers_for(scene_of(timeseries_interval=0.001), tmp_path, TRIANGLES)
     for observer in (series, frames):
-        observer._schedule.take(0.0)
+        observer._schedule.mark_done(0.0)
     assert (series.next_time(), frames.next_time()) == (0.001, 0.01)
 
 

@@ -4,14 +4,14 @@ import pytest
 
 from granflow.quantities import (
     CONTACT_QUANTITIES,
-    METER_QUANTITIES,
+    FLOW_METER_QUANTITIES,
     PARTICLE_QUANTITIES,
     RUN_QUANTITIES,
     TOTAL_QUANTITIES,
     unit_of,
 )
 
-ALL = [PARTICLE_QUANTITIES, CONTACT_QUANTITIES, METER_QUANTITIES, RUN_QUANTITIES, TOTAL_QUANTITIES]
+ALL = [PARTICLE_QUANTITIES, CONTACT_QUANTITIES, FLOW_METER_QUANTITIES, RUN_QUANTITIES, TOTAL_QUANTITIES]
 
 
 @pytest.mark.parametrize("quantity", [quantity for glossary in ALL for quantity in glossary.values()])
@@ -35,7 +35,7 @@ def test_the_same_word_has_the_same_unit_everywhere():
         ("kinetic_energy", "J"),
         ("mass_flow.outlet", "kg/s"),
         ("flow_count.outlet", ""),
-        ("seconds.search", "s"),
+        ("timings.neighbor_list", "s"),
         ("time_step", "s"),
         ("particle_count", ""),
         ("own_number", ""),
@@ -48,4 +48,4 @@ def test_unit_of_a_number_of_the_result(name, unit):
 def test_labels_carry_units():
     assert TOTAL_QUANTITIES["kinetic_energy"].label == "kinetic_energy [J]"
     assert TOTAL_QUANTITIES["particle_count"].label == "particle_count"
-    assert METER_QUANTITIES["mass_flow"].label_of("outlet") == "mass_flow.outlet [kg/s]"
+    assert FLOW_METER_QUANTITIES["mass_flow"].label_of("outlet") == "mass_flow.outlet [kg/s]"

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from granflow.observe import Judgement, Result, closing_table, run_log, write_result, write_scene_as_run
+from granflow.observe import ExpectationResult, Result, closing_table, run_log, write_result, write_scene_as_run
 
 RESULT = Result(
     run={"simulated_time": 1.5, "step_count": np.int64(1_234_567)},
-    seconds={"search": 1.0, "forces": 3.0},
+    timings={"neighbor_list": 1.0, "forces": 3.0},
     totals={"particle_count": 8000, "kinetic_energy": 1e-3, "energy_error": float("nan")},
-    meters={"outlet": {"flow_mass": 0.25, "flow_count": 100, "mass_flow": 0.153}},
+    flow_meters={"outlet": {"flow_mass": 0.25, "flow_count": 100, "mass_flow": 0.153}},
 )
 
 
 def test_numbers_go_by_the_names_of_the_expect_block():
     numbers = RESULT.numbers
     assert numbers["mass_flow.outlet"] == 0.153
-    assert numbers["seconds.forces"] == 3.0
+    assert numbers["timings.forces"] == 3.0
     assert numbers["kinetic_energy"] == 1e-3
     assert numbers["step_count"] == 1_234_567
 
@@ -31,13 +31,13 @@ def test_numbers_go_by_the_names_of_the_expect_block():
 def test_result_is_held_to_the_scene():
     nothing = dict.fromkeys(("between", "below", "above", "equals", "tolerance"))
     expectation = SimpleNamespace(**{**nothing, "quantity": "mass_flow.outlet", "above": 0.1})
-    ((sentence, met),) = RESULT.held_to([expectation]).expectations
+    ((sentence, met),) = RESULT.with_expectations([expectation]).expectations
     assert met
     assert sentence == "mass_flow.outlet is 0.153 kg/s, as expected above 0.1 kg/s."
 
 
 def test_json_is_strict_and_has_the_same_numbers(tmp_path):
-    path = write_result(tmp_path, replace(RESULT, expectations=(Judgement("All is well.", True),)))
+    path = write_result(tmp_path, replace(RESULT, expectations=(ExpectationResult("All is well.", True),)))
 
     def refuse(word):
         raise AssertionError(f"{word} is not JSON")
@@ -45,7 +45,7 @@ def test_json_is_strict_and_has_the_same_numbers(tmp_path):
     read = json.loads(path.read_text(), parse_constant=refuse)
     assert read["run"] == {"simulated_time": 1.5, "step_count": 1_234_567}
     assert read["totals"]["energy_error"] is None
-    assert read["meters"]["outlet"]["mass_flow"] == 0.153
+    assert read["flow_meters"]["outlet"]["mass_flow"] == 0.153
     assert read["expect"] == [{"sentence": "All is well.", "met": True}]
 
 

@@ -17,30 +17,30 @@ def test_a_million_intervals_stay_within_one_rounding_of_the_exact_time(interval
         if k % 99_991 == 0 or k == 999_999:
             exact = Fraction(0.25) + k * Fraction(interval)
             assert abs(Fraction(due) - exact) <= Fraction(np.spacing(due))
-        schedule.take(due)
+        schedule.mark_done(due)
 
 
 def test_times_passed_in_one_stride_are_due_once():
     schedule = Schedule(0.1)
-    assert schedule.take(0.55)
+    assert schedule.mark_done(0.55)
     assert schedule.next_time() == pytest.approx(0.6)
 
 
 def test_the_same_moment_is_taken_once():
     schedule = Schedule(0.1)
-    assert schedule.take(0.1)
-    assert not schedule.take(0.1)
+    assert schedule.mark_done(0.1)
+    assert not schedule.mark_done(0.1)
 
 
 def test_a_moment_rounded_down_counts_as_the_due_time():
     schedule = Schedule(0.1)
-    schedule.take(np.nextafter(0.3, 0))
+    schedule.mark_done(np.nextafter(0.3, 0))
     assert schedule.next_time() == pytest.approx(0.4)
 
 
 def test_a_moment_before_its_time_leaves_the_due_time():
     schedule = Schedule(0.1)
-    schedule.take(0.05)
+    schedule.mark_done(0.05)
     assert schedule.next_time() == pytest.approx(0.1)
 
 

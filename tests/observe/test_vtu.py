@@ -34,7 +34,7 @@ def test_particles_come_back_number_for_number(tmp_path, count):
     np.testing.assert_array_equal(mesh.cells[0].data[:, 0], np.arange(count))
     np.testing.assert_array_equal(mesh.points, particles["position"].astype(np.float32))
     assert set(mesh.point_data) == {
-        "id", "radius", "diameter", "velocity", "spin", "force", "material", "group", "coordination_number",
+        "id", "radius", "diameter", "velocity", "angular_velocity", "force", "material", "group", "coordination_number",
         "kinetic_energy", "fixed",
     }  # fmt: skip
     for name, values in mesh.point_data.items():
@@ -54,9 +54,9 @@ def test_contacts_come_back_as_lines_number_for_number(tmp_path):
     ContactFrames(tmp_path, 0.1).observe(snapshot_of(contacts=contacts))
     mesh = meshio.read(tmp_path / "contacts_0000.vtu")
     lines = mesh.cells_dict["line"]
-    np.testing.assert_array_equal(mesh.points[lines[:, 0]], contacts["first_position"])
-    np.testing.assert_array_equal(mesh.points[lines[:, 1]], contacts["second_position"])
-    assert set(mesh.cell_data) == set(contacts) - {"first_position", "second_position"}
+    np.testing.assert_array_equal(mesh.points[lines[:, 0]], contacts["position_i"])
+    np.testing.assert_array_equal(mesh.points[lines[:, 1]], contacts["position_j"])
+    assert set(mesh.cell_data) == set(contacts) - {"position_i", "position_j"}
     for name, (values,) in mesh.cell_data.items():
         np.testing.assert_array_equal(values, CONTACT_QUANTITIES[name].for_file(contacts[name]))
 
@@ -140,7 +140,7 @@ def test_a_pvd_file_cut_back_and_continued_is_that_of_a_run_never_stopped(tmp_pa
             series.write(POINT, time / 3)
     resumed = FrameSeries(tmp_path / "stopped", "walls")
     resumed.frames, resumed.frame_count = stopped.frames[:3], 3
-    resumed.cut_back()
+    resumed.truncate()
     assert listed(resumed.listing) == stopped.frames[:3]
     for time in range(3, 6):
         resumed.write(POINT, time / 3)
@@ -157,15 +157,15 @@ def test_a_pvd_file_that_is_not_the_one_written_last_is_written_again(tmp_path, 
     assert listed(series.listing) == series.frames and len(series.frames) == 5
 
 
-@pytest.mark.parametrize("room", [0, 1, 40, 80])
-def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, room):
-    """The disk takes `room` bytes of an entry and its closing tags, then no more; a frame later it has room again."""
+@pytest.mark.parametrize("region", [0, 1, 40, 80])
+def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, region):
+    """The disk takes `region` bytes of an entry and its closing tags, then no more; a frame later it has room again."""
     series = FrameSeries(tmp_path, "particles")
     series.write(POINT, 0.0)
     before = series.listing.read_bytes()
 
     class Full(FileIO):
-        left = room
+        left = region
 
         def write(self, data):
             if self.tell() < len(before) - len(TAIL) + Full.left:

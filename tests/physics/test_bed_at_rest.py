@@ -7,7 +7,7 @@ dissipation, and rolling cannot dissipate more than the bed loses.
 
 import numpy as np
 import pytest
-from trials import balls, box, plane, trial
+from scene_builders import box, build_scene, particle_group, plane
 
 from granflow.observe import every
 from granflow.simulation import Simulation
@@ -20,30 +20,35 @@ HELD = tuple(f"{name}_energy" for name in ("kinetic", "rotational", "gravitation
 
 def layers(count=8):
     """Centers [m] of square layers, each in the hollows of the one below: alternately 7 x 7 and 6 x 6 spheres."""
-    places = []
+    positions = []
     for layer in range(count):
         inset = layer % 2
         grid = np.argwhere(np.ones((SIDE - inset, SIDE - inset, 1))) + 0.5 * (1 + inset)
-        places.append(DIAMETER * (grid * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5 + layer / np.sqrt(2.0)]))
-    return np.concatenate(places)
+        positions.append(DIAMETER * (grid * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5 + layer / np.sqrt(2.0)]))
+    return np.concatenate(positions)
 
 
 def bed(rolling, normal, duration, chunk_size):
     """Soft spheres with angular velocities at random, rms 17 rad/s, in a box that the 7 x 7 layers fill."""
-    places = layers()
-    spin = np.random.default_rng(4).normal(0.0, 10.0, places.shape)
+    positions = layers()
+    angular_velocity = np.random.default_rng(4).normal(0.0, 10.0, positions.shape)
     walls = box(SIDE * DIAMETER) | {"high_z": plane([0.0, 0.0, 0.2], [0.0, 0.0, -1.0])}
     rolling_friction = {} if rolling == "none" else {"rolling_friction": 0.1}
-    return trial(
-        {"spheres": balls(places, DIAMETER, spin=spin)}, walls=walls, rolling=rolling, normal=normal,
-        pair={"restitution": 0.5, "friction": 0.5} | rolling_friction, gravity=[0.0, 0.0, -9.81],
+    return build_scene(
+        {"spheres": particle_group(positions, DIAMETER, angular_velocity=angular_velocity)},
+        walls=walls,
+        rolling=rolling,
+        normal=normal,
+        pair={"restitution": 0.5, "friction": 0.5} | rolling_friction,
+        gravity=[0.0, 0.0, -9.81],
         materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
-        run={"duration": duration, "velocity_max": 0.1}, output={"interval": 1.0, "energy": True},
-        numerics={"time_step_safety": 0.2, "chunk_size": chunk_size},
-    )  # fmt: skip
+        run={"duration": duration, "velocity_max": 0.1},
+        output={"interval": 1.0, "energy_budget": True},
+        numerics={"time_step_fraction": 0.2, "chunk_size": chunk_size},
+    )
 
 
-def settled(rolling, normal, chunk_size):
+def resolve_scene(rolling, normal, chunk_size):
     """Snapshots at 0, 30 and 60 ms, and one step later."""
     seen = []
     scene = bed(rolling, normal, 0.06, chunk_size)
@@ -64,7 +69,7 @@ def budget(snapshot):
 
 def rotation(snapshot):
     """Root mean square angular velocity [rad/s]."""
-    return float(np.sqrt(np.mean(np.sum(snapshot.particles["spin"] ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(snapshot.particles["angular_velocity"] ** 2, axis=1))))
 
 
 BEDS = [
@@ -77,7 +82,7 @@ BEDS = [
 @pytest.mark.parametrize(("rolling", "normal", "chunk_size"), BEDS)
 def test_bed_at_rest_closes_its_energy_budget_and_stops_rotating(taichi_f64, rolling, normal, chunk_size):
     """Chunk size 1 evaluates contacts one at a time instead of in batches."""
-    start, early, late, next_step = settled(rolling, normal, chunk_size)
+    start, early, late, next_step = resolve_scene(rolling, normal, chunk_size)
     (held, dissipated, residual), (held_late, dissipated_late, residual_late) = budget(early), budget(late)
     lost = held - held_late
     # what is left of vibration, far below the elastic energy that carries the weight of the bed

@@ -6,7 +6,7 @@ dmax = (5 M v^2 / 4 k)^(2/5), F = k dmax^1.5, T = 2.9433 dmax / v, which the pap
 
 import numpy as np
 import pytest
-from trials import balls, column, plane, times, trial, watched
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 
 from granflow.laws import theory
 
@@ -22,24 +22,26 @@ HALF_DIGIT = 6e-4
 """Relative: the figures of the benchmark have four to five digits."""
 
 
-def collision(ball, material, velocity, overlap_limit=0.1):
+def collision(ball, material, velocity, max_overlap=0.1):
     """A ball that touches a rigid floor at the start and comes down at `velocity` [m/s]."""
-    return trial(
-        {"ball": balls([[0.0, 0.0, 0.5 * ball]], ball, velocity=[0.0, 0.0, -velocity])},
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.5 * ball]], ball, velocity=[0.0, 0.0, -velocity])},
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "rigid")},
         materials={"glass": material, "rigid": RIGID}, pair={"restitution": 1.0},
-        run={"duration": 1e-3, "velocity_max": velocity}, numerics={"time_step_safety": 0.002},
+        run={"duration": 1e-3, "velocity_max": velocity}, numerics={"time_step_fraction": 0.002},
     )  # fmt: skip
 
 
 def head_on(diameter, material, velocity):
     """Two equal balls that touch at the start and meet at +-`velocity` [m/s]."""
     ways = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    return trial(
-        {"balls": balls(0.5 * diameter * ways, diameter, velocity=-velocity * ways)}, materials={"glass": material},
-        pair={"restitution": 1.0}, run={"duration": 1e-3, "velocity_max": 2.0 * velocity},
-        numerics={"time_step_safety": 0.002},
-    )  # fmt: skip
+    return build_scene(
+        {"balls": particle_group(0.5 * diameter * ways, diameter, velocity=-velocity * ways)},
+        materials={"glass": material},
+        pair={"restitution": 1.0},
+        run={"duration": 1e-3, "velocity_max": 2.0 * velocity},
+        numerics={"time_step_fraction": 0.002},
+    )
 
 
 CASES = {
@@ -54,50 +56,61 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_elastic_collisions_reach_the_overlap_force_and_duration(taichi_f64, name):
     scene, largest, strongest, duration = CASES[name]
-    seen = watched(scene, duration / 1000.0, until=1.2 * duration)
-    force = np.linalg.norm(column(seen, "force")[:, 0], axis=1)
-    place, radius = column(seen, "position"), seen[0].particles["radius"]
-    if place.shape[1] == 2:
-        overlap = radius.sum() - np.linalg.norm(place[:, 0] - place[:, 1], axis=1)
+    plotted_quantities = run_and_sample(scene, duration / 1000.0, until=1.2 * duration)
+    force = np.linalg.norm(column(plotted_quantities, "force")[:, 0], axis=1)
+    insertion, radius = column(plotted_quantities, "position"), plotted_quantities[0].particles["radius"]
+    if insertion.shape[1] == 2:
+        overlap = radius.sum() - np.linalg.norm(insertion[:, 0] - insertion[:, 1], axis=1)
     else:
-        overlap = radius[0] - place[:, 0, 2]
+        overlap = radius[0] - insertion[:, 0, 2]
     assert overlap.max() == pytest.approx(largest, rel=HALF_DIGIT)
     assert force.max() == pytest.approx(strongest, rel=HALF_DIGIT)
-    moment, last = times(seen), np.flatnonzero(overlap > 0.0)[-1]
-    apart = moment[last] + overlap[last] / (overlap[last] - overlap[last + 1]) * (moment[last + 1] - moment[last])
-    assert apart == pytest.approx(duration, rel=HALF_DIGIT)
+    moment, last = times(plotted_quantities), np.flatnonzero(overlap > 0.0)[-1]
+    separation = moment[last] + overlap[last] / (overlap[last] - overlap[last + 1]) * (moment[last + 1] - moment[last])
+    assert separation == pytest.approx(duration, rel=HALF_DIGIT)
 
 
 @pytest.mark.parametrize("material", [OXIDE, IRON], ids=["oxide", "iron"])
 @pytest.mark.parametrize("law", ["zhou", "hertz"])
 def test_the_restitution_asked_for_is_the_one_that_comes_out(taichi_f64, law, material):
     """Test 3: e_out = e_in. Five balls of five materials strike the floor side by side."""
-    asked = (0.2, 0.4, 0.6, 0.8, 1.0)
-    names = [f"ball_{number}" for number in range(len(asked))]
-    scene = trial(
-        {name: balls([[0.05 * n, 0.0, 0.0025]], 0.005, name, velocity=[0, 0, -3.9]) for n, name in enumerate(names)},
+    requested = (0.2, 0.4, 0.6, 0.8, 1.0)
+    names = [f"ball_{number}" for number in range(len(requested))]
+    scene = build_scene(
+        {
+            name: particle_group([[0.05 * n, 0.0, 0.0025]], 0.005, name, velocity=[0, 0, -3.9])
+            for n, name in enumerate(names)
+        },
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "rigid")},
         materials=dict.fromkeys(names, material) | {"rigid": RIGID},
-        pairs={f"{name}-rigid": {"restitution": e, "friction": 0} for name, e in zip(names, asked, strict=True)},
-        normal=law, run={"duration": 2e-5, "velocity_max": 3.9}, numerics={"time_step_safety": 0.004},
-    )  # fmt: skip
-    rebound = watched(scene, 1.0, until=1.8e-5)[-1].particles["velocity"][:, 2] / 3.9
-    np.testing.assert_allclose(rebound, asked, rtol=2e-3)
+        pairs={f"{name}-rigid": {"restitution": e, "friction": 0} for name, e in zip(names, requested, strict=True)},
+        normal=law,
+        run={"duration": 2e-5, "velocity_max": 3.9},
+        numerics={"time_step_fraction": 0.004},
+    )
+    rebound = run_and_sample(scene, 1.0, until=1.8e-5)[-1].particles["velocity"][:, 2] / 3.9
+    np.testing.assert_allclose(rebound, requested, rtol=2e-3)
 
 
 def oblique(diameter, material, restitution, friction, normal_velocity, sliding, spin):
     """Balls that strike a rigid floor side by side with tangential velocities along x and spins about y."""
     count = len(sliding)
-    places = np.stack([np.arange(count) * 2.0 * diameter, np.zeros(count), np.full(count, 0.5 * diameter)], axis=1)
+    positions = np.stack([np.arange(count) * 2.0 * diameter, np.zeros(count), np.full(count, 0.5 * diameter)], axis=1)
     velocity = np.stack([sliding, np.zeros(count), np.full(count, -normal_velocity)], axis=1)
     turning = np.stack([np.zeros(count), spin, np.zeros(count)], axis=1)
-    return trial(
-        {"balls": balls(places - [count * diameter, 0, 0], diameter, velocity=velocity, spin=turning)},
+    return build_scene(
+        {
+            "balls": particle_group(
+                positions - [count * diameter, 0, 0], diameter, velocity=velocity, angular_velocity=turning
+            )
+        },
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "rigid")},
-        materials={"glass": material, "rigid": RIGID}, pair={"restitution": restitution, "friction": friction},
-        domain={"min": [-5.0] * 3, "max": [5.0] * 3, "leaving": "error"},
-        run={"duration": 1.0, "velocity_max": normal_velocity}, numerics={"time_step_safety": 0.005},
-    )  # fmt: skip
+        materials={"glass": material, "rigid": RIGID},
+        pair={"restitution": restitution, "friction": friction},
+        domain={"min": [-5.0] * 3, "max": [5.0] * 3, "on_exit": "error"},
+        run={"duration": 1.0, "velocity_max": normal_velocity},
+        numerics={"time_step_fraction": 0.005},
+    )
 
 
 def test_sliding_impact_of_a_small_ball(taichi_f64):
@@ -109,7 +122,7 @@ def test_sliding_impact_of_a_small_ball(taichi_f64):
     friction, speed, radius = 0.3, 5.0, 1e-5
     ratio = np.array([8.0, 10.0, 14.0, 20.0])
     scene = oblique(2.0 * radius, STEEL, 1.0, friction, speed, ratio * friction * speed, np.zeros(4))
-    last = watched(scene, 1.0, until=4.5e-8)[-1].particles
+    last = run_and_sample(scene, 1.0, until=4.5e-8)[-1].particles
     k = theory.hertz_stiffness(STEEL["young_modulus"] / (1.0 - STEEL["poisson_ratio"] ** 2), radius)
     largest = theory.overlap_max(k, last["mass"][0], speed)
     arm = 1.0 - theory.LOADING_DURATION / 1.8 * largest / radius
@@ -125,7 +138,7 @@ def test_sliding_impact_with_spin(taichi_f64):
     loss = 3.5 * friction * (1.0 + restitution) * normal_velocity
     before = loss * np.array([1.2, 1.6, 2.4])
     scene = oblique(2.0 * radius, ALLOY_OBLIQUE, restitution, friction, normal_velocity, np.zeros(3), before / radius)
-    last = watched(scene, 1.0, until=1.2e-3)[-1].particles
+    last = run_and_sample(scene, 1.0, until=1.2e-3)[-1].particles
     assert np.allclose(last["velocity"][:, 2], restitution * normal_velocity, rtol=1e-3)
     slip = radius * last["spin"][:, 1] - last["velocity"][:, 0]
     np.testing.assert_allclose(slip, before - loss, atol=1e-3 * loss)
@@ -135,11 +148,13 @@ def test_equal_balls_with_opposite_spins_part_without_turning(taichi_f64):
     """Test 7: surfaces that move alike do not rub: no tangential velocity, and the spin stays to the last bit."""
     ways = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     spin = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]])
-    scene = trial(
-        {"balls": balls(0.1 * ways, 0.2, velocity=-0.2 * ways, spin=spin)}, materials={"glass": ALLOY_OBLIQUE},
-        pair={"restitution": 0.5, "friction": 0.4}, run={"duration": 1.0, "velocity_max": 0.4},
-    )  # fmt: skip
-    last = watched(scene, 1.0, until=1.5e-3)[-1].particles
+    scene = build_scene(
+        {"balls": particle_group(0.1 * ways, 0.2, velocity=-0.2 * ways, angular_velocity=spin)},
+        materials={"glass": ALLOY_OBLIQUE},
+        pair={"restitution": 0.5, "friction": 0.4},
+        run={"duration": 1.0, "velocity_max": 0.4},
+    )
+    last = run_and_sample(scene, 1.0, until=1.5e-3)[-1].particles
     np.testing.assert_allclose(last["velocity"][:, 0], 0.1 * ways[:, 0], rtol=0.005)
     assert not last["velocity"][:, 1:].any()
     np.testing.assert_array_equal(last["spin"], spin)

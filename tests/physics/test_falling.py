@@ -3,8 +3,8 @@ doi 10.1016/j.powtec.2011.09.019) and equations of motion solved beside."""
 
 import numpy as np
 import pytest
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
-from trials import balls, column, plane, times, trial, watched
 
 from granflow.laws import theory
 
@@ -17,35 +17,35 @@ HEIGHTS = (0.42400, 0.36244, 0.312576, 0.272187, 0.239471)
 
 def test_free_fall_is_exact(taichi_f64):
     """Leapfrog integrates a constant acceleration exactly: positions and velocities to rounding of 4000 steps."""
-    scene = trial(
-        {"ball": balls([[0.1, -0.2, 0.5]], velocity=[1.0, 0.3, 2.0])}, gravity=[0.5, 0.0, -GRAVITY],
-        run={"duration": 0.2, "time_step": 5e-5, "velocity_max": 4.0}, domain=room(2.0),
+    scene = build_scene(
+        {"ball": particle_group([[0.1, -0.2, 0.5]], velocity=[1.0, 0.3, 2.0])}, gravity=[0.5, 0.0, -GRAVITY],
+        run={"duration": 0.2, "time_step": 5e-5, "velocity_max": 4.0}, domain=region(2.0),
     )  # fmt: skip
-    seen = watched(scene, 0.05)
+    seen = run_and_sample(scene, 0.05)
     t = times(seen)[:, None]
     acceleration = np.array([0.5, 0.0, -GRAVITY])
-    place = [0.1, -0.2, 0.5] + t * [1.0, 0.3, 2.0] + 0.5 * t**2 * acceleration
+    insertion = [0.1, -0.2, 0.5] + t * [1.0, 0.3, 2.0] + 0.5 * t**2 * acceleration
     rounding = 4000 * np.finfo(float).eps
-    np.testing.assert_allclose(column(seen, "position")[:, 0], place, rtol=0, atol=rounding)
+    np.testing.assert_allclose(column(seen, "position")[:, 0], insertion, rtol=0, atol=rounding)
     np.testing.assert_allclose(
         column(seen, "velocity")[:, 0], [1.0, 0.3, 2.0] + t * acceleration, rtol=0, atol=4 * rounding
     )
 
 
-def room(half):
-    return {"min": [-half] * 3, "max": [half] * 3, "leaving": "error"}
+def region(half):
+    return {"min": [-half] * 3, "max": [half] * 3, "on_exit": "error"}
 
 
 @pytest.mark.parametrize("law", ["zhou", "hertz"])
 def test_heights_of_a_bouncing_ball(taichi_f64, law):
     """Hard spheres in the limit of a stiff material: each bounce may miss its height by the overlap it needs."""
     stiff = {"young_modulus": 1e12, "poisson_ratio": 0.3, "density": 2600.0}
-    scene = trial(
-        {"ball": balls([[0.0, 0.0, 0.5]], 0.2)}, walls={"floor": FLOOR}, materials={"glass": stiff},
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.5]], 0.2)}, walls={"floor": FLOOR}, materials={"glass": stiff},
         pair={"restitution": 0.9}, normal=law, gravity=[0.0, 0.0, -GRAVITY],
-        run={"duration": 2.4, "velocity_max": 2.9}, domain=room(1.0), numerics={"time_step_safety": 0.02},
+        run={"duration": 2.4, "velocity_max": 2.9}, domain=region(1.0), numerics={"time_step_fraction": 0.02},
     )  # fmt: skip
-    seen = watched(scene, 0.01)
+    seen = run_and_sample(scene, 0.01)
     z, speed = column(seen, "position")[:, 0, 2], column(seen, "velocity")[:, 0, 2]
     flying = z > 0.1
     reached = (z + speed**2 / (2.0 * GRAVITY))[flying]
@@ -64,35 +64,42 @@ def test_two_stacked_spheres_squeezed_between_walls(taichi_f64):
     """Light above heavy, both pressed into the walls 1.8 mm apart: the two coupled equations of motion beside it."""
     radius, modulus, restitution = 5e-4, 1e6, 0.8
     soft = {"young_modulus": modulus, "poisson_ratio": 0.3}
-    scene = trial(
-        {"below": balls([[0, 0, 4.5e-4]], 1e-3, "heavy"), "above": balls([[0, 0, 1.35e-3]], 1e-3, "light")},
+    scene = build_scene(
+        {
+            "below": particle_group([[0, 0, 4.5e-4]], 1e-3, "heavy"),
+            "above": particle_group([[0, 0, 1.35e-3]], 1e-3, "light"),
+        },
         walls={"floor": plane([0, 0, 0], [0, 0, 1], "light"), "lid": plane([0, 0, 1.8e-3], [0, 0, -1], "light")},
         materials={"heavy": soft | {"density": 2e4}, "light": soft | {"density": 1e4}},
-        pair={"restitution": restitution}, normal="hertz", gravity=[0.0, 0.0, -GRAVITY],
-        domain=room(0.1), numerics={"overlap_limit": 0.5}, run={"duration": 0.01, "time_step": 1e-7},
-    )  # fmt: skip
-    seen = watched(scene, 1e-4)
+        pair={"restitution": restitution},
+        normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY],
+        domain=region(0.1),
+        numerics={"max_overlap": 0.5},
+        run={"duration": 0.01, "time_step": 1e-7},
+    )
+    seen = run_and_sample(scene, 1e-4)
     volume = 4.0 / 3.0 * np.pi * radius**3
     m1, m2 = volume * 2e4, volume * 1e4
     modulus_eff = modulus / (2.0 * (1.0 - 0.3**2))
     zeta = theory.damping_ratio_for(restitution)
 
-    def push(overlap, rate, radius_eff, mass_eff):
+    def force(overlap, rate, radius_eff, mass_eff):
         k, d = 4.0 / 3.0 * modulus_eff * np.sqrt(radius_eff), max(overlap, 0.0)
         return max(k * d**1.5 + np.sqrt(5.0) * zeta * np.sqrt(mass_eff * k) * d**0.25 * rate, 0.0)
 
     def motion(t, s):
         y1, y2, v1, v2 = s
-        floor = push(radius - y1, -v1, radius, m1)
-        between = push(2.0 * radius - (y2 - y1), v1 - v2, 0.5 * radius, m1 * m2 / (m1 + m2))
-        lid = push(y2 + radius - 1.8e-3, v2, radius, m2)
-        return [v1, v2, (floor - between) / m1 - GRAVITY, (between - lid) / m2 - GRAVITY]
+        floor = force(radius - y1, -v1, radius, m1)
+        distance = force(2.0 * radius - (y2 - y1), v1 - v2, 0.5 * radius, m1 * m2 / (m1 + m2))
+        lid = force(y2 + radius - 1.8e-3, v2, radius, m2)
+        return [v1, v2, (floor - distance) / m1 - GRAVITY, (distance - lid) / m2 - GRAVITY]
 
     exact = solve_ivp(
         motion, (0.0, 0.01), [4.5e-4, 1.35e-3, 0.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-15,
         t_eval=np.minimum(times(seen), 0.01), max_step=1e-5,
     )  # fmt: skip
-    place = column(seen, "position")[:, :, 2].T
+    insertion = column(seen, "position")[:, :, 2].T
     swing = np.ptp(exact.y[:2], axis=1)
     assert np.all(swing > 5e-6)
-    np.testing.assert_allclose((place - exact.y[:2]) / swing[:, None], 0.0, atol=1e-3)
+    np.testing.assert_allclose((insertion - exact.y[:2]) / swing[:, None], 0.0, atol=1e-3)

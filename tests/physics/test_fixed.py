@@ -4,10 +4,10 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
-from trials import SOFT, balls, box, column, finished, trial, watched
+from scene_builders import SOFT, box, build_scene, column, particle_group, run_and_sample, run_to_end
 
 from granflow.plan import plan_for
-from granflow.plan.plan import meetings_of
+from granflow.plan.plan import pair_cases_of
 
 RADIUS, FIXED_RADIUS, SPEED = 0.005, 0.008, 0.7
 MASS = 4.0 / 3.0 * pi * RADIUS**3 * SOFT["density"]
@@ -17,20 +17,20 @@ HERTZ = 4.0 / 3.0 * SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] 
 
 def head_on(**parts):
     """A ball meets a fixed one of another size, which overlaps a second fixed one behind it."""
-    mobile = balls([[RADIUS + FIXED_RADIUS + 1e-4, 0, 0]], 2 * RADIUS, velocity=[[-SPEED, 0, 0]])
-    rough = balls([[0, 0, 0], [-0.003, 0, 0]], 2 * FIXED_RADIUS) | {"fixed": True}
-    return trial({"mobile": mobile, "rough": rough}, **parts)
+    mobile = particle_group([[RADIUS + FIXED_RADIUS + 1e-4, 0, 0]], 2 * RADIUS, velocity=[[-SPEED, 0, 0]])
+    rough = particle_group([[0, 0, 0], [-0.003, 0, 0]], 2 * FIXED_RADIUS) | {"fixed": True}
+    return build_scene({"mobile": mobile, "rough": rough}, **parts)
 
 
-def test_a_fixed_grain_is_met_as_something_infinitely_heavy(taichi_f64):
+def test_a_fixed_particle_is_met_as_something_infinitely_heavy(taichi_f64):
     """Elastic: m v^2 / 2 = 2/5 k d^2.5 with the mass of the mobile one alone and 1/R = 1/R1 + 1/R2; back at v."""
     k = HERTZ * sqrt(RADIUS * FIXED_RADIUS / (RADIUS + FIXED_RADIUS))
     deepest = (5.0 * MASS * SPEED**2 / (4.0 * k)) ** 0.4
     scene = head_on(
         pair={"restitution": 1.0}, run={"duration": 2e-3, "time_step": 1e-6, "velocity_max": 1.0},
-        output={"interval": 1.0, "energy": True},
+        output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
-    seen = watched(scene, 1e-6)
+    seen = run_and_sample(scene, 1e-6)
     position, velocity = column(seen, "position"), column(seen, "velocity")
     overlap = RADIUS + FIXED_RADIUS - position[:, 0, 0]
     assert overlap.max() == pytest.approx(deepest, rel=1e-4)
@@ -42,41 +42,43 @@ def test_a_fixed_grain_is_met_as_something_infinitely_heavy(taichi_f64):
     assert seen[0].particles["fixed"].tolist() == [0, 1, 1]
 
 
-def test_meetings_know_them():
+def test_pair_cases_know_them():
     """The time step reckons with the mobile grain's mass and the larger radius; the fixed ones do not meet."""
     scene = head_on()
-    meetings = {meeting.name: meeting for meeting in meetings_of(scene)}
-    assert list(meetings) == ["mobile-mobile", "mobile-rough"]
-    found = meetings["mobile-rough"]
+    pair_cases = {pair.name: pair for pair in pair_cases_of(scene)}
+    assert list(pair_cases) == ["mobile-mobile", "mobile-rough"]
+    found = pair_cases["mobile-rough"]
     assert found.mass_eff == pytest.approx(MASS)
     assert found.radius_eff == pytest.approx(RADIUS * FIXED_RADIUS / (RADIUS + FIXED_RADIUS))
-    turned = trial({name: head_on().particles[name].model_dump() for name in ("rough", "mobile")})
-    assert {meeting.mass_eff for meeting in meetings_of(turned)} == {each.mass_eff for each in meetings.values()}
-    assert plan_for(scene).features.fixed_grains
+    turned = build_scene({name: head_on().particles[name].model_dump() for name in ("rough", "mobile")})
+    assert {pair.mass_eff for pair in pair_cases_of(turned)} == {each.mass_eff for each in pair_cases.values()}
+    assert plan_for(scene).features.fixed_particles
 
 
 def rough_floor(**parts):
     """Grains fall, spinning, on a floor of overlapping fixed ones that reaches through the walls of a box."""
     rng = np.random.default_rng(2)
-    places = 0.0065 * (np.argwhere(np.ones((6, 6, 3))) + [0.75, 0.75, 1.5])
-    rain = balls(places, rng.uniform(0.004, 0.006, len(places)), spin=rng.normal(0.0, 50.0, places.shape))
+    positions = 0.0065 * (np.argwhere(np.ones((6, 6, 3))) + [0.75, 0.75, 1.5])
+    rain = particle_group(
+        positions, rng.uniform(0.004, 0.006, len(positions)), angular_velocity=rng.normal(0.0, 50.0, positions.shape)
+    )
     floor = 0.004 * np.argwhere(np.ones((12, 12, 1))) + [-0.001, -0.001, 0.0]
     pair = {"friction": 0.5, "rolling_friction": 0.1, "restitution": 0.6}
     given = {
         "walls": {name: wall for name, wall in box(0.042).items() if name != "low_z"}, "pair": pair, "rolling": "epsd",
         "gravity": [0.0, 0.0, -9.81], "run": {"duration": 0.1, "velocity_max": 1.0, "time_step": 5e-6},
-        "output": {"interval": 1.0, "energy": True}, "numerics": {"chunk_size": 64},
+        "output": {"interval": 1.0, "energy_budget": True}, "numerics": {"chunk_size": 64},
     }  # fmt: skip
-    return trial({"rain": rain, "floor": balls(floor, 0.006) | {"fixed": True}}, **(given | parts))
+    return build_scene({"rain": rain, "floor": particle_group(floor, 0.006) | {"fixed": True}}, **(given | parts))
 
 
-def test_a_rough_floor_holds_grains_and_the_ledger_closes(taichi_f64):
+def test_a_rough_floor_holds_particles_and_the_energy_budget_closes(taichi_f64):
     """In chunks, and each particle by itself: the same within rounding until impacts magnify it."""
-    first, early, *_, last = watched(rough_floor(), 0.02)
+    first, early, *_, last = run_and_sample(rough_floor(), 0.02)
     rough = first.particles["fixed"] == 1
     assert rough.sum() == 144
     assert np.all(last.particles["position"][rough] == first.particles["position"][rough])
-    assert not last.particles["velocity"][rough].any() and not last.particles["spin"][rough].any()
+    assert not last.particles["velocity"][rough].any() and not last.particles["angular_velocity"][rough].any()
     assert last.totals["particle_count"] == 252.0 and last.particles["position"][~rough, 2].min() > 0.0
     assert last.totals["contact_count"] > 50.0
     assert last.totals["friction_dissipation"] > 0.0 and last.totals["rolling_dissipation"] > 0.0
@@ -85,5 +87,5 @@ def test_a_rough_floor_holds_grains_and_the_ledger_closes(taichi_f64):
     assert last.totals["gravitational_energy"] == pytest.approx(weight)
     mean = last.particles["coordination_number"][~rough].mean()
     assert last.totals["coordination_number"] == pytest.approx(mean)
-    alone, _ = finished(rough_floor(numerics={"chunk_size": 1}), 0.02)
+    alone, _ = run_to_end(rough_floor(numerics={"chunk_size": 1}), 0.02)
     np.testing.assert_allclose(alone.particles["position"], early.particles["position"], rtol=0.0, atol=1e-9)

@@ -3,7 +3,7 @@
 import meshio
 import numpy as np
 import pytest
-from trials import balls, finished, plane, trial
+from scene_builders import build_scene, particle_group, plane, run_to_end
 from walls.meshes import cube, sheet, tube, write
 
 from granflow.observe import every
@@ -39,13 +39,13 @@ def on_floor():
     """Positions, velocities and spins of balls that hit z = 0 askew, some above corners and seams every 6.25 mm."""
     rng = np.random.default_rng(0)
     lattice = 0.019 * np.array([[x, y] for x in range(-2, 3) for y in range(-2, 3)])
-    places = np.concatenate([lattice + rng.uniform(-0.003, 0.003, (25, 2)), np.full((25, 1), 0.0051)], axis=1)
-    places[0, :2], places[7, :2], places[12, :2] = -0.0375, [-0.01875, 0.0], 0.0
+    positions = np.concatenate([lattice + rng.uniform(-0.003, 0.003, (25, 2)), np.full((25, 1), 0.0051)], axis=1)
+    positions[0, :2], positions[7, :2], positions[12, :2] = -0.0375, [-0.01875, 0.0], 0.0
     velocity = rng.normal(0.0, 2.0, (25, 3))
     velocity[:, 2], velocity[12, :2] = -1.0, 0.0
-    spin = rng.normal(0.0, 50.0, (25, 3))
-    spin[12] = 0.0
-    return places, velocity, spin
+    angular_velocity = rng.normal(0.0, 50.0, (25, 3))
+    angular_velocity[12] = 0.0
+    return positions, velocity, angular_velocity
 
 
 def elsewhere():
@@ -66,17 +66,19 @@ def elsewhere():
         0.6,
     ]
     at_cube = nearest + 0.0051 * from_cube, -from_cube
-    places, velocities = (np.concatenate(each) for each in zip(in_tube, in_corner, at_plate, at_cube, strict=True))
-    return places, velocities, np.zeros_like(places)
+    positions, velocities = (np.concatenate(each) for each in zip(in_tube, in_corner, at_plate, at_cube, strict=True))
+    return positions, velocities, np.zeros_like(positions)
 
 
 def hits(walls, where=(on_floor, elsewhere), **parts):
     """All balls of those places at once."""
-    places, velocity, spin = (np.concatenate(all_of) for all_of in zip(*(each() for each in where), strict=True))
+    positions, velocity, angular_velocity = (
+        np.concatenate(all_of) for all_of in zip(*(each() for each in where), strict=True)
+    )
     given = {"pair": {"friction": 0.3, "restitution": 0.7}, "run": {"duration": 1.2e-3, "velocity_max": 5.0}}
-    output = {"interval": 1.2e-3, "energy": True}
-    group = balls(places, 0.01, velocity=velocity, spin=spin)
-    return trial({"balls": group}, walls=walls, output=output, **(given | parts))
+    output = {"interval": 1.2e-3, "energy_budget": True}
+    group = particle_group(positions, 0.01, velocity=velocity, angular_velocity=angular_velocity)
+    return build_scene({"balls": group}, walls=walls, output=output, **(given | parts))
 
 
 PRIMITIVES = {
@@ -105,12 +107,12 @@ def meshes():
 
 def test_meshes_act_as_the_walls_they_stand_for(taichi_f64, folder):
     """On a flat mesh to the bit, contacts sliding over seams with what they remember; elsewhere to rounding."""
-    exact, _ = finished(hits(PRIMITIVES))
-    found, simulation = finished(hits(meshes()), out=folder / "out")
+    exact, _ = run_to_end(hits(PRIMITIVES))
+    found, simulation = run_to_end(hits(meshes()), out=folder / "out")
     assert np.all(exact.particles["velocity"][:25, 2] > 0.5), "all have left the floor"
     slid = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], elsewhere()[0]]))[:25, :2].max()
     assert slid > 0.00442, "balls slid further than the triangles are high: seams were crossed"
-    for name in ("position", "velocity", "spin"):
+    for name in ("position", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(found.particles[name][:25], exact.particles[name][:25])
         size = np.abs(exact.particles[name]).max()
         np.testing.assert_allclose(
@@ -119,7 +121,7 @@ def test_meshes_act_as_the_walls_they_stand_for(taichi_f64, folder):
     rebound = found.particles["velocity"][36:]
     away = elsewhere()[1][11:]
     np.testing.assert_allclose(rebound, found.particles["velocity"][12, 2] * -away, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(found.particles["spin"][36:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.particles["angular_velocity"][36:], 0.0, atol=1e-9)
     assert found.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], rel=0.5)
     counts = np.bincount(meshio.read(folder / "out" / "walls_0001.vtu").cell_data["wall"][0])
     assert counts.tolist() == [mesh.triangle_count for mesh in simulation.plan.meshes.values()]
@@ -131,9 +133,9 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
     """Over a half space, over two triangles and over 2048."""
     normal = {"law": "linear", "stiffness": {"reference_velocity": 1.0}} if law == "linear" else law
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}
-    ends = {name: finished(hits({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
+    ends = {name: run_to_end(hits({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
     for name in ("two", "many"):
-        for quantity in ("position", "velocity", "spin"):
+        for quantity in ("position", "velocity", "angular_velocity"):
             np.testing.assert_array_equal(ends[name].particles[quantity], ends["plane"].particles[quantity])
         assert ends[name].totals["energy_error"] == ends["plane"].totals["energy_error"]
 
@@ -145,14 +147,14 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
     A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 0.2 % of the fall.
     """
     write(folder / "fine.ply", *tube(60, 0.1, 0.4))
-    group = balls([[0.0949, 0.0, 0.2]], 0.01)
+    group = particle_group([[0.0949, 0.0, 0.2]], 0.01)
     parts = {"pair": {"friction": 0.0, "restitution": 1.0}, "gravity": [0.0, -9.81, 0.0]}
-    scene = trial(
+    scene = build_scene(
         {"ball": group}, walls={"tube": wall("fine.ply")},
         run={"duration": 1.0, "velocity_max": 2.0, "time_step": 1e-5}, output={"interval": 1.0}, **parts,
     )  # fmt: skip
     seen = []
-    last, _ = finished(scene, observers=[every(0.002, seen.append, ("particles", "totals"))])
+    last, _ = run_to_end(scene, observers=[every(0.002, seen.append, ("particles", "totals"))])
     height = np.array([each.particles["position"][0, 1] for each in seen])
     square = np.array([(each.particles["velocity"] ** 2).sum() for each in seen])
     assert square.max() == pytest.approx(2 * 9.81 * 0.095, rel=0.02)
@@ -166,8 +168,8 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
 def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
     """Balls at rest in the walls by a known overlap: F = 4/3 E* sqrt(R) d^(3/2), E* = E / (2 (1 - nu^2)) (Hertz)."""
     overlaps = np.array([1e-5, 4e-5, 2e-5, 3e-5])
-    places = np.array([[0.1, -0.1, 0.0], [-0.1, 0.1, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, -0.5]])
-    places[:, 2] += 0.005 - overlaps
+    positions = np.array([[0.1, -0.1, 0.0], [-0.1, 0.1, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, -0.5]])
+    positions[:, 2] += 0.005 - overlaps
     walls = {
         "sheet": wall("two.stl"),
         "shelf": {
@@ -175,9 +177,11 @@ def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
         },
         "floor": plane([0, 0, -0.5], [0, 0, 1]),
     }  # fmt: skip
-    output = {"interval": 1.0, "loads": True, "contacts": True}
-    scene = trial({"balls": balls(places)}, walls=walls, output=output, run={"duration": 1e-6, "velocity_max": 0.1})
-    finished(scene, out=folder / "out")
+    output = {"interval": 1.0, "wall_forces": True, "contacts": True}
+    scene = build_scene(
+        {"balls": particle_group(positions)}, walls=walls, output=output, run={"duration": 1e-6, "velocity_max": 0.1}
+    )
+    run_to_end(scene, out=folder / "out")
     forces = 4.0 / 3.0 * 1e8 / (2.0 * (1.0 - 0.25**2)) * np.sqrt(0.005) * overlaps**1.5
     frame = meshio.read(folder / "out" / "walls_0000.vtu")
     middles = frame.points[frame.cells_dict["triangle"]].mean(axis=1)

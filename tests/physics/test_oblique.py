@@ -16,9 +16,9 @@ def run(taichi_f64):
     return oblique.oblique_run(angles=30, ratios=15)
 
 
-def mean_overlap(bench, speed):
+def mean_overlap(setup, speed):
     """Mean overlap over the impulse, int F d dt / int F dt, under Zhou's law; by scipy in units of dmax and v."""
-    e, (k, mass) = bench.restitution, bench.reduced
+    e, (k, mass) = setup.restitution, setup.reduced
     largest = (1.25 * mass * speed**2 / k) ** 0.4
     y = brentq(lambda y: y - 0.8 * e**2 - 0.2 * e**3 * y**2.5, 0.0, 1.0 + 1e-9, xtol=1e-15)
     slope = (1.0 - e**3 * y**1.5) / y
@@ -39,32 +39,32 @@ def mean_overlap(bench, speed):
 def test_a_contact_that_slides_throughout_follows_coulomb(run, name):
     """v_n' = e v_n, v_t' = v_t - mu (1 + e) v_n, R w' = R w + 2.5 mu (1 + e) v_n (1 - overlap/R), within 0.1 %."""
     sweep = run[name]
-    bench, before, after = sweep.bench, sweep.before, sweep.after
-    speed, slip = -before.normal, before.along - bench.radius * before.spin
-    kick = bench.friction * (1.0 + bench.restitution) * speed
+    setup, before, after = sweep.setup, sweep.before, sweep.after
+    speed, slip = -before.normal, before.along - setup.radius * before.spin
+    kick = setup.friction * (1.0 + setup.restitution) * speed
     sliding = slip > 1.05 * 3.5 * kick
     assert sliding.sum() >= 3
-    share = 1.0 if bench.partner_radius is None else bench.partner_radius / (bench.partner_radius + bench.radius)
-    arm = 1.0 - share * np.array([mean_overlap(bench, each) for each in speed]) / bench.radius
-    turned = bench.radius * (after.spin - before.spin)
-    np.testing.assert_allclose(after.normal[sliding], (bench.restitution * speed)[sliding], rtol=1e-3)
+    share = 1.0 if setup.partner_radius is None else setup.partner_radius / (setup.partner_radius + setup.radius)
+    arm = 1.0 - share * np.array([mean_overlap(setup, each) for each in speed]) / setup.radius
+    turned = setup.radius * (after.spin - before.spin)
+    np.testing.assert_allclose(after.normal[sliding], (setup.restitution * speed)[sliding], rtol=1e-3)
     np.testing.assert_allclose((before.along - after.along)[sliding], kick[sliding], rtol=1e-3)
     np.testing.assert_allclose(turned[sliding], (2.5 * kick * arm)[sliding], rtol=1e-3)
     # the textbook's lever arm is the radius itself
     np.testing.assert_allclose(turned[sliding], 2.5 * kick[sliding], rtol=1e-2)
 
 
-def no_slip_spring(bench, ratio, damping=0.0, steps=20000):
+def no_slip_spring(setup, ratio, damping=0.0, steps=20000):
     """Slip after over friction times velocity, for slip before `ratio` of that, by small steps of the contact alone.
 
     Hertz with Tsuji's damping; Mindlin's spring dF_t = k_t ds with k_t / (k sqrt(d)) = 6 G*/E*, whose force goes down
     with the contact radius while that shrinks, held at mu F; the slip changes by 3.5 F_t / M. Units: M, k and the
     velocity towards the plate are 1.
     """
-    nu, friction = bench.sphere["poisson_ratio"], bench.friction
+    nu, friction = setup.sphere["poisson_ratio"], setup.friction
     stiffness = 6.0 * (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
     step = 2.9433 * 1.25**0.4 / steps
-    overlap, rate, slip, lateral, before = 0.0, 1.0, ratio * friction, 0.0, 0.0
+    overlap, rate, slip, tangential, before = 0.0, 1.0, ratio * friction, 0.0, 0.0
     while True:
         overlap += rate * step
         if overlap <= 0.0:
@@ -73,10 +73,10 @@ def no_slip_spring(bench, ratio, damping=0.0, steps=20000):
         if force <= 0.0:
             return slip / friction
         rate -= force * step
-        lateral *= min(np.sqrt(overlap / before), 1.0) if before else 1.0
-        lateral += stiffness * np.sqrt(overlap) * slip * step
-        lateral = float(np.clip(lateral, -friction * force, friction * force))
-        slip -= 3.5 * lateral * step
+        tangential *= min(np.sqrt(overlap / before), 1.0) if before else 1.0
+        tangential += stiffness * np.sqrt(overlap) * slip * step
+        tangential = float(np.clip(tangential, -friction * force, friction * force))
+        slip -= 3.5 * tangential * step
         before = overlap
 
 
@@ -84,7 +84,7 @@ def test_contacts_that_stick_and_slip_follow_mindlins_spring(run):
     """Test 5, where it does not slide throughout; the lever arm is half a per cent off there."""
     sweep = run["test5_zhou"]
     part = slice(0, 5)
-    found = oblique.seen(sweep, "test5")["slip"][part]
+    found = oblique.plotted_quantities(sweep, "test5")["slip"][part]
     np.testing.assert_allclose(found, [no_slip_spring(oblique.TEST_5, x) for x in sweep.x[part]], atol=0.04)
 
 
@@ -100,7 +100,7 @@ def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
     damping = np.sqrt(5.0) * brentq(lambda zeta: rebound(zeta) - e, 1e-6, 0.999)
     ratio = 3.5 * (1.0 + e) / sweep.x
     expected = [-no_slip_spring(oblique.TEST_6, each, damping) / each for each in ratio]
-    np.testing.assert_allclose(oblique.seen(sweep, "test6")["slip"], expected, atol=0.02)
+    np.testing.assert_allclose(oblique.plotted_quantities(sweep, "test6")["slip"], expected, atol=0.02)
 
 
 @pytest.mark.parametrize("law", ["hertz", "zhou"])
@@ -111,7 +111,7 @@ def test_rebounds_as_measured(run, law, quantity, off):
     """From 10 degrees on; nearer the normal Hertz-Mindlin contacts are known to keep too much, see below."""
     sweep = run[f"glass_{law}"]
     angle, measured = oblique.published("kharaz_2001")[quantity].T
-    found = np.interp(angle, sweep.x, oblique.seen(sweep, "test4")[quantity])
+    found = np.interp(angle, sweep.x, oblique.plotted_quantities(sweep, "test4")[quantity])
     known = angle > 10.0
     np.testing.assert_allclose(found[known], measured[known], rtol=0.0, atol=off)
     if quantity == "tangential_restitution":
@@ -126,14 +126,14 @@ def test_rebounds_as_published_for_a_rigid_plate(run, law, quantity, off):
     """Chung & Ooi's curves of test 4 from 10 degrees on, as closely as they can be read."""
     sweep = run[f"test4_{law}"]
     angle, published = oblique.published("chung_ooi_2011")[f"test4_{quantity}"].T
-    found = np.interp(angle, sweep.x, oblique.seen(sweep, "test4")[quantity])
+    found = np.interp(angle, sweep.x, oblique.plotted_quantities(sweep, "test4")[quantity])
     np.testing.assert_allclose(found[angle > 9.0], published[angle > 9.0], rtol=0.0, atol=off)
 
 
 def test_no_impact_makes_energy(run):
     for name, sweep in run.items():
         before, after = (
-            each.normal**2 + each.along**2 + 0.4 * (sweep.bench.radius * each.spin) ** 2
+            each.normal**2 + each.along**2 + 0.4 * (sweep.setup.radius * each.spin) ** 2
             for each in (sweep.before, sweep.after)
         )
         assert np.all(after < before * (1.0 + 1e-9)), name
@@ -141,12 +141,12 @@ def test_no_impact_makes_energy(run):
 
 def test_a_large_heavy_sphere_is_as_good_as_a_rigid_plate(run):
     """Test 8 gives the curve of test 6."""
-    one, other = (oblique.seen(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou"))
+    one, other = (oblique.plotted_quantities(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou"))
     np.testing.assert_allclose(one, other, atol=3e-3)
 
 
 def test_the_figure_meets_its_targets(run, tmp_path):
-    plate = oblique.oblique_plate(run)
+    plate = oblique.oblique_figure(run)
     assert len(plate.deviations) == 10
     assert all(each.met and each.target == 1e-3 for each in plate.deviations)
     pytest.importorskip("matplotlib")

@@ -22,8 +22,8 @@ particles:
     material: glass
     count: 10
     diameter: 4 mm
-    place: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
-domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], leaving: delete}
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
+domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: delete}
 run:
   duration: 50 ms
   velocity_max: 1 m/s

@@ -4,13 +4,13 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from child import in_child
 from plan.scenes import TEXT, scene_of
+from subprocess_runner import in_subprocess
 
 from granflow.plan import explain, plan_for
 from granflow.plan.explain import WIDTH, duration, size
 from granflow.plan.features import Features
-from granflow.plan.memory import memory_of
+from granflow.plan.memory_estimate import estimate_memory
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +49,10 @@ def test_every_derived_number_is_there(plan, rows):
     assert "1 112" in rows["steps"]  # 50 ms / 45 us
     assert "0.05 s" in rows["simulated time"]
     assert "estimate" in rows["run time"]
-    memory = memory_of(plan, "f64")
-    assert size(memory.per_slot) in rows["one contact"] and "overlap_max, restitution, recovery" in rows["one contact"]
+    memory = estimate_memory(plan, "f64")
+    assert (
+        size(memory.per_neighbor) in rows["one contact"] and "overlap_max, restitution, recovery" in rows["one contact"]
+    )
     assert size(memory.total) in rows["total"]
 
 
@@ -61,7 +63,7 @@ def test_a_restitution_out_of_reach_is_said_beside_the_step(plan, rows):
 def test_settings_say_what_was_filled_in_and_what_was_given(rows):
     assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
     assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
-    assert "every pair gives a number" in rows["contact.normal.restitution"]
+    assert "every pair gives a number" in rows["contact.normal.restitution_at"]
     assert "default: output.interval" in rows["output.timeseries_interval"]
     assert "given (--set numerics.skin" in rows["numerics.skin"]
     assert "materials.glass.density" not in rows, "what must be given is not listed"
@@ -75,7 +77,7 @@ def test_a_given_setting_has_its_line(tmp_path, monkeypatch):
 
 
 def test_stages_are_an_upper_bound(tmp_path):
-    stages = "[{name: fill, duration: 1 s}, {name: rest, kinetic_energy_below: 1 nJ, at_most: 2 s}]"
+    stages = "[{name: fill, duration: 1 s}, {name: rest, kinetic_energy_below: 1 nJ, max_duration: 2 s}]"
     text = explain(plan_for(scene_of(tmp_path, f"stages={stages}", "run.duration=null")))
     assert "at most 3 s" in text and "fill 1 s, rest at most 2 s" in text
 
@@ -90,12 +92,12 @@ def allocated(directory, overrides, precision):
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))
     found = 0
-    for block in (state.particles, state.contacts, state.sorting):
+    for block in (state.particles, state.neighbors, state.cell_sort):
         values = [*vars(block).values()]
         values += [each for value in values if isinstance(value, dict) for each in value.values()]
         values += [each for value in values if isinstance(value, list) for each in value]
         found += sum(np.asarray(each.to_numpy()).nbytes for each in values if hasattr(each, "to_numpy"))
-    return found, memory_of(plan, precision).total
+    return found, estimate_memory(plan, precision).total
 
 
 MANY = ("particles.beads.count=3000", "particles.beads.diameter=0.5 mm")
@@ -106,8 +108,8 @@ FRICTION = ("pairs.glass-glass.friction=0.4",)
     ("overrides", "precision"), [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")]
 )
 def test_memory_is_what_is_allocated(tmp_path, overrides, precision):
-    found, said = in_child(allocated, str(tmp_path), overrides, precision)
-    assert said == pytest.approx(found, rel=0.02)
+    found, message = in_subprocess(allocated, str(tmp_path), overrides, precision)
+    assert message == pytest.approx(found, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -36,16 +36,28 @@ def test_every_feature_has_its_reason(tmp_path):
         ((), "rotation", "off", "nothing turns the particles", None),
         ((), "walls", "on", "floor", "walls:"),
         ((), "moving_walls", "off", "no wall has a motion", None),
-        ((), "ledger", "off", "output.energy is off", "output:"),
+        ((), "energy_budget", "off", "output.energy_budget is off", "output:"),
         ((), "one_material", "on", "all particles are of glass", None),
         ((), "rate_dependent", "off", "the zhou law as set here has no viscous term", None),
-        ((), "adhesion", "off", "contact.adhesion is none", None),
+        ((), "cohesion", "off", "contact.cohesion is none", None),
         (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
         (("friction: 0,", "friction: 0.4,"), "rotation", "on", "friction or rolling turns the particles", None),
         (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),
-        (("interval: 10 ms", "interval: 10 ms\n  energy: true"), "ledger", "on", "output.energy is on", "energy"),
-        ((), "loads", "off", "output.loads asks for no wall", "output:"),
-        (("interval: 10 ms", "interval: 10 ms\n  loads: true"), "loads", "on", "output.loads asks for floor", "loads"),
+        (
+            ("interval: 10 ms", "interval: 10 ms\n  energy_budget: true"),
+            "energy_budget",
+            "on",
+            "output.energy_budget is on",
+            "energy",
+        ),
+        ((), "wall_forces", "off", "output.wall_forces asks for no wall", "output:"),
+        (
+            ("interval: 10 ms", "interval: 10 ms\n  wall_forces: true"),
+            "wall_forces",
+            "on",
+            "output.wall_forces asks for floor",
+            "wall_forces",
+        ),
         ((FLOOR, SHAKEN), "moving_walls", "on", "walls.floor moves", "floor"),
         (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz law reaches", "normal"),
         (
@@ -56,12 +68,12 @@ def test_every_feature_has_its_reason(tmp_path):
 )
 def test_reason(tmp_path, change, feature, setting, why, line):
     text = TEXT.replace(*change, 1) if change else TEXT
-    found, said = reasons(scene_of(tmp_path, text=text))[feature]
+    found, message = reasons(scene_of(tmp_path, text=text))[feature]
     assert found == setting
-    assert said.startswith(why)
+    assert message.startswith(why)
     if line:
         number = next(n for n, each in enumerate(text.splitlines(), 1) if line in each)
-        assert said.endswith(f"beads.yaml:{number})")
+        assert message.endswith(f"beads.yaml:{number})")
 
 
 def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
@@ -73,11 +85,11 @@ def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
 
 
 @pytest.mark.parametrize(("density", "setting"), [("0", "off"), ("5 kJ/m3", "sjkr")])
-def test_adhesion_is_left_out_where_no_pair_coheres(tmp_path, density, setting):
-    text = TEXT.replace("rolling: none", "rolling: none\n  adhesion: sjkr")
+def test_cohesion_is_left_out_where_no_pair_coheres(tmp_path, density, setting):
+    text = TEXT.replace("rolling: none", "rolling: none\n  cohesion: sjkr")
     text = text.replace("rolling_friction: 0}", f"rolling_friction: 0, cohesion_energy_density: {density}}}")
     plan = plan_for(scene_of(tmp_path, text=text))
-    assert {reason.feature: reason.setting for reason in plan.reasons}["adhesion"] == setting
+    assert {reason.feature: reason.setting for reason in plan.reasons}["cohesion"] == setting
     assert plan.law.attracts == (setting == "sjkr")
 
 

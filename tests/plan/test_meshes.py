@@ -22,8 +22,8 @@ contact: {normal: zhou, tangential: mindlin, rolling: none}
 walls:
   floor: {shape: mesh, file: FILE, material: glass}
 particles:
-  ball: {material: glass, count: 1, diameter: 10 mm, place: {kind: list, positions: [[0.5, 0.5, 1.5]]}}
-domain: {min: [-1, -1, -1], max: [2, 2, 2], leaving: delete}
+  ball: {material: glass, count: 1, diameter: 10 mm, insert: {kind: positions, positions: [[0.5, 0.5, 1.5]]}}
+domain: {min: [-1, -1, -1], max: [2, 2, 2], on_exit: delete}
 run: {duration: 1 s}
 output: {interval: 1 s}
 """
@@ -58,7 +58,7 @@ def test_every_kind_of_file_gives_the_same_mesh(tmp_path, kind):
     points, corners = cube()
     write(tmp_path / f"cube.{kind}", points, corners)
     (mesh,) = plan_of(tmp_path, f"cube.{kind}").meshes.values()
-    assert (mesh.triangle_count, len(mesh.points), mesh.links.open_count) == (12, 8, 0)
+    assert (mesh.triangle_count, len(mesh.points), mesh.adjacency.open_count) == (12, 8, 0)
     order = np.lexsort(mesh.points.T[::-1])
     np.testing.assert_array_equal(mesh.points[order], points)
 
@@ -136,16 +136,16 @@ def test_files_lie_in_the_scenes_folder(tmp_path):
         )
 
 
-def test_millimetres_are_noticed(tmp_path):
+def test_millimeters_are_noticed(tmp_path):
     points, corners = cube()
     binary_stl(tmp_path / "cube.stl", 1000.0 * points[corners])
     assert problem(tmp_path, "cube.stl") == (
-        "is 1.73e+03 m large, 333 times the domain: if the file is in millimetres, set scale: 0.001."
+        "is 1.73e+03 m large, 333 times the domain: if the file is in millimeters, set scale: 0.001."
     )
     assert plan_of(tmp_path, "cube.stl", ", scale: 0.001").warnings == ()
     (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 0.02").warnings
     assert warning == (
-        "walls.floor: 34.6 m large, 6.67 times the domain: if the file is in millimetres, set scale: 2e-05."
+        "walls.floor: 34.6 m large, 6.67 times the domain: if the file is in millimeters, set scale: 2e-05."
     )
     (warning,) = plan_of(tmp_path, "cube.stl", ", scale: 1e-6").warnings
     assert warning == "walls.floor: 0.00173 m large, less than the smallest particle; see scale."
@@ -163,7 +163,7 @@ def test_what_was_left_out_and_what_is_open_is_said(tmp_path):
         "walls.floor: 1 triangle without area left out.",
         "walls.floor: 2 triangles left out of those that are there twice.",
     )
-    said = " ".join(explain(plan).split())
-    assert "floor 32 triangles 1 x 1 x 0 m" in said
-    assert "16 open edges: not watertight, which a hopper or a plate need not be" in said
-    assert "mesh walls on walls.floor is one" in said
+    message = " ".join(explain(plan).split())
+    assert "floor 32 triangles 1 x 1 x 0 m" in message
+    assert "16 open edges: not watertight, which a hopper or a plate need not be" in message
+    assert "mesh walls on walls.floor is one" in message

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 
 from granflow.errors import SceneError
 from granflow.plan import plan_for
@@ -14,11 +14,13 @@ EDGE = 2.0**13
 
 
 def far_out(edge, precision, leaving="error"):
-    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "leaving": leaving}
-    return trial({"ball": balls([[0.05] * 3])}, domain=domain, run={"duration": 0.1, "precision": precision})
+    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "on_exit": leaving}
+    return build_scene(
+        {"ball": particle_group([[0.05] * 3])}, domain=domain, run={"duration": 0.1, "precision": precision}
+    )
 
 
-@pytest.mark.parametrize("leaving", ["error", "delete", "grow"])
+@pytest.mark.parametrize("leaving", ["error", "delete", "expand"])
 def test_f32_is_refused_beyond_a_tenth_of_the_smallest_radius(leaving):
     plan_for(far_out(EDGE, "f32", leaving))
     with pytest.raises(SceneError) as refused:

@@ -1,7 +1,7 @@
 """Runs without a step, without an end or with a clock that stands still are refused before they start."""
 
 import pytest
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 
 from granflow.errors import SceneError
 from granflow.plan import plan_for
@@ -11,9 +11,9 @@ STEP = 1e-6
 
 
 def scene(count=1, **parts):
-    places = [[0.02 * k, 0.0, 0.0] for k in range(count)]
+    positions = [[0.02 * k, 0.0, 0.0] for k in range(count)]
     run = {"duration": 1.0, "time_step": STEP} | parts.pop("run", {})
-    return trial({"balls": balls(places)}, run=run, **parts)
+    return build_scene({"balls": particle_group(positions)}, run=run, **parts)
 
 
 def refusal(scene, allow_long=False):
@@ -32,9 +32,12 @@ def test_a_duration_below_one_step_is_refused():
 
 
 def test_a_stage_below_one_step_is_refused():
-    stages = [{"name": "fill", "duration": 1.0}, {"name": "rest", "kinetic_energy_below": 1e-9, "at_most": 0.5 * STEP}]
+    stages = [
+        {"name": "fill", "duration": 1.0},
+        {"name": "rest", "kinetic_energy_below": 1e-9, "max_duration": 0.5 * STEP},
+    ]
     message = refusal(scene(run={"duration": None}, stages=stages))
-    assert "stages.1.at_most is 5e-07 s, shorter than one time step" in message
+    assert "stages.1.max_duration is 5e-07 s, shorter than one time step" in message
 
 
 def test_a_density_so_large_that_no_step_fits_is_refused():

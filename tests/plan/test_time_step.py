@@ -13,8 +13,8 @@ from granflow.laws.material import PairMaterial, Solid
 from granflow.laws.spring import build_spring
 from granflow.laws.theory import damping_ratio_for
 from granflow.plan import plan_for
-from granflow.plan.approach import fastest_approach
-from granflow.plan.time_step import Meeting, stable_step
+from granflow.plan.max_impact_velocity import max_impact_velocity
+from granflow.plan.time_step import PairCase, stable_step
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0
 MASS = 4 / 3 * math.pi * RADIUS**3 * DENSITY
@@ -37,7 +37,7 @@ BODIES = {"beads-beads": (RADIUS / 2, MASS / 2), "beads-glass wall": (RADIUS, MA
 
 @pytest.fixture
 def step(tmp_path):
-    return plan_for(scene_of(tmp_path, "numerics.time_step_safety=0.02")).step
+    return plan_for(scene_of(tmp_path, "numerics.time_step_fraction=0.02")).step
 
 
 def test_step_is_a_fraction_of_the_shortest_phase(step):
@@ -47,7 +47,7 @@ def test_step_is_a_fraction_of_the_shortest_phase(step):
 
 
 def test_stable_step_carries_the_densest_packing(step):
-    """Without friction its fastest mode has w^2 = 8 K/m (the X point of a face-centred cubic crystal), 4 K/M."""
+    """Without friction its fastest mode has w^2 = 8 K/m (the X point of a face-centered cubic crystal), 4 K/M."""
 
     def bound(radius_eff, mass_eff):
         tangent = 1.5 * hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff))
@@ -61,7 +61,7 @@ def fastest_mode(directions, share):
     """Largest w^2 over K/M of equal spheres on a lattice with contacts in these directions, Kt = share K.
 
     Displacements u and turns t, in units of the radius, of a plane wave; masses 1 and 2/5. At the contact with a
-    neighbour along n a sphere moves by u + t x n, the neighbour by u - t x n, times the phase of the wave.
+    neighbor along n a sphere moves by u + t x n, the neighbor by u - t x n, times the phase of the wave.
     """
     unit = np.array(directions, float) / np.linalg.norm(directions[0])
     root = np.diag([1.0] * 3 + [math.sqrt(2.5)] * 3)
@@ -105,7 +105,7 @@ def test_stable_step_of_a_damped_spring_is_where_the_leapfrog_begins_to_grow(con
     law = linear.build(build_spring(stiffness, None, 0.0, 0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Solid(1e9, 0.25, 2500.0, None)
-    allowed = stable_step(Meeting("held", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99
+    allowed = stable_step(PairCase("held", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99
 
     def growth(step):
         spring = modes * stiffness * step**2 / MASS
@@ -149,8 +149,8 @@ def test_given_step_above_the_bound_is_refused_with_its_place_and_the_right_numb
     with pytest.raises(SceneError) as refusal:
         plan_for(scene_of(tmp_path, text=text))
     (problem,) = refusal.value.problems
-    place, sentence = problem.split(": ", 1)
-    assert place.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
+    insert, sentence = problem.split(": ", 1)
+    assert insert.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
     assert sentence == (
         f"run.time_step is 0.001 s, above the stable {right.stable_below:.3g} s (beads-beads at 1 m/s). "
         f"Lower it to {right.value:.2g} s or leave it out."
@@ -170,7 +170,7 @@ def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
 
 PAIRS = ("glass-glass", "glass-steel")
 PLACE = TEXT.split("place: ")[1].split("\n")[0]
-ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, place: {PLACE}}}"
+ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, insert: {PLACE}}}"
 ZERO = [f"pairs.{pair}.restitution=0" for pair in PAIRS]
 
 
@@ -226,7 +226,7 @@ def test_contacts_that_cannot_occur_are_not_warned_about(tmp_path, overrides, pa
     ],
 )
 def test_fastest_approach(tmp_path, overrides, value, source):
-    approach = fastest_approach(scene_of(tmp_path, *overrides))
+    approach = max_impact_velocity(scene_of(tmp_path, *overrides))
     assert approach.value == pytest.approx(value)
     assert approach.source.startswith(source)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from resume.runs import files_of
 
-VICTIM = str(Path(__file__).with_name("victim.py"))
+FAULT_INJECTION = str(Path(__file__).with_name("victim.py"))
 STARTED = 120.0
 """Seconds to wait at most until a process has written its first frame."""
 
@@ -29,24 +29,24 @@ particles:
     material: glass
     count: 40
     diameter: 4 mm
-    place: {kind: rain, rate: 2000 1/s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 3 cm]}}}
-domain: {min: [-3 cm, -3 cm, -1 cm], max: [5 cm, 5 cm, 4 cm], leaving: delete}
+    insert: {kind: rain, rate: 2000 1/s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 3 cm]}}}
+domain: {min: [-3 cm, -3 cm, -1 cm], max: [5 cm, 5 cm, 4 cm], on_exit: delete}
 stages: [{name: pour, duration: 40 ms}, {name: fall, duration: 40 ms}]
 output:
   interval: 4 ms
   timeseries_interval: 1 ms
   contacts: true
-  energy: true
-  meters: {low: {point: [0, 0, 0], normal: [0, 0, -1]}}
+  energy_budget: true
+  flow_meters: {low: {point: [0, 0, 0], normal: [0, 0, -1]}}
   checkpoint: {interval: 3 ms}
-numerics: {overlap_limit: 0.4}
+numerics: {max_overlap: 0.4}
 run: {velocity_max: 1 m/s}
 """
 
 
 def granflow(home, *arguments, fault=("count", "-"), **options):
     """One call of the command line to its end, in a process of its own."""
-    command = [sys.executable, VICTIM, *fault, *arguments]
+    command = [sys.executable, FAULT_INJECTION, *fault, *arguments]
     return subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=STARTED * 2, **options)
 
 

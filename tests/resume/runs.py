@@ -4,7 +4,7 @@ import hashlib
 import json
 
 import numpy as np
-from trials import balls, box, plane, trial
+from scene_builders import box, build_scene, particle_group, plane
 
 from granflow.observe import newest_checkpoint
 from granflow.observe.checkpoint import read_checkpoint
@@ -12,7 +12,7 @@ from granflow.observe.checkpoint import read_checkpoint
 MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
 
 
-def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
+def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
     """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
 
     Friction, rolling springs, the ledger, a flow meter, fields and indices are on; a row of fixed grains lies in the
@@ -24,46 +24,50 @@ def busy_scene(duration=0.02, rest=False, normal="zhou", **parts):
     walls["high_x"]["stages"] = ["fill", "shake"]
     walls["gate"] = plane([0, 0, 0.02], [0, 0, 1], "glass", stages=["fill"])
     rng = np.random.default_rng(4)
-    places = 0.0065 * (np.argwhere(np.ones((7, 7, 3))) + 0.75) + [0.011, 0.0, 0.021]
-    lattice = balls(
-        places, rng.uniform(0.004, 0.006, len(places)), velocity=rng.normal([0.8, 0.0, -0.6], 0.5, places.shape)
+    positions = 0.0065 * (np.argwhere(np.ones((7, 7, 3))) + 0.75) + [0.011, 0.0, 0.021]
+    lattice = particle_group(
+        positions,
+        rng.uniform(0.004, 0.006, len(positions)),
+        velocity=rng.normal([0.8, 0.0, -0.6], 0.5, positions.shape),
     )
-    room = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    region = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
     rain = {
         "material": "steel", "count": 60, "diameter": 0.005,
-        "place": {"kind": "rain", "region": room, "rate": 8000.0},
+        "insert": {"kind": "rain", "region": region, "rate": 8000.0},
     }  # fmt: skip
-    row = balls(0.006 * np.argwhere(np.ones((9, 1, 1))) + [0.004, 0.03, 0.02], 0.005, "steel") | {"fixed": True}
+    row = particle_group(0.006 * np.argwhere(np.ones((9, 1, 1))) + [0.004, 0.03, 0.02], 0.005, "steel") | {
+        "fixed": True
+    }
     classes = [{"diameter": 0.003, "fraction": 2}, {"diameter": 0.004, "fraction": 1}]
     inlet = {
         "material": "glass", "velocity": [1.0, 0.0, 0.0],
         "diameter": {"distribution": "classes", "by": "mass", "classes": classes},
-        "place": {
+        "insert": {
             "kind": "inlet", "mass_flow": 0.08, "start": 0.1 * duration, "end": 0.7 * duration,
             "face": {"disc": {"center": [0.001, 0.05, 0.052], "normal": [1, 0, 0], "radius": 0.006}},
         },
     }  # fmt: skip
     third = duration / 3.0
-    middle = {"kinetic_energy_below": 1e-9, "at_most": third} if rest else {"duration": third}
+    middle = {"kinetic_energy_below": 1e-9, "max_duration": third} if rest else {"duration": third}
     given = {
         "walls": walls, "rolling": "epsd", "normal": normal,
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
-        "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "overlap_limit": 0.3},
+        "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "max_overlap": 0.3},
         "run": {"velocity_max": 2.0, "time_step": 4e-6},
         "stages": [{"name": "fill", "duration": third}, {"name": "shake"} | middle, {"name": "out", "duration": third}],
-        "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "leaving": "delete"},
+        "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "on_exit": "delete"},
         "output": {
-            "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy": True, "contacts": True,
-            "loads": True,
+            "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy_budget": True, "contacts": True,
+            "wall_forces": True,
             "checkpoint": {"interval": duration / 11.0, "keep": 100},
-            "meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
-            "indices": {
+            "flow_meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
+            "metrics": {
                 "mix": {"kind": "lacey", "cell": 0.02, "at_least": 4, "groups": ["rain"]}, "web": {"kind": "fabric"},
             },
             "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
         },
     }  # fmt: skip
-    return trial({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(given | parts))
+    return build_scene({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(given | parts))
 
 
 def files_of(out):
@@ -74,34 +78,34 @@ def files_of(out):
             found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
     result = out / "result.json"
     if result.exists():
-        said = json.loads(result.read_text())
-        found |= {part: said[part] for part in ("totals", "meters", "loads")}
+        message = json.loads(result.read_text())
+        found |= {part: message[part] for part in ("totals", "flow_meters", "wall_forces")}
     return found
 
 
 def state_of(path):
     """Everything in a checkpoint but wall clock, and counts that follow it launch by launch; arrays as digests."""
-    kept = read_checkpoint(path).kept
-    del kept["wall_clock"]
+    saved = read_checkpoint(path).saved
+    del saved["wall_clock"]
     for clocked in ("search", "advance", "sampled_forces", "sampled_motion", "particle_steps"):
-        del kept["engine"]["clocks"][clocked]
-    return _digested(kept)
+        del saved["engine"]["clocks"][clocked]
+    return _digested(saved)
 
 
 def last_state(out):
     """What the newest checkpoint of a directory holds."""
-    checkpoint, passed_over = newest_checkpoint(out)
-    assert checkpoint is not None and not passed_over
+    checkpoint, skipped = newest_checkpoint(out)
+    assert checkpoint is not None and not skipped
     return state_of(checkpoint.path)
 
 
-def _digested(kept):
-    if isinstance(kept, dict):
-        return {name: _digested(each) for name, each in kept.items()}
-    if isinstance(kept, np.ndarray):
-        kept = kept + np.zeros((), kept.dtype)  # a slot not in touch may hold 0 or -0, which no sum tells apart
-        return str(kept.dtype), kept.shape, hashlib.sha256(kept.tobytes()).hexdigest()
-    return kept
+def _digested(saved):
+    if isinstance(saved, dict):
+        return {name: _digested(each) for name, each in saved.items()}
+    if isinstance(saved, np.ndarray):
+        saved = saved + np.zeros((), saved.dtype)  # a slot not in touch may hold 0 or -0, which no sum tells apart
+        return str(saved.dtype), saved.shape, hashlib.sha256(saved.tobytes()).hexdigest()
+    return saved
 
 
 def states_of(out):

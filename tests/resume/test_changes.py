@@ -2,40 +2,44 @@
 
 import numpy as np
 import pytest
-from resume.runs import busy_scene
-from trials import balls, plane, trial
+from resume.runs import complex_scene
+from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import GranflowError, SceneError
-from granflow.observe import accepted_change, earlier_grains, newest_checkpoint
+from granflow.observe import accepted_change, newest_checkpoint, particles_from_run
 from granflow.plan import plan_for
 from granflow.scene.differences import differences, forbidden
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 from granflow.scene.reader import scene_of
 from granflow.simulation import Simulation
 
 
 def changed(**overrides):
     """The busy scene as read from text, with values put in place by their key paths, written with two underscores."""
-    before = scene_of(busy_scene().text(), "before")
-    return before, scene_of(busy_scene().text(), "now", [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()])
+    before = scene_of(complex_scene().text(), "before")
+    return before, scene_of(
+        complex_scene().text(), "now", [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()]
+    )
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "message"),
     [
         ({"output__interval": "1 ms"}, "output.interval was 0.0028571428571428571 and is 0.001"),
         ({"walls__gate__stages": "[fill, shake]"}, "walls.gate.stages was [fill] and is [fill, shake]"),
         ({"walls__floor__motion__0__end": "1 s"}, "walls.floor.motion.0.end was left out and is 1.0"),
         ({"stages__2__duration": "1 s"}, "stages.2.duration was 0.006666666666666667 and is 1.0"),
-        ({"numerics__overlap_limit": "0.5"}, "numerics.overlap_limit was 0.3 and is 0.5"),
+        ({"numerics__overlap_limit": "0.5"}, "numerics.max_overlap was 0.3 and is 0.5"),
         ({"output__checkpoint__keep": "5"}, "output.checkpoint.keep was 100 and is 5"),
         ({"expect": "[{quantity: particle_count, above: 3}]"}, "expect was [] and is left out"),
     ],
 )
-def test_what_may_change(override, said):
+def test_what_may_change(override, message):
     before, now = changed(**override)
     assert not forbidden(before, now, stages_over=1)
-    assert said.replace("0.0028571428571428571", repr(0.02 / 7.0)) in [str(each) for each in differences(before, now)]
+    assert message.replace("0.0028571428571428571", repr(0.02 / 7.0)) in [
+        str(each) for each in differences(before, now)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +68,7 @@ def test_what_may_not_change_is_named(override):
 
 def dropped(friction=0.3, lid_speed=0.1, gate_until=0.02, **parts):
     """Four balls that fall on a gate which goes after 20 ms, far below a lid that rises."""
-    places = [[0.0, 0.0, 0.0065], [0.02, 0.0, 0.0066], [0.0, 0.02, 0.0067], [0.02, 0.02, 0.0068]]
+    positions = [[0.0, 0.0, 0.0065], [0.02, 0.0, 0.0066], [0.0, 0.02, 0.0067], [0.02, 0.02, 0.0068]]
     rising = [{"kind": "translation", "velocity": [0, 0, lid_speed], "start": 0.0}]
     walls = {
         "gate": plane([0, 0, 0], [0, 0, 1], vanishes_at=gate_until),
@@ -74,7 +78,7 @@ def dropped(friction=0.3, lid_speed=0.1, gate_until=0.02, **parts):
         "gravity": [0.0, 0.0, -9.81], "pair": {"friction": friction}, "run": {"time_step": 1e-5, "velocity_max": 1.0},
         "stages": [{"name": "hold", "duration": 0.02}, {"name": "fall", "duration": 0.02}],
     }  # fmt: skip
-    return trial({"balls": balls(places)}, walls, **(given | parts))
+    return build_scene({"balls": particle_group(positions)}, walls, **(given | parts))
 
 
 @pytest.fixture(scope="module")
@@ -99,18 +103,18 @@ def after(scene, checkpoint, until):
 
 
 @pytest.fixture(scope="module")
-def there(held):
+def existing(held):
     """The particles of that checkpoint, velocities at the time of positions."""
     return after(dropped(), held, until=0.0).particles
 
 
-def test_a_gate_opened_now_lets_the_balls_fall_on(held, there):
+def test_a_gate_opened_now_lets_the_balls_fall_on(held, existing):
     """They are about to land: with the gate open they go on with v t - 1/2 g t^2, which leapfrog meets exactly."""
-    assert there["position"][:, 2].min() > 0.005
+    assert existing["position"][:, 2].min() > 0.005
     last = after(dropped(gate_until=0.01), held, until=None)
     time = last.time - held.time
-    fallen = there["velocity"][:, 2] * time - 0.5 * 9.81 * time**2
-    np.testing.assert_allclose(last.particles["position"][:, 2] - there["position"][:, 2], fallen, rtol=1e-9)
+    fallen = existing["velocity"][:, 2] * time - 0.5 * 9.81 * time**2
+    np.testing.assert_allclose(last.particles["position"][:, 2] - existing["position"][:, 2], fallen, rtol=1e-9)
 
 
 def test_a_wall_that_would_jump_is_refused_with_the_remedy(held):
@@ -119,19 +123,21 @@ def test_a_wall_that_would_jump_is_refused_with_the_remedy(held):
 
 
 def test_another_scene_is_refused_unless_told(held):
-    other = dropped(domain={"min": [-1.0] * 3, "max": [1.5] * 3, "leaving": "error"})
+    other = dropped(domain={"min": [-1.0] * 3, "max": [1.5] * 3, "on_exit": "error"})
     with pytest.raises(GranflowError) as refused:
         Simulation(other, resume=held)
     sentence, remedy = str(refused.value).splitlines()
     difference = "domain.max was [1.0, 1.0, 1.0] and is [1.5, 1.5, 1.5]"
     assert sentence == f"{held.path}: {difference}, which cannot change while a run goes on."
-    assert remedy == "Run the scene anew, or go on all the same with --anyway."
-    assert [each.key for each in accepted_change(held, plan_for(other), anyway=True).differences] == ["domain.max"]
+    assert remedy == "Run the scene anew, or go on all the same with --allow-changes."
+    assert [each.key for each in accepted_change(held, plan_for(other), allow_changes=True).differences] == [
+        "domain.max"
+    ]
 
 
 def test_another_time_step_is_refused_even_when_told(held):
     with pytest.raises(GranflowError, match="time_step was 1e-05 and would be 5e-06 with this scene"):
-        Simulation(dropped(run={"time_step": 5e-6, "velocity_max": 1.0}), resume=held, anyway=True)
+        Simulation(dropped(run={"time_step": 5e-6, "velocity_max": 1.0}), resume=held, allow_changes=True)
 
 
 def test_friction_cannot_be_switched_off(held):
@@ -139,21 +145,21 @@ def test_friction_cannot_be_switched_off(held):
         Simulation(dropped(friction=0.0), resume=held)
 
 
-def test_a_scene_starts_from_the_last_state_of_another(held, there):
+def test_a_scene_starts_from_the_last_state_of_another(held, existing):
     """Positions, velocities at the same moment, sizes; groups that are new keep clear of those that came."""
-    groups = {"fresh": balls([[0.0, 0.0, 0.3]], 0.02), "balls": balls([[0.0, 0.0, 0.1]] * 4)}
+    groups = {"fresh": particle_group([[0.0, 0.0, 0.3]], 0.02), "balls": particle_group([[0.0, 0.0, 0.1]] * 4)}
     scene = dropped(start_from=str(held.path.parent), particles=groups)
-    start = initial_grains(scene, earlier_grains(scene))
+    start = initial_particles(scene, particles_from_run(scene))
     assert list(start.group) == [0, 1, 1, 1, 1]
-    np.testing.assert_array_equal(start.position[1:], there["position"])
-    np.testing.assert_array_equal(start.radius[1:], there["radius"])
-    np.testing.assert_allclose(start.velocity[1:], there["velocity"], rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(start.position[1:], existing["position"])
+    np.testing.assert_array_equal(start.radius[1:], existing["radius"])
+    np.testing.assert_allclose(start.velocity[1:], existing["velocity"], rtol=1e-12, atol=1e-15)
 
 
 def test_start_from_says_what_does_not_fit(held, tmp_path):
     with pytest.raises(SceneError, match="holds no checkpoint that can be used; name the directory"):
         Simulation(dropped(start_from=str(tmp_path)))
-    small = trial({"balls": balls([[0, 0, 0.1]], 0.008)}, start_from=str(held.path.parent))
+    small = build_scene({"balls": particle_group([[0, 0, 0.1]], 0.008)}, start_from=str(held.path.parent))
     with pytest.raises(SceneError) as misfit:
         Simulation(small)
     count, size = misfit.value.problems

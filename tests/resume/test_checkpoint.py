@@ -8,16 +8,16 @@ import zipfile
 
 import numpy as np
 import pytest
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 
 from granflow.errors import GranflowError
 from granflow.observe import (
     CheckpointError,
     CheckpointWriter,
-    keep_last,
     locked,
     newest_checkpoint,
     read_checkpoint,
+    remove_old_checkpoints,
     write_checkpoint,
 )
 from granflow.observe import checkpoint as format_of
@@ -38,11 +38,11 @@ def written(directory, step=7):
 def test_everything_comes_back_as_it_was(tmp_path):
     found = read_checkpoint(written(tmp_path))
     assert (found.scene, found.time) == ("title: A scene\n", 0.5)
-    assert [found.kept[name] for name in ("step", "look", "fraction")] == [7, float("inf"), 0.1 + 0.2]
+    assert [found.saved[name] for name in ("step", "look", "fraction")] == [7, float("inf"), 0.1 + 0.2]
     for name in ("position", "nothing"):
-        assert found.kept["engine"][name].dtype == KEPT["engine"][name].dtype
-        np.testing.assert_array_equal(found.kept["engine"][name], KEPT["engine"][name])
-    np.testing.assert_array_equal(found.kept["ids"], KEPT["ids"])
+        assert found.saved["engine"][name].dtype == KEPT["engine"][name].dtype
+        np.testing.assert_array_equal(found.saved["engine"][name], KEPT["engine"][name])
+    np.testing.assert_array_equal(found.saved["ids"], KEPT["ids"])
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
@@ -55,8 +55,8 @@ def test_every_bit_counts(tmp_path):
     """A bit flipped anywhere, in the arrays, in the header, in the directory of the archive or in the checksum."""
     path = written(tmp_path)
     whole = path.read_bytes()
-    for place in np.random.default_rng(2).integers(0, len(whole), 200):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+    for insertion in np.random.default_rng(2).integers(0, len(whole), 200):
+        path.write_bytes(whole[:insertion] + bytes([whole[insertion] ^ 0x10]) + whole[insertion + 1 :])
         with pytest.raises(CheckpointError, match="damaged"):
             read_checkpoint(path)
 
@@ -73,9 +73,9 @@ def test_the_one_before_is_used_and_said(tmp_path):
     written(tmp_path, 5)
     newest = written(tmp_path, 12)
     newest.write_bytes(newest.read_bytes()[:-20])
-    found, passed_over = newest_checkpoint(tmp_path)
+    found, skipped = newest_checkpoint(tmp_path)
     assert found.path.name == "checkpoint_000000000005.npz"
-    assert passed_over == [f"{newest} is damaged: it is cut short, or bits of it have changed."]
+    assert skipped == [f"{newest} is damaged: it is cut short, or bits of it have changed."]
 
 
 def test_another_format_is_refused_by_number(tmp_path, monkeypatch):
@@ -95,7 +95,7 @@ def test_objects_are_not_written(tmp_path):
 def test_the_last_few_are_kept(tmp_path):
     for step in (9, 10, 100, 1000):
         written(tmp_path, step)
-    keep_last(tmp_path, 2)
+    remove_old_checkpoints(tmp_path, 2)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "checkpoint_000000000100.npz",
         "checkpoint_000000001000.npz",
@@ -106,7 +106,7 @@ def test_a_file_is_on_the_disk_before_it_gets_its_name(tmp_path, monkeypatch):
     done, real = [], os.replace
     monkeypatch.setattr("os.fsync", lambda _: done.append("fsync"))
     monkeypatch.setattr("os.replace", lambda *names: (done.append("replace"), real(*names)))
-    with replacing(tmp_path / "a", settled=True) as temporary:
+    with replacing(tmp_path / "a", durable=True) as temporary:
         temporary.write_text("a")
     assert done == ["fsync", "replace", "fsync"], "the file, its name, the directory"
 
@@ -131,7 +131,7 @@ def test_when_one_is_due(tmp_path, monkeypatch):
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.time", lambda: pytest.fail("the computer's time is asked"))
-    scene = trial({"ball": balls([0.0, 0.0, 0.0])})
+    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])})
     writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2))
     writer.start(0.0)
     assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)

@@ -36,7 +36,7 @@ def stopped_half_way(home, name):
     return home / name
 
 
-def gone_on_with(home, out, *more):
+def resumed(home, out, *more):
     done = granflow(home, "resume", out.name, *more)
     assert done.returncode == 0, done.stderr
     return done
@@ -65,23 +65,23 @@ def test_no_room_for_files_of_a_size(home, reference, share):
     full = granflow(home, "run", "beads.yaml", "--out", out.name, preexec_fn=largest_file(int(share * size)))
     assert full.returncode == 4, full.stderr
     assert any("File too large" in sentence for sentence in sentences(full))
-    gone_on_with(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
+    resumed(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
     assert_whole(out, reference)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting needs root")
-@pytest.mark.parametrize("room", ["100k", "200k", "300k"])
-def test_a_full_disk(home, reference, room):
-    out = home / f"full{room}"
+@pytest.mark.parametrize("free_space", ["100k", "200k", "300k"])
+def test_a_full_disk(home, reference, free_space):
+    out = home / f"full{free_space}"
     out.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(out)]).returncode:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={free_space}", "tmpfs", str(out)]).returncode:
         pytest.skip("no tmpfs can be mounted here")
     try:
         full = granflow(home, "run", "beads.yaml", "--out", out.name)
         assert full.returncode == 4, full.stderr
         assert any("No space left on device" in sentence for sentence in sentences(full))
         subprocess.run(["mount", "-o", "remount,size=50m", str(out)], check=True)
-        gone_on_with(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
+        resumed(home, out, *[] if any(out.glob("checkpoint_*.npz")) else ["--from-start"])
         assert_whole(out, reference)
     finally:
         subprocess.run(["umount", str(out)], check=True)
@@ -110,16 +110,16 @@ def test_a_directory_that_vanishes(home, reference):
     running = started(home, "run", "beads.yaml", "--out", out.name)
     wait_for(out / "particles_0006.vtu", running)
     os.rename(out, home / "moved")
-    _, said = running.communicate(timeout=120)
-    assert running.returncode == 4, said
-    assert "No such file or directory" in said and "granflow resume vanishing goes on from" in said
-    assert "Traceback" not in said
+    _, message = running.communicate(timeout=120)
+    assert running.returncode == 4, message
+    assert "No such file or directory" in message and "granflow resume vanishing goes on from" in message
+    assert "Traceback" not in message
     refused = granflow(home, "resume", out.name)
     assert refused.returncode == 2 and "timeseries.csv lacks rows" in refused.stderr
-    gone_on_with(home, out, "--anyway")
+    resumed(home, out, "--allow-changes")
     for name in ("particles_0020.vtu", "contacts_0020.vtu"):
         assert (out / name).read_bytes() == (reference / name).read_bytes()
-    gone_on_with(home, home / "moved")
+    resumed(home, home / "moved")
     assert_whole(home / "moved", reference)
 
 
@@ -131,8 +131,8 @@ def test_a_damaged_checkpoint(home, reference, damage):
     half = len(whole) // 2
     flipped = whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :]
     newest.write_bytes({"truncated": whole[:half], "flipped": flipped, "empty": b""}[damage])
-    said = gone_on_with(home, out)
-    assert f"granflow: warning: {damage}/{newest.name} is damaged" in said.stderr
+    message = resumed(home, out)
+    assert f"granflow: warning: {damage}/{newest.name} is damaged" in message.stderr
     assert_whole(out, reference)
 
 
@@ -144,7 +144,7 @@ def test_all_checkpoints_damaged(home, reference):
     refused = granflow(home, "resume", out.name)
     assert refused.returncode == 2 and "granflow resume ruined --from-start" in refused.stderr
     assert frames == {path.name: path.read_bytes() for path in out.glob("*.vtu")}
-    gone_on_with(home, out, "--from-start")
+    resumed(home, out, "--from-start")
     assert_whole(out, reference)
 
 
@@ -153,7 +153,7 @@ def test_a_forced_run_that_finds_no_room_leaves_the_previous_run(home, reference
     out = home / "replaced"
     shutil.copytree(reference, out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    full = granflow(home, "run", "beads.yaml", "--out", out.name, "--force", preexec_fn=largest_file(100))
+    full = granflow(home, "run", "beads.yaml", "--out", out.name, "--overwrite", preexec_fn=largest_file(100))
     assert full.returncode == 4, full.stderr
     assert any("File too large" in sentence for sentence in sentences(full))
     assert before == {path.name: path.read_bytes() for path in out.iterdir()}
@@ -165,13 +165,13 @@ def test_two_runs_at_once(home, reference):
     running = started(home, "run", "beads.yaml", "--out", out.name)
     wait_for(out / "particles_0001.vtu", running)
     os.kill(running.pid, signal.SIGSTOP)
-    for verb in (["resume", out.name], ["run", "beads.yaml", "--out", out.name, "--force"]):
+    for verb in (["resume", out.name], ["run", "beads.yaml", "--out", out.name, "--overwrite"]):
         refused = granflow(home, *verb)
         assert refused.returncode == 2
         assert "Another run is writing into shared" in refused.stderr
     os.kill(running.pid, signal.SIGKILL)
     running.communicate()
-    gone_on_with(home, out)
+    resumed(home, out)
     assert_whole(out, reference)
 
 
@@ -191,11 +191,13 @@ def test_told_to_stop(home, reference, sent, code):
                       preexec_fn=lambda: signal.signal(sent, signal.default_int_handler))  # fmt: skip
     wait_for(out / "particles_0004.vtu", running)
     running.send_signal(sent)
-    _, said = running.communicate(timeout=60)
+    _, message = running.communicate(timeout=60)
     assert running.returncode == code
-    assert said.splitlines()[-1].endswith(f"granflow resume {out.name} goes on. {out.name} holds the run up to there.")
+    assert message.splitlines()[-1].endswith(
+        f"granflow resume {out.name} goes on. {out.name} holds the run up to there."
+    )
     assert len(list(out.glob("checkpoint_*.npz"))) == 1
-    gone_on_with(home, out)
+    resumed(home, out)
     assert_whole(out, reference)
 
 
@@ -204,5 +206,5 @@ def test_another_process_id_left_scraps(home, reference):
     out = stopped_half_way(home, "scraps")
     (out / ".particles_0010.vtu.99999.part").write_bytes(b"half a fr")
     shutil.copy(out / "particles_0001.vtu", out / "particles_0999.vtu")
-    gone_on_with(home, out)
+    resumed(home, out)
     assert_whole(out, reference)

@@ -27,9 +27,9 @@ def killed_again_and_again(home, out, times, seconds, seed):
     """Start, or go on, and kill at a moment after the first frame or sign of going on; the times it was killed."""
     rng, killed = random.Random(seed), 0
     for _ in range(times):
-        begun = (out / "scene_as_run.yaml").exists()
+        prepared_simulation = (out / "scene_as_run.yaml").exists()
         started_over = [] if any(out.glob("checkpoint_*.npz")) else ["--from-start"]
-        verb = ["resume", out.name, *started_over] if begun else ["run", "beads.yaml", "--out", out.name]
+        verb = ["resume", out.name, *started_over] if prepared_simulation else ["run", "beads.yaml", "--out", out.name]
         log = out / "run.log"
         before = state_of(log)
         running = started(home, *verb)
@@ -51,7 +51,7 @@ def state_of(log):
     return (found.st_ino, found.st_size) if found.st_size else None
 
 
-def gone_on_with(home, out):
+def resumed(home, out):
     """Resume; a run killed after its first frame and before its first checkpoint takes a flag."""
     done = granflow(home, "resume", out.name)
     if done.returncode == 2 and f"granflow resume {out.name} --from-start" in done.stderr:
@@ -66,7 +66,7 @@ def test_killed_at_random_moments(home, reference):
     whole, _, seconds = reference
     killed = killed_again_and_again(home, home / "random", 5, 0.15 * seconds, seed=1)
     assert killed >= 3, "the run was over before it could be killed"
-    gone_on_with(home, home / "random")
+    resumed(home, home / "random")
     assert_whole(home / "random", whole)
 
 
@@ -78,7 +78,7 @@ def test_killed_fifty_times(home, reference):
     for round_number in range(10):
         out = home / f"fifty{round_number}"
         killed += killed_again_and_again(home, out, 5, 0.15 * seconds, seed=round_number + 2)
-        gone_on_with(home, out)
+        resumed(home, out)
         assert_whole(out, whole)
         shutil.rmtree(out)
     print(f"killed {killed} times")
@@ -95,7 +95,7 @@ def test_killed_at_every_kind_of_write(home, reference):
         out = home / f"write{number}"
         killed = granflow(home, "run", "beads.yaml", "--out", out.name, fault=("kill", str(number)))
         assert killed.returncode == -signal.SIGKILL
-        again = gone_on_with(home, out) if (out / "scene_as_run.yaml").exists() else None
+        again = resumed(home, out) if (out / "scene_as_run.yaml").exists() else None
         if again is None:
             assert granflow(home, "resume", out.name).returncode == 2
             assert granflow(home, "run", "beads.yaml", "--out", out.name).returncode == 0
@@ -114,5 +114,5 @@ def test_killed_while_going_on(home, reference):
         granflow(home, "run", "beads.yaml", "--out", out.name, fault=("kill", str(2 * writes // 3)))
         killed = granflow(home, "resume", out.name, fault=("kill", str(number)))
         assert killed.returncode == -signal.SIGKILL
-        gone_on_with(home, out)
+        resumed(home, out)
         assert_whole(out, whole)

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from child import in_child
-from trials import balls, plane, trial
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
 
 STEPS = 1_000_000
 LOOKS = 100
@@ -26,30 +26,30 @@ def shaken_bed():
         unit = np.eye(3)[axis]
         walls[f"low_{name}"] = plane([0.0] * 3, unit.tolist())
         walls[f"high_{name}"] = plane((side * unit).tolist(), (-unit).tolist())
-    places = 0.0056 * (np.argwhere(np.ones((5, 5, 4))) + 0.6)
-    group = balls(places, np.random.default_rng(3).uniform(0.0048, 0.0052, len(places)))
+    positions = 0.0056 * (np.argwhere(np.ones((5, 5, 4))) + 0.6)
+    group = particle_group(positions, np.random.default_rng(3).uniform(0.0048, 0.0052, len(positions)))
     duration = STEPS * step
-    return trial(
+    return build_scene(
         {"balls": group}, walls, pair={"friction": 0.4, "restitution": 0.6}, gravity=[0.0, 0.0, -9.81],
-        domain={"min": [-0.01, -0.01, -0.01], "max": [0.04, 0.04, 0.3], "leaving": "error"},
+        domain={"min": [-0.01, -0.01, -0.01], "max": [0.04, 0.04, 0.3], "on_exit": "error"},
         materials={"glass": {"young_modulus": 2e7, "poisson_ratio": 0.25, "density": 2500.0}},
         run={"duration": duration, "time_step": step, "velocity_max": 1.5},
         output={
-            "interval": duration / LOOKS, "energy": True, "contacts": True,
+            "interval": duration / LOOKS, "energy_budget": True, "contacts": True,
             "checkpoint": {"interval": duration / LOOKS, "keep": 2},
-            "meters": {"middle": {"point": [0, 0, 0.02], "normal": [0, 0, 1]}},
+            "flow_meters": {"middle": {"point": [0, 0, 0.02], "normal": [0, 0, 1]}},
         },
     )  # fmt: skip
 
 
-def watched(folder):
+def run_and_sample(folder):
     """Mass, ledger error, resident memory [kB] and open files at every look of the run."""
     from granflow.observe import every
     from granflow.simulation import Simulation
 
     seen = []
 
-    def look(snapshot):
+    def sample(snapshot):
         memory = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024
         files = len(os.listdir("/proc/self/fd"))
         totals = snapshot.totals
@@ -57,7 +57,7 @@ def watched(folder):
         seen.append([snapshot.time, mass, totals["energy_error"], memory, files, totals["particle_count"]])
 
     scene = shaken_bed()
-    simulation = Simulation(scene, out=folder, observers=[every(scene.output.interval, look)])
+    simulation = Simulation(scene, out=folder, observers=[every(scene.output.interval, sample)])
     simulation.run()
     return seen, simulation.engine.step_count
 
@@ -66,7 +66,7 @@ def watched(folder):
 @pytest.mark.timeout(7200)
 @pytest.mark.skipif(sys.platform != "linux", reason="memory and open files are read from /proc")
 def test_a_million_steps(tmp_path):
-    seen, steps = in_child(watched, str(tmp_path), seconds=7000)
+    seen, steps = in_subprocess(run_and_sample, str(tmp_path), seconds=7000)
     assert steps >= STEPS
     _, mass, error, memory, files, count = zip(*seen, strict=True)
     assert set(count) == {100.0} and set(mass) == {mass[0]}

@@ -9,7 +9,7 @@ import types
 from pathlib import Path
 
 import pytest
-from trials import balls, trial
+from scene_builders import build_scene, particle_group
 
 from granflow.cli import main
 from granflow.errors import GranflowError, OutputError
@@ -56,10 +56,10 @@ def test_a_start_that_fails_leaves_the_previous_run(out, error):
 @pytest.mark.parametrize("error", [None, OSError("disk full")])
 def test_a_run_that_has_begun_replaces_it(out, error):
     try:
-        with replaced_run(out) as begun:
+        with replaced_run(out) as prepared_simulation:
             write(out, NEW)
             assert contents(out / "previous_run") == as_bytes(OLD), "until then it is there"
-            begun()
+            prepared_simulation()
             assert contents(out) == as_bytes(NEW) | MINE
             if error:
                 raise error
@@ -89,9 +89,9 @@ def replace_until_killed(out, last, then):
     for name in ("replace", "unlink", "rmdir"):
         setattr(os, name, killed_at_last(getattr(os, name)))
     Path.unlink = killed_at_last(Path.unlink)
-    with replaced_run(out) as begun:
+    with replaced_run(out) as prepared_simulation:
         write(out, NEW)
-        begun() if then == "begun" else restore_previous_run(out)
+        prepared_simulation() if then == "begun" else restore_previous_run(out)
     os._exit(0)
 
 
@@ -104,13 +104,13 @@ def test_killed_at_every_file_operation(tmp_path, then):
         number += 1
         out = tmp_path / f"{then}{number}"
         write(out, OLD | {"notes.txt": "mine"})
-        child = os.fork()
-        if not child:
+        subprocess_runner = os.fork()
+        if not subprocess_runner:
             try:
                 replace_until_killed(out, number, then)
             finally:
                 os._exit(1)
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        code = os.waitstatus_to_exitcode(os.waitpid(subprocess_runner, 0)[1])
         assert code in (0, 9)
         restore_previous_run(out)
         left = contents(out)
@@ -124,7 +124,7 @@ def test_killed_at_every_file_operation(tmp_path, then):
 
 
 def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(out, monkeypatch):
-    scene = trial({"ball": balls([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5})
+    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5})
 
     def full(path, mesh):
         assert contents(out / "previous_run") == as_bytes(OLD), "it is not deleted before the first frame"
@@ -145,7 +145,7 @@ def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(
 
 
 def test_a_simulation_that_would_delete_its_own_start_is_refused(tmp_path):
-    scene = trial({"ball": balls([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
+    scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
     write(tmp_path, OLD)
     with pytest.raises(GranflowError, match="start_from is .*, which lies in the output directory"):
         Simulation(scene, out=tmp_path)
@@ -176,10 +176,10 @@ def test_a_newer_checkpoint_of_another_format_is_refused(stopped, monkeypatch, c
     monkeypatch.setattr(format_of, "version_of", lambda package: "7.8.9")
     write_checkpoint(stopped, "title: A scene\n", 0.6, 8, {"step": 8})
     monkeypatch.undo()
-    said = refused_resume(stopped, capsys)
-    assert "checkpoint_000000000008.npz is in format 99, written by granflow 7.8.9; granflow " in said
-    assert said.endswith(f"reads format {format_of.FORMAT}. Resume with the version that wrote it.\n")
-    assert said.count("\n") == 1
+    message = refused_resume(stopped, capsys)
+    assert "checkpoint_000000000008.npz is in format 99, written by granflow 7.8.9; granflow " in message
+    assert message.endswith(f"reads format {format_of.FORMAT}. Resume with the version that wrote it.\n")
+    assert message.count("\n") == 1
 
 
 @pytest.mark.parametrize("code", [errno.EACCES, errno.EIO])
@@ -191,17 +191,17 @@ def test_a_checkpoint_that_the_system_cannot_read_is_refused(stopped, monkeypatc
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(format_of, "_checksum", unreadable)
-    said = refused_resume(stopped, capsys)
+    message = refused_resume(stopped, capsys)
     reason = os.strerror(code)
-    assert f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n" in said
+    assert f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n" in message
 
 
 def test_beginning_from_the_start_over_results_takes_a_flag(stopped, capsys):
     for path in stopped.glob("checkpoint_*.npz"):
         path.write_bytes(b"nonsense")
-    said = refused_resume(stopped, capsys)
-    assert "is damaged" in said and "holds no checkpoint that can be used, but 3 files of results" in said
-    assert f"granflow resume {stopped} --from-start.\n" in said
+    message = refused_resume(stopped, capsys)
+    assert "is damaged" in message and "holds no checkpoint that can be used, but 3 files of results" in message
+    assert f"granflow resume {stopped} --from-start.\n" in message
 
 
 def test_the_flag_begins_from_the_start(stopped, monkeypatch):
@@ -215,11 +215,11 @@ def test_the_flag_begins_from_the_start(stopped, monkeypatch):
         raise NotMade
 
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=simulation))
-    monkeypatch.setattr("granflow.cli.resume.scene_to_go_on_with", lambda options, checkpoint: checkpoint)
+    monkeypatch.setattr("granflow.cli.resume.scene_to_resume", lambda options, checkpoint: checkpoint)
     for flags in ([], ["--from-start"]):
         with pytest.raises(NotMade):
             main(["resume", str(stopped), *flags])
-    assert [checkpoint and checkpoint.kept for checkpoint in made] == [{"step": 7}, None]
+    assert [checkpoint and checkpoint.saved for checkpoint in made] == [{"step": 7}, None]
 
 
 def test_resume_puts_back_a_run_whose_replacement_was_killed(out, capsys):

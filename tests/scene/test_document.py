@@ -47,9 +47,9 @@ def test_nan_is_nan():
 
 def test_places_of_keys_and_values():
     document = parse("a:\n  - b: 1\n    c: [2, {d: 3}]\n", "file")
-    assert str(document.key_place(("a",))) == "file:1:1"
-    assert str(document.key_place(("a", 0, "c"))) == "file:3:5"
-    assert str(document.value_place(("a", 0, "c", 1, "d"))) == "file:3:16"
+    assert str(document.key_position(("a",))) == "file:1:1"
+    assert str(document.key_position(("a", 0, "c"))) == "file:3:5"
+    assert str(document.value_position(("a", 0, "c", 1, "d"))) == "file:3:16"
     assert document.where(("a", 0, "c", 1, "x", "y")) == "file:3"
 
 
@@ -68,7 +68,7 @@ def test_what_is_refused(text):
 def test_duplicate_keys_do_not_stop_the_reading():
     document = parse("a: 1\na: 2\nb: 3\nb: 4\n", "file")
     assert document.root.data() == {"a": 1, "b": 3}
-    assert [str(problem.place) for problem in document.problems] == ["file:2:1", "file:4:1"]
+    assert [str(problem.position) for problem in document.problems] == ["file:2:1", "file:4:1"]
 
 
 def test_aliases_that_multiply_are_refused():

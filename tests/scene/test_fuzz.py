@@ -12,12 +12,12 @@ import warnings
 from pathlib import Path
 
 import pytest
-from child import in_child
-from mutants import SCENES, made_by_hypothesis, mutant, written
+from fuzzing import SCENES, made_by_hypothesis, mutated_file, written
+from subprocess_runner import in_subprocess
 
 from granflow.cli import main
 from granflow.errors import SceneError
-from granflow.plan import room
+from granflow.plan import memory_check
 from granflow.scene import load
 
 SECONDS, WAITING = 20, 200
@@ -40,9 +40,9 @@ def alarmed(*_):
     raise Hang(f"more than {SECONDS} s of computing or {WAITING} s of waiting")
 
 
-def set_alarm(computing, waiting):
+def set_alarm(computing, queued):
     signal.setitimer(signal.ITIMER_PROF, computing)
-    signal.setitimer(signal.ITIMER_REAL, waiting)
+    signal.setitimer(signal.ITIMER_REAL, queued)
 
 
 def peak():
@@ -52,11 +52,11 @@ def peak():
 
 def check(path):
     """Exit code of `granflow check` and what it says on stderr."""
-    said = io.StringIO()
+    message = io.StringIO()
     set_alarm(SECONDS, WAITING)
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            return main(["check", str(path)]), said.getvalue()
+        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(io.StringIO()):
+            return main(["check", str(path)]), message.getvalue()
     except BaseException:
         return None, traceback.format_exc()
     finally:
@@ -65,15 +65,15 @@ def check(path):
 
 def complaint(path):
     """Exit code of `granflow check` of a file, and what is wrong with the way it takes the file, or None."""
-    code, said = check(path)
-    lines = said.splitlines()
+    code, message = check(path)
+    lines = message.splitlines()
     if code == 0:
         right = all(line.startswith("granflow: warning: ") for line in lines)
     else:
         counted = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
-        invented = "nan" in said and "nan" not in path.read_text("latin-1")
+        invented = "nan" in message and "nan" not in path.read_text("latin-1")
         right = code == 2 and counted and all(PLACE.fullmatch(line) for line in lines[:-1]) and not invented
-    return code, None if right else f"exit code {code}: {said}"
+    return code, None if right else f"exit code {code}: {message}"
 
 
 def limited():
@@ -82,7 +82,7 @@ def limited():
         signal.signal(each, alarmed)
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (virtual + MEMORY, virtual + MEMORY))
-    room.memory_free = lambda: FREE
+    memory_check.available_memory = lambda: FREE
     warnings.simplefilter("error")
 
 
@@ -103,7 +103,7 @@ def outcome(folder, files):
 
 
 def mutants_outcome(folder, first, count):
-    return outcome(folder, (mutant(random.Random(number)) for number in range(first, first + count)))
+    return outcome(folder, (mutated_file(random.Random(number)) for number in range(first, first + count)))
 
 
 def hypothesis_outcome(folder, count):
@@ -120,25 +120,25 @@ def survives(found, count):
 
 
 def test_changed_scenes(tmp_path):
-    accepted = survives(in_child(mutants_outcome, str(tmp_path), 0, 300), 300)
+    accepted = survives(in_subprocess(mutants_outcome, str(tmp_path), 0, 300), 300)
     assert accepted > 20, "some changes leave a scene"
 
 
 def test_anything(tmp_path):
-    survives(in_child(hypothesis_outcome, str(tmp_path), 200), 200)
+    survives(in_subprocess(hypothesis_outcome, str(tmp_path), 200), 200)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("first", range(1000, 13_000, 3000))
 def test_many_changed_scenes(tmp_path, first):
-    survives(in_child(mutants_outcome, str(tmp_path), first, 3000, seconds=3500), 3000)
+    survives(in_subprocess(mutants_outcome, str(tmp_path), first, 3000, seconds=3500), 3000)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_much_of_anything(tmp_path):
-    survives(in_child(hypothesis_outcome, str(tmp_path), 8000, seconds=3500), 8000)
+    survives(in_subprocess(hypothesis_outcome, str(tmp_path), 8000, seconds=3500), 8000)
 
 
 MANY = 3000
@@ -184,27 +184,27 @@ def traps_outcome(folder, kind):
 
 def test_traps(tmp_path):
     """Bombs, loops, tags, depth and length: each is refused."""
-    assert survives(in_child(traps_outcome, str(tmp_path), "small"), len(TRAPS)) == 0
+    assert survives(in_subprocess(traps_outcome, str(tmp_path), "small"), len(TRAPS)) == 0
     assert not list(tmp_path.glob("pwned"))
 
 
 def floods():
     """Files of 10 MB, and of almost the 4 MiB that are read."""
-    return {f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in floods_of(size).items()}
+    return {f"{name}, {scale}": text for scale in (10**7, 2**22 - 200) for name, text in floods_of(scale).items()}
 
 
-def floods_of(size):
+def floods_of(scale):
     shapes = {
         "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
         "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
         "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
         "digits": ("seed: ", "9", ""), "colons": ("", ":", ""), "anchors": ("title: [", "&a 1,", "0]"),
         "keys": ("", "k: 1\n", ""),
-        "positions": ("title: x\nparticles: {a: {place: {kind: list, positions: [", "[0,0,0],", "]}}}"),
-        "bad items": ("particles: {a: {place: {kind: list, positions: [", "0," + 15 * " ", "0]}}}"),
+        "positions": ("title: x\nparticles: {a: {insert: {kind: positions, positions: [", "[0,0,0],", "]}}}"),
+        "bad items": ("particles: {a: {insert: {kind: positions, positions: [", "0," + 15 * " ", "0]}}}"),
         "bad walls": ("walls:\n", "  w: {" + ", ".join(f"k{k}: 1" for k in range(48)) + "}\n", ""),
     }  # fmt: skip
-    found = {name: head + body * (size // len(body)) + tail for name, (head, body, tail) in shapes.items()}
+    found = {name: head + body * (scale // len(body)) + tail for name, (head, body, tail) in shapes.items()}
     return found | {"bad walls": renumbered(found["bad walls"])}
 
 
@@ -216,7 +216,7 @@ def renumbered(text):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_floods(tmp_path):
-    assert survives(in_child(traps_outcome, str(tmp_path), "large", seconds=3500), len(floods())) == 0
+    assert survives(in_subprocess(traps_outcome, str(tmp_path), "large", seconds=3500), len(floods())) == 0
 
 
 def odd_files(folder):
@@ -249,16 +249,16 @@ def said_of_odd_files(folder):
     files, answers = odd_files(folder), []
     limited()
     for name, words in files.items():
-        code, said = check(name)
-        answers.append([name, code, words in said, said])
+        code, message = check(name)
+        answers.append([name, code, words in message, message])
     return answers
 
 
 def test_files_that_are_none(tmp_path):
-    for name, code, told, said in in_child(said_of_odd_files, str(tmp_path)):
+    for name, code, reported, message in in_subprocess(said_of_odd_files, str(tmp_path)):
         assert code == 2, name
-        assert told, f"{name}: {said}"
-        assert said.endswith("1 problem found.\n")
+        assert reported, f"{name}: {message}"
+        assert message.endswith("1 problem found.\n")
 
 
 def test_a_link_to_a_scene_is_that_scene(tmp_path):
@@ -290,7 +290,7 @@ def test_what_is_said_of_too_much(tmp_path, text):
     path.write_text(text)
     with pytest.raises(SceneError) as refused:
         load(path)
-    said = refused.value.problems
-    assert len(said) <= 101
+    message = refused.value.problems
+    assert len(message) <= 101
     for sentence in TOO_MUCH[text]:
-        assert any(problem.startswith(f"{path}{sentence}") for problem in said), said[-3:]
+        assert any(problem.startswith(f"{path}{sentence}") for problem in message), message[-3:]

@@ -46,7 +46,7 @@ def test_every_preset_has_a_source():
 def test_what_is_left_out_is_filled_in(scene):
     assert scene.output.timeseries_interval == scene.output.interval == 0.01
     assert scene.particles["pair"].count == 2
-    assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution == "onset"
+    assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution_at == "onset"
     assert scene.numerics.chunk_size == "auto"
     assert scene.run.time_step == "auto"
 
@@ -57,7 +57,7 @@ def test_shares_of_classes_sum_to_1(scene):
 
 def test_a_number_in_every_pair_makes_the_restitution_constant():
     scene = load(GOOD, ["pairs.glass-steel.restitution=0.5"])
-    assert scene.contact.normal.restitution == "constant"
+    assert scene.contact.normal.restitution_at == "constant"
 
 
 def test_without_stages_there_is_one_named_run(scene):
@@ -77,7 +77,7 @@ def test_pairs_in_either_order(scene):
     [{"amplitude": 0.001, "frequency": 25}, {"frequency": 25, "gamma": 2.5151}, {"amplitude": 1e-3, "gamma": 2.5151}],
 )
 def test_two_of_three_give_a_vibration(given):
-    vibration = scene_schema.Vibration(kind="vibration", direction=[0, 0, 1], **given)
+    vibration = scene_schema.VibrationSpec(kind="vibration", direction=[0, 0, 1], **given)
     amplitude, omega = vibration.amplitude_and_angular_frequency((0.0, 0.0, -9.81))
     assert amplitude == pytest.approx(0.001, rel=1e-4)
     assert omega == pytest.approx(50 * math.pi, rel=1e-4)
@@ -122,14 +122,14 @@ def test_overrides():
             "walls.tube.radius=6 cm",
             "stages.2.duration=5 s",
             "pairs.steel-glass.friction=0",
-            "contact.normal={law: zhou, restitution: peak}",
-            "output.meters.inlet={point: [0, 0, 1], normal: [0, 0, -1]}",
+            "contact.normal={law: zhou, restitution_at: max_overlap}",
+            "output.flow_meters.inlet={point: [0, 0, 1], normal: [0, 0, -1]}",
             "title=a = b",
         ],
     )
     assert (scene.run.precision, scene.numerics.chunk_size, scene.walls["tube"].radius) == ("f32", 64, 0.06)
     assert scene.stages[2].duration == 5.0 and scene.pairs["glass-steel"].friction == 0.0
-    assert scene.contact.normal.restitution == "peak" and list(scene.output.meters) == ["outlet", "inlet"]
+    assert scene.contact.normal.restitution_at == "peak" and list(scene.output.flow_meters) == ["outlet", "inlet"]
     assert scene.title == "a = b"
 
 

@@ -7,7 +7,7 @@ ball rises as fast as the beads about it.
 
 import numpy as np
 import pytest
-from watching import watched
+from scene_runner import run_shipped_scene
 
 CYCLE = 1 / 12  # [s]
 SIDE = 6.5e-3  # beads within this of the side go down [m]
@@ -18,9 +18,9 @@ CUP = 26e-3  # radius [m]
 def test_small_form(tmp_path, taichi_f64):
     small = (
         "particles.nut.diameter=12 mm",
-        "particles.nut.place.region.box={min: [-6 mm, -6 mm, 0], max: [6 mm, 6 mm, 12 mm]}",
+        "particles.nut.insert.region.box={min: [-6 mm, -6 mm, 0], max: [6 mm, 6 mm, 12 mm]}",
         "particles.beads.count=300",
-        "particles.beads.place.region.cylinder={from: [0, 0, 0], to: [0, 0, 50 mm], radius: 18 mm}",
+        "particles.beads.insert.region.cylinder={from: [0, 0, 0], to: [0, 0, 50 mm], radius: 18 mm}",
         "walls.floor.radius=18 mm",
         "walls.side.radius=18 mm",
         "materials.glass.young_modulus=10 MPa",
@@ -30,7 +30,7 @@ def test_small_form(tmp_path, taichi_f64):
         "expect=[{quantity: particle_count, equals: 301, tolerance: 0}, "
         "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
     )
-    frames, unmet = watched("brazil_nut", tmp_path, overrides=small)
+    frames, unmet = run_shipped_scene("brazil_nut", tmp_path, overrides=small)
     assert unmet == []
     assert frames[-1].particles["position"][0, 2] > frames[0].particles["position"][0, 2] + 2e-3
 
@@ -38,7 +38,7 @@ def test_small_form(tmp_path, taichi_f64):
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_the_ball_rises_with_the_beads_about_it(tmp_path, taichi_f64):
-    frames, unmet = watched("brazil_nut", tmp_path, CYCLE)
+    frames, unmet = run_shipped_scene("brazil_nut", tmp_path, CYCLE)
     assert unmet == []
     # The bed is thrown for more than a cycle, so it lies on the floor at the end of every other one.
     frames = [frame for frame in frames if frame.time > 0.4][::2]

@@ -7,7 +7,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from watching import SCENES, watched
+from scene_runner import SCENES, run_shipped_scene
 
 TOOL = Path(__file__).parents[2] / "tools" / "make_mixer.py"
 
@@ -44,15 +44,15 @@ def test_small_form(tmp_path, taichi_f64):
         "particles.right.count=150",
         "materials.glass.young_modulus=3 MPa",
         "materials.steel.young_modulus=3 MPa",
-        "numerics.overlap_limit=0.2",
+        "numerics.max_overlap=0.2",
         "stages.1.duration=0.3 s",
         "expect=[{quantity: particle_count, equals: 300, tolerance: 0}, "
         "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
     )
-    assert watched("mixer", tmp_path, overrides=small)[1] == []
+    assert run_shipped_scene("mixer", tmp_path, overrides=small)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_two_halves_become_one(tmp_path, taichi_f64):
-    assert watched("mixer", tmp_path)[1] == []
+    assert run_shipped_scene("mixer", tmp_path)[1] == []

@@ -21,42 +21,42 @@ SMALL = {
     # A ball of 8 mm and 1600 beads, as the bed is to the ball of 20 mm. It has 0.968 g (2.8 m/s)^2 / 2 = 3.8 mJ, most
     # of which the bed has taken after 25 ms.
     "dosta2024/penetration": (
-        "size=0.4",
+        "scale=0.4",
         "particles.ball.diameter=8 mm",
         "particles.ball.velocity=[0, 0, -2.5]",
-        "particles.ball.place.region.box={min: [-11 mm, -11 mm, -75 mm], max: [11 mm, 11 mm, -35 mm]}",
-        "particles.ball.place.start=0.03 s",
+        "particles.ball.insert.region.box={min: [-11 mm, -11 mm, -75 mm], max: [11 mm, 11 mm, -35 mm]}",
+        "particles.ball.insert.start=0.03 s",
         "run.velocity_max=3 m/s",
         "run.duration=0.06 s",
         "materials.m1.young_modulus=10 MPa",
         "materials.steel.young_modulus=10 MPa",
-        "expect=[{quantity: inserted_count, equals: 1601, tolerance: 0, any_size: true}, "
-        "{quantity: kinetic_energy, below: 0.76 mJ, any_size: true}, "
-        "{quantity: energy_error, between: [-1e-2, 1e-2], any_size: true}]",
+        "expect=[{quantity: inserted_count, equals: 1601, tolerance: 0, any_scale: true}, "
+        "{quantity: kinetic_energy, below: 0.76 mJ, any_scale: true}, "
+        "{quantity: energy_error, between: [-1e-2, 1e-2], any_scale: true}]",
     ),
     # 1562 beads and an orifice of 3.75 of them: 0.58 1500 sqrt(9.81) (0.015 - 1.4 0.004)^2.5 = 0.0234 kg/s, C to 10 %
     # and k for another 11 %. Beads of a fifth of the stiffness; the bed presses them in by (1500 9.81 0.05 /
     # 1e6)^(2/3) = 0.8 % of d.
     "dosta2024/silo_large_orifice": (
-        "size=0.5",
+        "scale=0.5",
         "materials.m1.young_modulus=1 MPa",
         "materials.steel.young_modulus=2 MPa",
-        "numerics.overlap_limit=0.4",
+        "numerics.max_overlap=0.4",
         "stages.0.duration=0.15 s",
         "stages.1.duration=0.3 s",
         # Beverloo's 0.0234 kg/s to 21 % is 84 +- 18 beads in 0.3 s, and their number scatters by its root, 9.
-        "expect=[{quantity: flow_count.outlet, between: [57, 111], any_size: true}, "
-        "{quantity: energy_error, between: [-1e-2, 1e-2], any_size: true}]",
+        "expect=[{quantity: flow_count.outlet, between: [57, 111], any_scale: true}, "
+        "{quantity: energy_error, between: [-1e-2, 1e-2], any_scale: true}]",
     ),
     # 125 large and 469 small beads at the same Froude number: M g b = 1.85 mN m, w = 2.83 rad/s. Of 0.5 s the slope
     # takes 0.18 to come up: 2.14 mJ sin(a) for 27 to 34 deg, and a fifth more or less as the drum is only four large
     # beads long.
     "dosta2024/drum": (
-        "size=0.5",
+        "scale=0.5",
         "materials.m1.young_modulus=1 MPa",
         "materials.m2.young_modulus=0.5 MPa",
         "materials.steel.young_modulus=1 MPa",
-        "numerics.overlap_limit=0.4",
+        "numerics.max_overlap=0.4",
         *(
             f"walls.{name}.motion={{kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], "
             "angular_velocity: 2.83 rad/s, stages: [turn]}"
@@ -64,17 +64,17 @@ SMALL = {
         ),
         "stages.0.duration=0.1 s",
         "stages.1.duration=0.5 s",
-        "expect=[{quantity: particle_count, equals: 594, tolerance: 0, any_size: true}, "
-        "{quantity: wall_work, between: [0.79e-3, 1.43e-3], any_size: true}, "
-        "{quantity: energy_error, between: [-1e-2, 1e-2], any_size: true}]",
+        "expect=[{quantity: particle_count, equals: 594, tolerance: 0, any_scale: true}, "
+        "{quantity: wall_work, between: [0.79e-3, 1.43e-3], any_scale: true}, "
+        "{quantity: energy_error, between: [-1e-2, 1e-2], any_scale: true}]",
     ),
     # Half as wide and high, an eighth of the beads, the same a: M g h / 4 = 8.3 g 9.81 7.1 mm / 4 = 0.145 mJ, and
     # for a radius up to 8 % larger or, as so few beads run out less far (Man et al. 2021), up to 13 % smaller:
     "column_collapse": (
         "particles.beads.count=780",
-        "particles.beads.place.region.cylinder={from: [0, 0, 0], to: [0, 0, 14 mm], radius: 12 mm}",
+        "particles.beads.insert.region.cylinder={from: [0, 0, 0], to: [0, 0, 14 mm], radius: 12 mm}",
         "particles.floor.count=1296",
-        "particles.floor.place.region.box={min: [-36 mm, -36 mm, -2 mm], max: [36 mm, 36 mm, 0]}",
+        "particles.floor.insert.region.box={min: [-36 mm, -36 mm, -2 mm], max: [36 mm, 36 mm, 0]}",
         "walls.tube={shape: cylinder, from: [0, 0, -5 mm], to: [0, 0, 40 mm], radius: 12 mm, material: glass, "
         "stages: [fill]}",
         "stages.0.duration=0.1 s",
@@ -87,10 +87,10 @@ SMALL = {
         "particles.beads.count=300",
         "materials.glass.young_modulus=10 MPa",
         "materials.acrylic.young_modulus=10 MPa",
-        "numerics.overlap_limit=0.2",
-        "numerics.time_step_safety=0.1",
+        "numerics.max_overlap=0.2",
+        "numerics.time_step_fraction=0.1",
         "stages.0.duration=0.2 s",
-        "stages.1.at_most=0.1 s",
+        "stages.1.max_duration=0.1 s",
         "stages.2.duration=0.3 s",
         "expect=[{quantity: flow_count.outlet, equals: 300, tolerance: 0}, "
         "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
@@ -98,7 +98,7 @@ SMALL = {
     # A tenth of the width: M = 25.13 g. There are two landings in 0.28 s: 32.0 mJ.
     "vibrated_bed": (
         "particles.beads.count=300",
-        "particles.beads.place.region.box={min: [-20 mm, -10 mm, 0], max: [20 mm, 10 mm, 100 mm]}",
+        "particles.beads.insert.region.box={min: [-20 mm, -10 mm, 0], max: [20 mm, 10 mm, 100 mm]}",
         "walls.floor.corner=[-20 mm, -10 mm, 0]",
         "walls.floor.sides=[[40 mm, 0, 0], [0, 20 mm, 0]]",
         "walls.left.corner=[-20 mm, -10 mm, 0]",
@@ -114,7 +114,7 @@ SMALL = {
     # four beads apart, which holds the slope at up to 50 degrees.
     "drum": (
         "particles.beads.count=350",
-        "particles.beads.place={kind: pack, "
+        "particles.beads.insert={kind: pack, "
         "region: {box: {min: [-22.5 mm, -7.5 mm, -19 mm], max: [22.5 mm, 7.5 mm, 19 mm]}}}",
         "walls.shell={shape: cylinder, from: [0, -7.5 mm, 0], to: [0, 7.5 mm, 0], radius: 30 mm, material: steel, "
         "motion: {kind: rotation, point: [0, 0, 0], axis: [0, 1, 0], angular_velocity: -42.43 rpm}}",

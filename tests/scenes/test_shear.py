@@ -10,7 +10,7 @@ import csv
 import meshio
 import numpy as np
 import pytest
-from watching import watched
+from scene_runner import run_shipped_scene
 
 SLOPE = np.radians(25.0)
 
@@ -18,23 +18,23 @@ SLOPE = np.radians(25.0)
 def test_small_form(tmp_path, taichi_f64):
     small = (
         "particles.base.count=21",
-        "particles.base.place.region.box={min: [-12 mm, -6 mm, 0], max: [12 mm, 6 mm, 8 mm]}",
+        "particles.base.insert.region.box={min: [-12 mm, -6 mm, 0], max: [12 mm, 6 mm, 8 mm]}",
         "particles.layer.count=150",
-        "particles.layer.place.region.box={min: [-12 mm, -6 mm, 8 mm], max: [12 mm, 6 mm, 60 mm]}",
+        "particles.layer.insert.region.box={min: [-12 mm, -6 mm, 8 mm], max: [12 mm, 6 mm, 60 mm]}",
         "domain.min=[-12 mm, -6 mm, -4 mm]",
         "domain.max=[12 mm, 6 mm, 120 mm]",
         "stages.0.duration=0.2 s",
         "stages.1.duration=0.04 s",
         "expect=[{quantity: particle_count, equals: 171, tolerance: 0}, "
-        "{quantity: border_work, above: 0}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
+        "{quantity: boundary_work, above: 0}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
     )
-    assert watched("sheared_layer", tmp_path, overrides=small)[1] == []
+    assert run_shipped_scene("sheared_layer", tmp_path, overrides=small)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_friction_and_shear_rate(tmp_path, taichi_f64):
-    assert watched("sheared_layer", tmp_path)[1] == []
+    assert run_shipped_scene("sheared_layer", tmp_path)[1] == []
     height, fraction, velocity, stress = profile(tmp_path / "fields_profile_mean.vtu")
     bulk = (height > 14e-3) & (height < 44e-3)
     normal, shear = -stress[:, 2, 2], stress[:, 0, 2]
@@ -50,13 +50,13 @@ def test_friction_and_shear_rate(tmp_path, taichi_f64):
 
 def test_small_cell(tmp_path, taichi_f64):
     small = ("stages.0.duration=0.05 s", "stages.1.duration=0.02 s")
-    assert watched("shear_cell", tmp_path, overrides=small)[1] == []
+    assert run_shipped_scene("shear_cell", tmp_path, overrides=small)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_stress_and_velocity_of_the_cell(tmp_path, taichi_f64):
-    frames, unmet = watched("shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"])
+    frames, unmet = run_shipped_scene("shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"])
     assert unmet == []
     frames = [frame for frame in frames if frame.time > 0.61]
     height = np.concatenate([frame.particles["position"][:, 2] for frame in frames])
@@ -66,7 +66,7 @@ def test_stress_and_velocity_of_the_cell(tmp_path, taichi_f64):
     shear, normal = stress[0, 0, 2], -stress[0, 2, 2]
     with (tmp_path / "timeseries.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["stage"] == "flow"]
-    work, strain = (float(rows[-1][name]) - float(rows[0][name]) for name in ("border_work [J]", "shear_strain"))
+    work, strain = (float(rows[-1][name]) - float(rows[0][name]) for name in ("boundary_work [J]", "shear_strain"))
     assert shear == pytest.approx(work / strain / 0.0404**3, rel=0.05)
     inertial_number = 20.0 * 4e-3 / np.sqrt(normal / 2500.0)
     assert shear / normal == pytest.approx(friction_at(inertial_number), rel=0.15)

@@ -6,7 +6,7 @@ Melo, Umbanhowar & Swinney, Phys. Rev. Lett. 72 (1994) 172 and Physica A 249 (19
 
 import numpy as np
 import pytest
-from watching import watched
+from scene_runner import run_shipped_scene
 
 CYCLE = 1 / 8  # [s]
 WIDTH = 0.44  # of the box [m]
@@ -18,20 +18,20 @@ def test_small_form(tmp_path, taichi_f64):
     small = (
         "materials.glass.young_modulus=5 MPa",
         "particles.beads.count=330",
-        "particles.beads.place.region.box={min: [-44 mm, -5 mm, 0], max: [44 mm, 5 mm, 45 mm]}",
+        "particles.beads.insert.region.box={min: [-44 mm, -5 mm, 0], max: [44 mm, 5 mm, 45 mm]}",
         "domain.min=[-44 mm, -5 mm, -30 mm]",
         "domain.max=[44 mm, 5 mm, 200 mm]",
         "stages.1.duration=0.3 s",
         "expect=[{quantity: particle_count, equals: 330, tolerance: 0}, "
         "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
     )
-    assert watched("surface_waves", tmp_path, overrides=small)[1] == []
+    assert run_shipped_scene("surface_waves", tmp_path, overrides=small)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_waves_at_three_times_gravity(tmp_path, taichi_f64):
-    frames, unmet = watched("surface_waves", tmp_path, CYCLE)
+    frames, unmet = run_shipped_scene("surface_waves", tmp_path, CYCLE)
     assert unmet == []
     waves = alternating(frames)
     count = int(waves.argmax())  # of waves in the box
@@ -45,7 +45,9 @@ def test_waves_at_three_times_gravity(tmp_path, taichi_f64):
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_no_waves_at_twice_gravity(tmp_path, taichi_f64):
-    frames, _ = watched("surface_waves", tmp_path, CYCLE, ["walls.floor.motion.gamma=2", "stages.1.duration=1.25 s"])
+    frames, _ = run_shipped_scene(
+        "surface_waves", tmp_path, CYCLE, ["walls.floor.motion.gamma=2", "stages.1.duration=1.25 s"]
+    )
     assert alternating(frames).max() < 0.05
 
 

@@ -5,20 +5,20 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from child import in_child
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from subprocess_runner import in_subprocess
 
 from granflow.cli import main
 from granflow.device import backend
 from granflow.errors import GranflowError
 from granflow.study.accuracy import write_two_bodies
-from granflow.study.accuracy.axes import CONTENDERS, INTEGRATORS, PHASES, VELOCITIES
-from granflow.study.accuracy.exact import EXACT, freed_at
+from granflow.study.accuracy.axes import INTEGRATORS, PHASES, STUDIED_LAWS, VELOCITIES
+from granflow.study.accuracy.exact import EXACT, end_overlap_ratio
 from granflow.study.accuracy.orders import fitted_order
-from granflow.study.accuracy.points import Line, Point, measured_line
-from granflow.study.accuracy.recommend import need_of, recommendation, table_heads, table_rows
-from granflow.study.accuracy.report import Study
+from granflow.study.accuracy.points import StudyLine, StudyPoint, measured_line
+from granflow.study.accuracy.recommend import recommendation, requirement_of, table_heads, table_rows
+from granflow.study.accuracy.report import TwoBodyStudy
 
 FEW_STEPS = (20, 40, 80, 160, 320)
 K, MASS, SPEED = 4e5, 2e-4, 0.7
@@ -54,12 +54,12 @@ def solved(force, speed, mass):
 def damping(e):
     """Damping ratio of an oscillator let go at zero force that keeps e of its speed, from its own course."""
 
-    def kept(zeta):
+    def saved(zeta):
         root = np.sqrt(1.0 - zeta**2)
         end = np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)
         return np.exp(-zeta * end / root)
 
-    return brentq(lambda zeta: kept(zeta) - e, 1e-9, 0.999)
+    return brentq(lambda zeta: saved(zeta) - e, 1e-9, 0.999)
 
 
 @pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
@@ -94,23 +94,23 @@ def test_without_loss_zhou_and_hertz_are_the_same():
 
 def test_where_a_contact_frees():
     y = brentq(lambda y: y - 0.8 * 0.25 - 0.2 * 0.125 * y**2.5, 0.0, 1.0)  # Eq. 8 at e = 1/2
-    assert freed_at("zhou", 0.5) == pytest.approx(1.0 - y)
-    assert freed_at("hertz", 1.0) == 0.0
-    assert freed_at("linear", 0.5) is None
+    assert end_overlap_ratio("zhou", 0.5) == pytest.approx(1.0 - y)
+    assert end_overlap_ratio("hertz", 1.0) == 0.0
+    assert end_overlap_ratio("linear", 0.5) is None
 
 
 # ---------------------------------------------------------------- collisions
 
 
-def contender(name):
-    return next(each for each in CONTENDERS if each.name == name)
+def law(name):
+    return next(each for each in STUDIED_LAWS if each.name == name)
 
 
 @pytest.fixture(scope="module")
 def lines(taichi_f64):
     """Zhou and elastic Hertz in double precision."""
     device = backend.start("cpu", "f64", 2)
-    wanted = [(contender(name), integrator) for name in ("zhou", "hertz, elastic") for integrator in INTEGRATORS[:1]]
+    wanted = [(law(name), integrator) for name in ("zhou", "hertz, elastic") for integrator in INTEGRATORS[:1]]
     return [measured_line(*each, device, FEW_STEPS, repeats=2)[0] for each in wanted]
 
 
@@ -147,12 +147,12 @@ def test_share_is_that_of_the_shorter_phase(lines):
 def single_precision_errors():
     """Restitution errors of Zhou's law in f32, for the test below."""
     single = backend.start("cpu", "f32", 1)
-    line, _ = measured_line(contender("zhou"), INTEGRATORS[0], single, (80, 320), repeats=1)
+    line, _ = measured_line(law("zhou"), INTEGRATORS[0], single, (80, 320), repeats=1)
     return line.error("restitution").tolist()
 
 
 def test_single_precision_has_a_floor(lines):
-    coarse, fine = in_child(single_precision_errors)
+    coarse, fine = in_subprocess(single_precision_errors)
     double = dict(zip(lines[0].steps, lines[0].error("restitution"), strict=True))
     assert fine > 20.0 * double[320]
     assert fine > coarse / 4.0  # no longer of second order
@@ -177,22 +177,22 @@ def made_up_line(law, precision, prefactor, seconds_per_step):
     points = []
     for steps in (10.0, 20.0, 40.0, 80.0):
         for kind, (e, phase) in enumerate(((0.5, 0.4), (0.2, 0.2))):
-            numbers = dict.fromkeys((each.name for each in fields(Point)), 0.0)
+            numbers = dict.fromkeys((each.name for each in fields(StudyPoint)), 0.0)
             cost = seconds_per_step * steps
             numbers |= {"restitution_error": (1 + kind) * prefactor / steps**2, "share": 1.0 / (phase * steps),
                         "steps": steps, "restitution": e, "velocity": 1.0, "seconds_median": cost,
                         "seconds_min": 0.9 * cost, "seconds_max": 1.1 * cost}  # fmt: skip
-            points.append(Point(**numbers | {"law": law, "integrator": "leapfrog", "precision": precision}))
-    return Line(law, "leapfrog", precision, tuple(points))
+            points.append(StudyPoint(**numbers | {"law": law, "integrator": "leapfrog", "precision": precision}))
+    return StudyLine(law, "leapfrog", precision, tuple(points))
 
 
 def test_what_a_line_needs():
     """2 * 7 / 40^2 = 0.9 % is the first error of the worse kind below 1 %; at 20 steps 7/400 = 1.75 %."""
-    need = need_of(made_up_line("zhou", "f64", 7.0, 1e-7), 0.01)
+    need = requirement_of(made_up_line("zhou", "f64", 7.0, 1e-7), 0.01)
     assert need.steps == 40.0
     assert need.share == pytest.approx(min(1.0 / (0.4 * 40.0), 1.0 / (0.2 * 40.0)))
     assert need.seconds == pytest.approx((4e-6, 3.6e-6, 4.4e-6))
-    assert need_of(made_up_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
+    assert requirement_of(made_up_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
 
 
 def test_the_recommendation_is_the_cheapest_row_of_the_table():
@@ -200,7 +200,7 @@ def test_the_recommendation_is_the_cheapest_row_of_the_table():
              made_up_line("zhou", "f32", 30.0, 2e-7), made_up_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
     sentence, rows = recommendation(lines, 0.01), table_rows(lines, 0.01)
     chosen = rows[1]
-    assert f"T/{chosen[5]}," in sentence and f"time_step_safety {chosen[6]})" in sentence
+    assert f"T/{chosen[5]}," in sentence and f"time_step_fraction {chosen[6]})" in sentence
     assert "precision mixed" in sentence and f"{chosen[7].split()[0]} s per million" in sentence
     assert len(chosen) == len(table_heads(0.01))
     assert rows[2][5:7] == ("80", "0.031")  # 2 * 30 / 80^2 = 0.94 %
@@ -213,14 +213,14 @@ def test_the_recommendation_is_the_cheapest_row_of_the_table():
 def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
     import sys
 
-    study = Study(tuple(lines), ("hertz with 5 steps a collision",), 0.01)
+    study = TwoBodyStudy(tuple(lines), ("hertz with 5 steps a collision",), 0.01)
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "matplotlib", None)
         with pytest.raises(GranflowError, match="pip install"):
             write_two_bodies(tmp_path, study)
     with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == [each.name for each in fields(Point)]
+    assert list(rows[0]) == [each.name for each in fields(StudyPoint)]
     kinds = (3 + 1) * len(VELOCITIES)
     assert len(rows) == kinds * len(FEW_STEPS)
     page = (tmp_path / "accuracy.html").read_text(encoding="utf-8")
@@ -230,19 +230,19 @@ def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_figures(lines, tmp_path):
     pytest.importorskip("matplotlib")
-    write_two_bodies(tmp_path, Study(tuple(lines), (), 0.01))
+    write_two_bodies(tmp_path, TwoBodyStudy(tuple(lines), (), 0.01))
     assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 2
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--target", "2"], "--target is 2, but an error between 0 and 1"),
         (["--set", "seed=2"], "--set goes with a SCENE"),
-        (["--whole"], "--whole goes with a SCENE"),
+        (["--all-particles"], "--all-particles goes with a SCENE"),
         (["nowhere.yaml"], "nowhere.yaml: there is no such file"),
     ],
 )
-def test_bad_arguments(arguments, said, capsys):
+def test_bad_arguments(arguments, message, capsys):
     assert main(["accuracy", *arguments]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

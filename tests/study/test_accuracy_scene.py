@@ -9,17 +9,17 @@ import pytest
 
 from granflow.errors import GranflowError, SceneError
 from granflow.scene import load
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 from granflow.study.accuracy import measure_scene, write_scene
-from granflow.study.accuracy.scene_points import LEDGER, SIGMAS, _Runs, _study
+from granflow.study.accuracy.scene_points import ENERGY_ERROR, SIGMAS, _Runs, _study
 from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
 from granflow.study.accuracy.scene_runs import (
-    FAMILIES,
-    LOOKS,
-    Outcome,
-    Task,
-    cut_down,
+    SAMPLES,
+    STEP_FAMILIES,
+    RunOutcome,
+    SceneTask,
     phase_of,
+    reduced_counts,
     restitution_error,
     run_task,
 )
@@ -41,8 +41,8 @@ particles:
     material: glass
     count: 12
     diameter: 10 mm
-    place: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
-domain: {min: [-50 mm, -50 mm, -10 mm], max: [50 mm, 50 mm, 200 mm], leaving: error}
+    insert: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
+domain: {min: [-50 mm, -50 mm, -10 mm], max: [50 mm, 50 mm, 200 mm], on_exit: error}
 run: {duration: 0.25 s}
 output: {interval: 50 ms}
 """
@@ -58,42 +58,42 @@ def drop(tmp_path):
 
 def test_fewer_particles_where_the_scene_counts_them(drop):
     scene = load(drop)
-    assert cut_down(scene, most=12) == []
-    assert cut_down(scene, most=6) == ["particles.beads.count=6"]
-    assert cut_down(load(SCENES / "two_spheres.yaml"), most=1) == []
+    assert reduced_counts(scene, most=12) == []
+    assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
+    assert reduced_counts(load(SCENES / "two_spheres.yaml"), most=1) == []
 
 
 def test_the_share_is_what_time_step_safety_says(drop):
-    scene = load(drop, ["numerics.time_step_safety=0.07"])
+    scene = load(drop, ["numerics.time_step_fraction=0.07"])
     phase, own = phase_of(scene)
     assert own == pytest.approx(0.07)
-    (override,) = FAMILIES[0].overrides(0.2, phase)
+    (override,) = STEP_FAMILIES[0].overrides(0.2, phase)
     assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
 
 
 def test_one_run_of_free_fall(taichi_f64, drop):
-    """Until they land nothing touches, and the centre of mass is on average about g T^2 / 6 below where it began.
+    """Until they land nothing touches, and the center of mass is on average about g T^2 / 6 below where it began.
 
     Over n + 1 looks at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
     """
     until = 0.1  # a fall of 49 mm, from 100 mm
-    task = Task(drop, ("output.energy=true", "run.time_step=2e-5"), until)
+    task = SceneTask(drop, ("output.energy_budget=true", "run.time_step=2e-5"), until)
     fallen = run_task(task)
-    start = initial_grains(task.scene()).position[:, 2].mean() + 0.01  # above the bottom of the domain
-    fall = 0.5 * 9.81 * until**2 * (2 * LOOKS + 1) / (6 * LOOKS)
-    assert fallen.values["centre_height"] == pytest.approx(start - fall, abs=2e-6)
+    start = initial_particles(task.scene()).position[:, 2].mean() + 0.01  # above the bottom of the domain
+    fall = 0.5 * 9.81 * until**2 * (2 * SAMPLES + 1) / (6 * SAMPLES)
+    assert fallen.values["center_height"] == pytest.approx(start - fall, abs=2e-6)
     assert fallen.values["coordination_number"] == 0.0
-    assert abs(fallen.values[LEDGER]) < 1e-9
+    assert abs(fallen.values[ENERGY_ERROR]) < 1e-9
     assert fallen.simulated == pytest.approx(until, abs=2e-5)
     assert fallen.seconds > 0.0
 
 
 def test_a_step_that_is_not_stable_is_told(taichi_f64, drop):
-    assert "run.time_step" in run_task(Task(drop, ("output.energy=true", "run.time_step=1"), None)).stopped
+    assert "run.time_step" in run_task(SceneTask(drop, ("output.energy_budget=true", "run.time_step=1"), None)).stopped
 
 
-def outcome(ledger, height, seconds=2.0):
-    return Outcome({LEDGER: ledger, "centre_height": height}, seconds, 100.0, 0.5)
+def outcome(energy_budget, height, seconds=2.0):
+    return RunOutcome({ENERGY_ERROR: energy_budget, "center_height": height}, seconds, 100.0, 0.5)
 
 
 def made_up_study(target=0.01):
@@ -102,18 +102,20 @@ def made_up_study(target=0.01):
     noisy = _Runs("fixed", "f64", 0.1, 1e-5, 0.008, [outcome(2e-5, h, 1.0) for h in (1.03, 1.00, 0.97)])
     wrong = _Runs("fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)])
     bouncy = _Runs("fixed", "f64", 0.2, 2e-5, 0.03, [outcome(2e-5, h, 0.5) for h in (1.00, 1.02, 0.98)])
-    stopped = _Runs("fixed", "f64", 0.9, 9e-5, np.inf, [Outcome(stopped="not stable")] * 3)
+    stopped = _Runs("fixed", "f64", 0.9, 9e-5, np.inf, [RunOutcome(stopped="not stable")] * 3)
     return _study([stopped, wrong, bouncy, noisy, reference], 0.05, "made up", (0.1, 1e-5), 12, 3, target)
 
 
 def test_errors_are_told_from_noise():
     study = made_up_study()
     # differences to the reference: .03, -.02, -.01 (variance 7e-4), and none or always .5 (variance 0), twice
-    assert study.noise["centre_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
-    assert study.spread["centre_height"] == pytest.approx(0.02)
+    assert study.noise["center_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
+    assert study.spread["center_height"] == pytest.approx(0.02)
     stopped, wrong, bouncy, noisy, reference = study.points
-    assert wrong.errors["centre_height"] == pytest.approx(0.5)
-    assert [study.meets(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [True] * 2
+    assert wrong.errors["center_height"] == pytest.approx(0.5)
+    assert [study.within_target(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [
+        True
+    ] * 2
     assert study.best is noisy
 
 
@@ -121,7 +123,7 @@ def test_the_recommendation_is_a_row_of_the_table():
     study = made_up_study()
     sentence, rows = scene_recommendation(study), scene_rows(study)
     chosen = rows[3]
-    assert f"time_step_safety {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
+    assert f"time_step_fraction {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
     assert f"{chosen[-2].split()[0]} s per simulated second" in sentence  # 1.0 s for 0.5 s
     assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
     assert all(len(row) == len(scene_heads(study)) for row in rows)
@@ -136,8 +138,8 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
         write_scene(tmp_path, study)
     with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert {"family", "precision", "share", "time_step", "restitution_error", "energy_error", "centre_height_error",
-            "centre_height_noise", "seconds_median", "seconds_min", "seconds_max"} <= set(rows[0])  # fmt: skip
+    assert {"family", "precision", "share", "time_step", "restitution_error", "energy_error", "center_height_error",
+            "center_height_noise", "seconds_median", "seconds_min", "seconds_max"} <= set(rows[0])  # fmt: skip
     assert [float(row["share"]) for row in rows] == [0.9, 0.4, 0.2, 0.1, 0.05]
     assert rows[0]["stopped"] == "not stable"
     assert scene_recommendation(study) in (tmp_path / "accuracy.html").read_text(encoding="utf-8")
@@ -145,7 +147,7 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_small_scene_from_end_to_end(drop, tmp_path):
-    study = measure_scene(Task(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
+    study = measure_scene(SceneTask(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
     reference, coarse, fine = study.points
     assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
     assert study.best is not None and len(coarse.seconds) == 3
@@ -157,10 +159,10 @@ def test_a_small_scene_from_end_to_end(drop, tmp_path):
 @pytest.mark.slow
 def test_what_the_hopper_ships_with_keeps_to_one_percent(taichi_f64):
     """Its own step does; four times that does not or is not even stable: it is not wastefully fine."""
-    task = Task(SCENES / "hopper.yaml", (), None)
+    task = SceneTask(SCENES / "hopper.yaml", (), None)
     phase, own = phase_of(task.scene())
     assert restitution_error(task) <= 0.01
-    coarse = task.with_overrides(*FAMILIES[0].overrides(4.0 * own, phase))
+    coarse = task.with_overrides(*STEP_FAMILIES[0].overrides(4.0 * own, phase))
     try:
         assert restitution_error(coarse) > 0.01
     except SceneError as error:

@@ -7,24 +7,24 @@ from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.study.beverloo import Discharge, fit_beverloo, read_discharges
 
-GRAIN, DENSITY, C, K = 0.004, 1500.0, 0.58, 1.4
+PARTICLE, DENSITY, C, K = 0.004, 1500.0, 0.58, 1.4
 OPENING = np.array([0.03, 0.035, 0.04, 0.05, 0.06, 0.075])
 
 
 def flows(exponent=2.5):
-    return C * DENSITY * np.sqrt(9.81) * GRAIN**2.5 * (OPENING / GRAIN - K) ** exponent
+    return C * DENSITY * np.sqrt(9.81) * PARTICLE**2.5 * (OPENING / PARTICLE - K) ** exponent
 
 
 def test_a_law_without_scatter_is_found_exactly():
-    found = fit_beverloo(Discharge(OPENING, flows()), GRAIN, DENSITY)
+    found = fit_beverloo(Discharge(OPENING, flows()), PARTICLE, DENSITY)
     assert (found.c, found.k) == pytest.approx((C, K), rel=1e-6)
     assert found.exponent == 2.5
     # W = C rho sqrt(g) (D - k d)^2.5 of the paper is the same number.
-    assert flows()[0] == pytest.approx(C * DENSITY * np.sqrt(9.81) * (0.03 - K * GRAIN) ** 2.5)
+    assert flows()[0] == pytest.approx(C * DENSITY * np.sqrt(9.81) * (0.03 - K * PARTICLE) ** 2.5)
 
 
 def test_a_free_exponent_is_found():
-    found = fit_beverloo(Discharge(OPENING, flows(2.2)), GRAIN, DENSITY, exponent=None)
+    found = fit_beverloo(Discharge(OPENING, flows(2.2)), PARTICLE, DENSITY, exponent=None)
     assert (found.c, found.k, found.exponent) == pytest.approx((C, K, 2.2), rel=1e-4)
 
 
@@ -32,7 +32,7 @@ def test_standard_errors_are_those_of_repeated_experiments():
     """Of 300 with 1 % scatter: the spread of C and k is their mean standard error, within a fifth."""
     random = np.random.default_rng(0)
     found = [
-        fit_beverloo(Discharge(OPENING, flows() * np.exp(random.normal(0.0, 0.01, 6))), GRAIN, DENSITY)
+        fit_beverloo(Discharge(OPENING, flows() * np.exp(random.normal(0.0, 0.01, 6))), PARTICLE, DENSITY)
         for _ in range(300)
     ]
     for name in ("c", "k"):
@@ -65,4 +65,4 @@ def test_bad_tables_are_refused_in_a_sentence(tmp_path, text, says):
     path = tmp_path / "flows.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(GranflowError, match=says):
-        fit_beverloo(read_discharges([path]), GRAIN, DENSITY)
+        fit_beverloo(read_discharges([path]), PARTICLE, DENSITY)

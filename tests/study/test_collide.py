@@ -1,9 +1,9 @@
-"""`granflow collide` with every law of the catalogue, and what it refuses."""
+"""`granflow collide` with every law of the catalog, and what it refuses."""
 
 import pytest
 
 from granflow.errors import GranflowError
-from granflow.laws.catalogue import NORMAL_LAWS
+from granflow.laws.catalog import NORMAL_LAWS
 from granflow.study.collide import collide
 
 STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}

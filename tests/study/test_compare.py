@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from trials import SOFT, balls, plane, trial
+from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.cli import main
 from granflow.errors import GranflowError
@@ -46,10 +46,10 @@ def head_on():
     tick = duration(REFERENCE)
     reach = 0.5 * (DIAMETER + 4.0 * tick * SPEED)
     velocity = [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]]
-    return trial(
-        {"spheres": balls([[-reach, 0.0, 0.0], [reach, 0.0, 0.0]], DIAMETER, velocity=velocity)},
+    return build_scene(
+        {"spheres": particle_group([[-reach, 0.0, 0.0], [reach, 0.0, 0.0]], DIAMETER, velocity=velocity)},
         pair={"restitution": 1.0},
-        numerics={"overlap_limit": 1.25 * overlap_max(SPEED) / (0.5 * DIAMETER)},
+        numerics={"max_overlap": 1.25 * overlap_max(SPEED) / (0.5 * DIAMETER)},
         run={"duration": 47.0 * tick, "time_step": 1e-7},
         output={"interval": 5.0 * tick, "timeseries_interval": tick / 20.0},
     )
@@ -106,7 +106,7 @@ def test_a_run_that_a_guard_stops_is_a_result(found, table):
 
 def test_the_claim_is_judged_in_the_scene(found):
     """One spring fails where a guard stops it; two spheres make no bed to judge the other by."""
-    fails, mends = found[0].judgements[-2:]
+    fails, mends = found[0].assessments[-2:]
     assert fails.holds and re.match(r"A guard stopped it at 0.0\d+ s: particle \d .* overlaps by more than", fails.why)
     assert mends.holds is None and "too few grains touch" in mends.why
 
@@ -158,8 +158,8 @@ def test_bad_lists_of_laws_are_refused_in_a_sentence(given, sentence):
 
 def test_the_verb_refuses_before_it_reads_or_runs(capsys, tmp_path):
     assert main(["compare", "nowhere.yaml", "--laws", "linaer", "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "There is no law linaer. Did you mean linear?" in said and "Traceback" not in said
+    message = capsys.readouterr().err
+    assert "There is no law linaer. Did you mean linear?" in message and "Traceback" not in message
 
 
 def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
@@ -173,9 +173,9 @@ def fitted(**materials):
     """A scene whose restitution falls with velocity by Eq. 12, e(0.1 m/s) = exp(-2 (0.1/9.9)^0.5) = 0.8179."""
     fit = {"sigma": 2.0, "psi": 0.5, "limit_velocity": 10.0}
     floor = plane([0, 0, 0], [0, 0, 1], stages=["fill"])
-    return trial(
-        {"listed": balls([[0, 0, 0.5]]), "poured": {**balls([[0, 0, 0]]), "count": 90,
-         "place": {"kind": "pack", "region": {"box": {"min": [-0.5] * 3, "max": [0.5] * 3}}}}},
+    return build_scene(
+        {"listed": particle_group([[0, 0, 0.5]]), "poured": {**particle_group([[0, 0, 0]]), "count": 90,
+         "insert": {"kind": "pack", "region": {"box": {"min": [-0.5] * 3, "max": [0.5] * 3}}}}},
         walls={"floor": floor}, pair={"restitution": fit}, materials=materials, run={}, stages=[
             {"name": "fill", "duration": 0.1}, {"name": "open", "duration": 0.1}],
     )  # fmt: skip
@@ -199,7 +199,7 @@ def test_scenes_are_made_smaller_but_for_what_is_listed():
     assert {name: group.count for name, group in one.scene.particles.items()} == {"listed": 1, "poured": 30}
     (whole,) = variants_of(fitted(), ["hertz"], 0.1)
     assert whole.scene.particles["poured"].count == 90
-    assert whole.scene.output.energy and whole.scene.run.time_step == "auto"
+    assert whole.scene.output.energy_budget and whole.scene.run.time_step == "auto"
 
 
 def run_of(stages, stopped=""):

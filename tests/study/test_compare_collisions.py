@@ -5,8 +5,8 @@ import pytest
 from study.test_compare import MASS_EFF, SPEED, duration, head_on, overlap_max, spring
 
 from granflow.device import backend as backends
-from granflow.study.compare.claim import judge_collisions
 from granflow.study.compare.collisions import subject_of, sweep_columns, sweeps_of
+from granflow.study.compare.spring_assessment import assess_collisions
 from granflow.study.compare.variants import variants_of
 
 REFERENCE = 0.1 * SPEED
@@ -46,7 +46,7 @@ def test_springs_collide_as_harmonic_oscillators(columns, law):
 
 def test_claim_is_judged_from_the_numbers(columns):
     """One spring is off by 10^0.2 at ten times its velocity; per contact nothing changes."""
-    wrong, mended, unstable = judge_collisions(columns)
+    wrong, mended, unstable = assess_collisions(columns)
     assert wrong.holds and f"+{100.0 * (10.0**0.2 - 1.0):.1f} %" in wrong.why
     assert mended.holds and f"+{100.0 * (np.pi / 2.9432751838 - 1.0):.1f} %" in mended.why
     assert unstable.holds is None
@@ -73,6 +73,6 @@ def made_up(restitution):
 
 def test_stability_is_judged_against_the_fine_step():
     """A law that promises another restitution than asked is not unstable; one that gains by the coarse step is."""
-    assert judge_collisions(made_up({"fine": 1.0, "coarse": 1.05}))[2].holds is False
-    gained = judge_collisions(made_up({"fine": 0.8, "coarse": 1.0}))[2]
+    assert assess_collisions(made_up({"fine": 1.0, "coarse": 1.05}))[2].holds is False
+    gained = assess_collisions(made_up({"fine": 0.8, "coarse": 1.0}))[2]
     assert gained.holds and "+25.0 %" in gained.why

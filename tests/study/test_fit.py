@@ -57,16 +57,16 @@ def test_values_and_errors_are_those_of_scipy(fitted_limit, absolute):
 )
 def test_the_truth_lies_within_one_error_as_often_as_it_should(truth, fastest, fitted_limit):
     """Two thirds of the time: Student's t with as many degrees of freedom as rows less parameters."""
-    trials, rows = 400, 20
+    scene_builders, rows = 400, 20
     names = ("sigma", "psi", "limit_velocity")[: 2 + fitted_limit]
     inside = np.zeros(len(names))
-    for seed in range(trials):
+    for seed in range(scene_builders):
         found = fit(measured(truth, fastest, rows, 0.004, seed), None if fitted_limit else truth.limit_velocity)
         off = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
         inside += np.array(off) < [getattr(found.errors, name) for name in names]
     expected = 1.0 - 2.0 * student.cdf(-1.0, rows - len(names))
-    scatter = np.sqrt(expected * (1.0 - expected) / trials)
-    np.testing.assert_allclose(inside / trials, expected, atol=3.5 * scatter)
+    scatter = np.sqrt(expected * (1.0 - expected) / scene_builders)
+    np.testing.assert_allclose(inside / scene_builders, expected, atol=3.5 * scatter)
 
 
 def test_the_correlation_is_that_of_numpy():
@@ -134,7 +134,7 @@ def test_the_ways_a_table_may_be_written(tmp_path, text):
     data = read_measurements(written(tmp_path, text))
     np.testing.assert_allclose(data.velocity, [1.0, 2.0], rtol=1e-15)
     np.testing.assert_allclose(data.restitution, [0.8, 0.7], rtol=1e-15)
-    np.testing.assert_array_equal(data.spread, [1.0, 1.0])
+    np.testing.assert_array_equal(data.uncertainty, [1.0, 1.0])
 
 
 def test_deviations_and_weights(tmp_path):
@@ -212,8 +212,8 @@ materials: {{steel: {{young_modulus: 193 GPa, poisson_ratio: 0.35, density: 8030
 pairs:
   steel-steel: {{{snippet}, friction: 0}}
 contact: {{normal: zhou, tangential: none, rolling: none}}
-particles: {{balls: {{material: steel, diameter: 1 cm, place: {{kind: list, positions: [[0, 0, 0]]}}}}}}
-domain: {{min: [-1, -1, -1], max: [1, 1, 1], leaving: error}}
+particles: {{balls: {{material: steel, diameter: 1 cm, insert: {{kind: positions, positions: [[0, 0, 0]]}}}}}}
+domain: {{min: [-1, -1, -1], max: [1, 1, 1], on_exit: error}}
 run: {{duration: 1 ms}}
 output: {{interval: 1 ms}}
 """
@@ -225,8 +225,8 @@ def test_the_snippet_goes_into_a_scene(tmp_path, capsys):
     path = written(tmp_path, f"velocity,restitution\n{table}\n")
     out = tmp_path / "out"
     assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    snippet = next(line.strip() for line in said.splitlines() if line.strip().startswith("restitution: {"))
+    message = capsys.readouterr().out
+    snippet = next(line.strip() for line in message.splitlines() if line.strip().startswith("restitution: {"))
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
     pasted = load(scene).pairs["steel-steel"].restitution

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from granflow.study.page import Page, Picture, Section, Table, html_of, write_page
+from granflow.study.page import Page, PageTable, Picture, Section, html_of, write_page
 
 TINY = bytes.fromhex("89504e470d0a1a0a")
 
@@ -32,7 +32,7 @@ class Balance(HTMLParser):
 def page(tmp_path):
     image = tmp_path / "a.png"
     image.write_bytes(TINY)
-    table = Table("numbers", ("law", "e"), [("a < b", "0.5"), ("c", "−1")])
+    table = PageTable("numbers", ("law", "e"), [("a < b", "0.5"), ("c", "−1")])
     return Page("A & B", "Lead.", [Section("First", ["Text <i>.", table, Picture(image, "seen", ("a.csv",))])])
 
 

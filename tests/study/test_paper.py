@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from granflow.device import backend
 from granflow.study.paper import accuracy, comparison, loops, residual, velocity
 from granflow.study.paper.cases import PAPER_CASES, small_soft_case
-from granflow.study.paper.encounters import collide_all
+from granflow.study.paper.head_on_collisions import collide_all
 from granflow.study.paper.thornton import thornton_restitution
 
 FEW = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
@@ -69,18 +69,18 @@ def test_figure_1_and_the_table(device):
     time_scale = (1.25 * mass / k) ** 0.4
     diameters = residual.CASE.durations(np.ones(1), np.ones(1))[0] / (np.array(scales) * time_scale)
     assert outcomes.duration == pytest.approx(diameters * scales * time_scale, rel=5e-3)
-    plate = residual.residual_plate(outcomes, FEW)
-    assert plate.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
-    assert all(deviation.met for deviation in plate.deviations)
+    figure_data = residual.residual_figure(outcomes, FEW)
+    assert figure_data.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
+    assert all(deviation.met for deviation in figure_data.deviations)
 
 
 def test_figure_2_is_within_what_the_paper_says():
-    plate = residual.error_plate(np.linspace(0.0, 0.999, 300))
-    exact = np.array([1.0 - root_of_equation_8(e) for e in plate.columns["restitution"]])
-    e, c = plate.columns["restitution"], 0.8**2.5
+    figure_data = residual.error_figure(np.linspace(0.0, 0.999, 300))
+    exact = np.array([1.0 - root_of_equation_8(e) for e in figure_data.columns["restitution"]])
+    e, c = figure_data.columns["restitution"], 0.8**2.5
     closed = 1.0 - 0.8 * e**2 - c / 5.0 * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
-    assert plate.columns["error"] == pytest.approx(closed / exact - 1.0, abs=1e-9)
-    assert 0.009 < plate.deviations[0].largest < 0.0108
+    assert figure_data.columns["error"] == pytest.approx(closed / exact - 1.0, abs=1e-9)
+    assert 0.009 < figure_data.deviations[0].largest < 0.0108
 
 
 def test_figures_3_to_5(device):
@@ -90,17 +90,17 @@ def test_figures_3_to_5(device):
     for case, (sigma, psi, strength, density) in zip(PAPER_CASES, constants, strict=True):
         mine = columns["material"] == case.name
         limit = np.sqrt(3.0 * strength / density)
-        asked = np.exp(-sigma * (SPEEDS / (limit - SPEEDS)) ** psi)
-        assert columns["restitution_simulated"][mine] == pytest.approx(asked, rel=1e-3)
+        requested = np.exp(-sigma * (SPEEDS / (limit - SPEEDS)) ** psi)
+        assert columns["restitution_simulated"][mine] == pytest.approx(requested, rel=1e-3)
         k, mass = hertz_numbers(case)
-        found = [solved(e, k, mass, v) for e, v in zip(asked, SPEEDS, strict=True)]
+        found = [solved(e, k, mass, v) for e, v in zip(requested, SPEEDS, strict=True)]
         durations, largest = np.array(found).T
         assert columns["duration_simulated"][mine] == pytest.approx(durations, rel=5e-3)
         assert columns["duration_theory"][mine] == pytest.approx(durations, rel=1e-7)
         springs = mass * SPEEDS**2 / largest**2  # the whole kinetic energy is stored at dmax
         assert columns["spring_simulated"][mine] == pytest.approx(springs, rel=1e-3)
-    plates = velocity.restitution_plate(columns), velocity.duration_plate(columns)
-    assert all(deviation.met for plate in plates for deviation in plate.deviations)
+    plates = velocity.restitution_figure(columns), velocity.duration_figure(columns)
+    assert all(deviation.met for figure_data in plates for deviation in figure_data.deviations)
 
 
 def test_the_papers_estimate_of_a_spring(device):
@@ -115,10 +115,10 @@ def test_the_papers_estimate_of_a_spring(device):
 
 def test_loops(device):
     outcomes = loops.loop_run(device)
-    plate = loops.loop_plate(outcomes)
+    figure_data = loops.loop_figure(outcomes)
     for index, e in enumerate(loops.RESTITUTIONS):
-        mine = plate.columns["restitution"] == e
-        share, force = plate.columns["overlap_over_max"][mine], plate.columns["force_over_max"][mine]
+        mine = figure_data.columns["restitution"] == e
+        share, force = figure_data.columns["overlap_over_max"][mine], figure_data.columns["force_over_max"][mine]
         rising = np.arange(len(share)) <= np.argmax(share)
         assert force[rising] == pytest.approx(share[rising] ** 1.5, rel=1e-9)
         if e > 0.0:
@@ -134,9 +134,9 @@ def test_loops(device):
 def test_accuracy_at_200_steps(device, monkeypatch):
     monkeypatch.setattr(accuracy, "RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
     monkeypatch.setattr(accuracy, "PHASES", 4)
-    plate = accuracy.accuracy_plate(*accuracy.accuracy_run(device))
-    assert all(deviation.met for deviation in plate.deviations)
-    at = {int(steps): plate.columns["duration_deviation"][plate.columns["steps_per_contact"] == steps]
+    figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run(device))
+    assert all(deviation.met for deviation in figure_data.deviations)
+    at = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
           for steps in (50, 400)}  # fmt: skip
     assert np.all(at[400] < at[50] / 8.0**1.5)
 
@@ -144,7 +144,7 @@ def test_accuracy_at_200_steps(device, monkeypatch):
 def test_ends_are_found_inside_a_step(device):
     """Duration and residual overlap do not move when the first touch moves within a step."""
     case = PAPER_CASES[0]
-    pairs = [case.encounter(0.6, 1.0)] * 12
+    pairs = [case.head_on(0.6, 1.0)] * 12
     outcomes = collide_all("zhou", pairs, case.duration(0.6, 1.0) / 100.0, device)
     assert np.ptp(outcomes.duration) < 0.02 * outcomes.time_step
     assert np.ptp(outcomes.overlap_residual / outcomes.overlap_max) < 2e-4
@@ -167,7 +167,7 @@ def test_thorntons_restitution_is_that_of_his_force(ratio):
 
 
 def test_every_law_is_matched_and_keeps_its_promise(device):
-    """At the reference velocity every law of the catalogue has the restitution of Eq. 12 on both steels."""
+    """At the reference velocity every law of the catalog has the restitution of Eq. 12 on both steels."""
     found = comparison.compare(device, np.array([comparison.REFERENCE_VELOCITY]))
     assert not found.refused
     wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),

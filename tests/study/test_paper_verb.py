@@ -11,8 +11,8 @@ from granflow.cli import main
 def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
-    said = capsys.readouterr().err
-    assert "pip install granflow[plot]" in said and "Traceback" not in said
+    message = capsys.readouterr().err
+    assert "pip install granflow[plot]" in message and "Traceback" not in message
     assert not (tmp_path / "paper").exists()
 
 

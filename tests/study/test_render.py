@@ -1,4 +1,4 @@
-"""Pictures of a run: which frames, what the colours mean, what the camera sees; drawing is slow, as it needs VTK."""
+"""Pictures of a run: which frames, what the colors mean, what the camera sees; drawing is slow, as it needs VTK."""
 
 import subprocess
 import sys
@@ -11,12 +11,12 @@ from observe.snapshots import contacts_of, particles_of, snapshot_of, turned
 from granflow.cli import main
 from granflow.errors import GranflowError
 from granflow.observe import ContactFrames, ParticleFrames, WallFrames
-from granflow.study.render import chosen, frames_of
+from granflow.study.render import frames_of, selected_frames
+from granflow.study.render.bounding_points import corners_of, outermost_points
 from granflow.study.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
 from granflow.study.render.colors import prefixed, scale_for, values_of
-from granflow.study.render.frames import Grains, read_chains, read_grains, read_walls
+from granflow.study.render.frames import FrameParticles, read_force_chains, read_particles, read_walls
 from granflow.study.render.render import decimals_of
-from granflow.study.render.sight import corners_of, outermost
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -51,12 +51,12 @@ def test_frames_come_with_their_walls_and_contacts(run):
     frames = frames_of(run)
     assert [frame.time for frame in frames] == [0, 0.25, 0.5, 0.75]
     assert frames[2].walls.name == "walls_0002.vtu" and frames[2].contacts.name == "contacts_0002.vtu"
-    assert len(read_grains(frames[0]).radius) == 0
+    assert len(read_particles(frames[0]).radius) == 0
     expected = particles_of(COUNT, seed=2)
-    np.testing.assert_allclose(read_grains(frames[2]).position, expected["position"], rtol=1e-6)
+    np.testing.assert_allclose(read_particles(frames[2]).position, expected["position"], rtol=1e-6)
     np.testing.assert_array_equal(read_walls(frames[2]).polygons[0], FLOOR[1])
-    chains, contacts = read_chains(frames[2]), contacts_of(7)
-    np.testing.assert_allclose(chains.ends[:, 1], contacts["second_position"], rtol=1e-6)
+    chains, contacts = read_force_chains(frames[2]), contacts_of(7)
+    np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
 
 
@@ -80,7 +80,7 @@ def test_frames_taken_away_are_left_out(run):
     ],
 )
 def test_frames_are_named_by_place_number_or_time(run, words, numbers):
-    assert [frame.number for frame in chosen(frames_of(run), words)] == numbers
+    assert [frame.number for frame in selected_frames(frames_of(run), words)] == numbers
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_frames_are_named_by_place_number_or_time(run, words, numbers):
 )
 def test_a_frame_that_there_is_not_is_refused(run, words, sentence):
     with pytest.raises(GranflowError, match=sentence):
-        chosen(frames_of(run), words)
+        selected_frames(frames_of(run), words)
 
 
 def test_what_is_no_run_is_refused(tmp_path, capsys):
@@ -103,7 +103,7 @@ def test_a_frame_cut_short_is_refused(run):
     path = run / "particles_0003.vtu"
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(GranflowError, match=r"particles_0003.vtu cannot be read"):
-        read_grains(frames_of(run)[-1])
+        read_particles(frames_of(run)[-1])
 
 
 def test_one_file_holds_one_picture(run, capsys):
@@ -197,8 +197,8 @@ def test_other_views_are_refused(words):
 
 
 def test_the_outermost_points_reach_as_far_as_the_spheres():
-    grains = Grains(np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {})
-    points = outermost(grains)
+    particles = FrameParticles(np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {})
+    points = outermost_points(particles)
     np.testing.assert_allclose(points.max(axis=0), [2.5, 1, 1])
     np.testing.assert_allclose(points.min(axis=0), [-1, -1, -1])
 
@@ -219,7 +219,7 @@ import sys
 import numpy as np
 from granflow.study.render.camera import camera_for, view_of
 from granflow.study.render.frames import Grains
-from granflow.study.render.painter import Painter
+from granflow.study.render.renderer import Painter
 for words in ("front", "iso"):
     for radius in (0.07, 0.4):
         view = view_of(words)

@@ -11,12 +11,12 @@ from study.test_page import Balance
 
 from granflow.cli import main
 from granflow.study.page import Page, Plot, Section, html_of
-from granflow.study.report.log import complaints, explanation, read_log, sessions
+from granflow.study.report.log import explanation, read_log, sessions, warnings_and_errors
 from granflow.study.report.pictures import _caption
 from granflow.study.report.plots import plot_of
 from granflow.study.report.record import read_record
 from granflow.study.report.report import page_of
-from granflow.study.report.series import MOST_POINTS, Column, Series, groups_of, read_series, thinned
+from granflow.study.report.series import MOST_POINTS, SeriesColumn, TimeSeriesTable, groups_of, read_series, thinned
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
 HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
@@ -43,13 +43,13 @@ AGAIN = """\
 """
 RESULT = {
     "run": {"simulated_time": 0.2, "step_count": 12345, "wall_clock": 10.0},
-    "seconds": {"forces": 6.0, "compile": 3.0},
+    "timings": {"forces": 6.0, "compile": 3.0},
     "totals": {"particle_count": 2, "energy_error": 1e-4},
-    "meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
+    "flow_meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
     "expect": [{"sentence": "it is 1, as expected.", "met": True}, {"sentence": "it is <2>.", "met": False}],
-    "loads": {"lid": {"wall_force": 7.5}},
+    "wall_forces": {"lid": {"wall_force": 7.5}},
     "packing": {"solid_fraction": 0.62, "not_known": None},
-    "feeds": {"beads": {"came_count": 40321, "missing_count": 0}},
+    "insertion": {"beads": {"inserted_count": 40321, "not_inserted_count": 0}},
 }
 
 
@@ -72,7 +72,7 @@ def text_of(directory, script="/* plotly */"):
 
 
 def columns(*names):
-    return [Column(name, unit, np.ones(1)) for name, _, unit in (each.partition(" ") for each in names)]
+    return [SeriesColumn(name, unit, np.ones(1)) for name, _, unit in (each.partition(" ") for each in names)]
 
 
 def test_the_page_says_all_of_a_run_that_is_done(run):
@@ -190,8 +190,8 @@ def test_a_thinned_curve_keeps_its_peaks_and_ends():
 
 
 def test_a_plot_is_json_without_a_way_out_of_its_script():
-    group = groups_of([Column("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
-    plot = plot_of(group, Series(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
+    group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
+    plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
     assert isinstance(plot, Plot) and plot.figure["data"][0]["x"] == [0.0, 2.0]
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
     html = html_of(Page("t", "l", [Section("s", [plot])]))
@@ -208,8 +208,11 @@ def test_the_log_tells_sessions_warnings_and_reasons(run):
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
     assert (first.began, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
-    assert (second.arch, second.goes_on) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
-    assert [(time[-2:], level) for time, level, _ in complaints(entries)] == [("06", "warning"), ("08", "error")]
+    assert (second.arch, second.resumed_from) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
+    assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
+        ("06", "warning"),
+        ("08", "error"),
+    ]
     assert explanation(entries) == "", "the second part says nothing"
     assert explanation(read_log(run / "run.log")[: len(entries) - 3]).splitlines()[1].startswith("  friction")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from child import in_child
-from trials import balls, finished, plane, trial
+from scene_builders import build_scene, particle_group, plane, run_to_end
+from subprocess_runner import in_subprocess
 
 from granflow.cli import main
 from granflow.plan import plan_for
@@ -21,9 +21,9 @@ FIT = {"sigma": 3.0432, "psi": 0.54, "limit_velocity": 340.3}
 def two_materials(safety=0.02, **parts):
     """Steel balls of two sizes and glass balls, a steel floor on which nothing but steel falls."""
     groups = {
-        "fine": balls([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
-        "coarse": balls([[0.1, 0.0, 0.2]], 0.01, "steel"),
-        "beads": balls([[0.2, 0.0, 0.2]], 0.006, "glass"),
+        "fine": particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
+        "coarse": particle_group([[0.1, 0.0, 0.2]], 0.01, "steel"),
+        "beads": particle_group([[0.2, 0.0, 0.2]], 0.006, "glass"),
     }
     usual = {
         "walls": {"floor": plane([0, 0, 0], [0, 0, 1], "steel")},
@@ -32,18 +32,18 @@ def two_materials(safety=0.02, **parts):
             "steel-steel": {"restitution": FIT, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
         },
         "run": {"duration": 1.0, "velocity_max": 5.0},
-        "numerics": {"time_step_safety": safety, "rayleigh_fraction": 1.0},
+        "numerics": {"time_step_fraction": safety, "rayleigh_fraction": 1.0},
     }  # fmt: skip
-    return trial(groups, **(usual | parts))
+    return build_scene(groups, **(usual | parts))
 
 
 def coarse_hertz(step="auto"):
     """A viscous contact of few steps: the dashpot takes too much."""
-    groups = {"beads": balls([[0.0, 0.0, 0.1]], 0.01, "steel")}
-    return trial(
+    groups = {"beads": particle_group([[0.0, 0.0, 0.1]], 0.01, "steel")}
+    return build_scene(
         groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")}, materials={"steel": STEEL}, normal="hertz",
         pair={"restitution": 0.3}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": step},
-        numerics={"time_step_safety": 0.15, "rayleigh_fraction": 1.0},
+        numerics={"time_step_fraction": 0.15, "rayleigh_fraction": 1.0},
     )  # fmt: skip
 
 
@@ -64,9 +64,9 @@ def test_fine_steps_reach_what_is_asked(taichi_f64):
     velocity = np.array([row.velocity for row in rows])
     fit = np.exp(-FIT["sigma"] * (velocity / (FIT["limit_velocity"] - velocity)) ** FIT["psi"])
     numbers = np.array([0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows])
-    asked = np.where(["steel-steel" in row.pair for row in rows], fit, numbers)
-    np.testing.assert_allclose([row.asked for row in rows], asked, rtol=1e-14)
-    np.testing.assert_allclose([row.reached for row in rows], asked, rtol=1e-3)
+    requested = np.where(["steel-steel" in row.pair for row in rows], fit, numbers)
+    np.testing.assert_allclose([row.requested for row in rows], requested, rtol=1e-14)
+    np.testing.assert_allclose([row.reached for row in rows], requested, rtol=1e-3)
     assert (velocity.min(), velocity.max()) == pytest.approx((0.005, 5.0), rel=1e-12)
     assert len({row.pair for row in rows}) == 5
 
@@ -79,14 +79,14 @@ def test_reached_is_what_a_run_of_the_scene_reaches(taichi_f64):
     group = scene.particles["beads"].model_copy(
         update={
             "velocity": (0.0, 0.0, -2.0),
-            "place": scene.particles["beads"].place.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
+            "insert": scene.particles["beads"].insertion.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
         }
     )
-    last, simulation = finished(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
+    last, simulation = run_to_end(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
     assert simulation.plan.time_step == step
     reached = last.particles["velocity"][0, 2] / 2.0
     assert abs(fastest.difference) > 0.02
-    assert fastest.least - 2e-4 <= reached <= fastest.most + 2e-4
+    assert fastest.min_reached - 2e-4 <= reached <= fastest.max_reached + 2e-4
 
 
 def difference_at_the_slowest(precision):
@@ -97,7 +97,7 @@ def difference_at_the_slowest(precision):
 
 def test_single_precision_shows_at_small_velocities(taichi_f64):
     """Coordinates up to 1 m in f32 are 6e-8 m apart; overlaps at 5 mm/s are of that order."""
-    assert in_child(difference_at_the_slowest, "f32") > 0.05
+    assert in_subprocess(difference_at_the_slowest, "f32") > 0.05
     assert difference_at_the_slowest("f64") < 0.01
 
 
@@ -113,12 +113,12 @@ def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(t
         r"A run\.time_step of (\S+) s would do\.",
         sentences["steel-steel wall"],
     )
-    asked, velocity, reached, step, remedy = map(float, numbers.groups())
-    assert (asked, velocity) == (0.3, 2.0)
+    requested, velocity, reached, step, remedy = map(float, numbers.groups())
+    assert (requested, velocity) == (0.3, 2.0)
     assert step == pytest.approx(plan_for(scene).time_step, rel=5e-3)
     rows, _ = measure(scene)
     fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
-    assert fastest.least * 0.99 <= reached <= fastest.most * 1.01
+    assert fastest.min_reached * 0.99 <= reached <= fastest.max_reached * 1.01
     assert warnings(plan_for(coarse_hertz(remedy))) == []
 
 

@@ -13,20 +13,20 @@ import pytest
 from granflow.cli import main
 from granflow.errors import GranflowError
 from granflow.simulation import Simulation
-from granflow.study.stability import piles, report
-from granflow.study.stability.bounds import POISSON, real_bounds
-from granflow.study.stability.cases import Case, Finding, attempt
-from granflow.study.stability.families import all_cases
-from granflow.study.stability.lanes import run_cases
-from granflow.study.stability.pairs import Pair, rebound, rebound_finding
+from granflow.study.stability import bed_cases, report
+from granflow.study.stability.case_families import all_cases
+from granflow.study.stability.cases import CaseResult, StabilityCase, run_case
+from granflow.study.stability.pair_cases import SpherePair, rebound, rebound_result
+from granflow.study.stability.time_step_bounds import POISSON, real_bounds
+from granflow.study.stability.worker_pool import run_cases
 
 
 def case_of(work, column="the column"):
-    return Case("family", "the row", column, "theory", work)
+    return StabilityCase("family", "the row", column, "theory", work)
 
 
 def finding(reached, error, *warnings):
-    return Finding("restitution", 0.5, reached, error, 1e-6, warnings)
+    return CaseResult("restitution", 0.5, reached, error, 1e-6, warnings)
 
 
 def raising(error):
@@ -46,8 +46,8 @@ def raising(error):
     ],
 )  # fmt: skip
 def test_verdicts(work, kind, verdict):
-    judged = attempt(case_of(work))
-    assert (judged.kind, judged.verdict) == (kind, verdict)
+    verdict_on = run_case(case_of(work))
+    assert (verdict_on.kind, verdict_on.verdict) == (kind, verdict)
 
 
 def test_a_case_that_ends_its_process_is_a_defect_and_the_next_one_runs():
@@ -64,10 +64,10 @@ def test_a_case_that_hangs_is_given_up():
 def test_pairs_reach_their_restitution_or_the_one_their_step_allows(taichi_f64):
     """At theta = 0.5 the step allows e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
     pairs = (
-        Pair(restitution=0.0),
-        Pair(restitution=0.5),
-        Pair(restitution=1.0),
-        Pair(restitution=0.5, radius_ratio=5.0),
+        SpherePair(restitution=0.0),
+        SpherePair(restitution=0.5),
+        SpherePair(restitution=1.0),
+        SpherePair(restitution=0.5, radius_ratio=5.0),
     )
     found = rebound(pairs)
     assert found.restitution[1:] == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
@@ -77,14 +77,14 @@ def test_pairs_reach_their_restitution_or_the_one_their_step_allows(taichi_f64):
     tangent = k * math.sqrt((5.0 * mass / (4.0 * k)) ** 0.4) / 0.8
     least = math.sqrt(tangent * found.time_step**2 / (0.25 * mass))
     assert found.restitution[0] == pytest.approx(least, rel=0.05)
-    asked_nothing = rebound_finding(pairs, 0)
+    asked_nothing = rebound_result(pairs, 0)
     assert asked_nothing.error == pytest.approx(least, rel=0.05)
     assert [words.split(":")[0] for words in asked_nothing.warnings] == ["a0-b0"]
-    assert rebound_finding(pairs, 1).warnings == ()
+    assert rebound_result(pairs, 1).warnings == ()
 
 
 def test_a_step_above_the_bound_is_refused(taichi_f64):
-    refused = attempt(case_of(partial(rebound_finding, (Pair(),), 0, "f64", 2.0)))
+    refused = run_case(case_of(partial(rebound_result, (SpherePair(),), 0, "f64", 2.0)))
     assert refused.kind == "refused"
     assert "above the stable" in refused.verdict
 
@@ -109,30 +109,30 @@ def test_a_weight_a_million_times_as_heavy_is_carried(taichi_f64, monkeypatch):
 
     The light grain's mass M, and the tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
     """
-    monkeypatch.setattr(piles, "STILL_STEPS", 2000)
-    found = piles.resting("zhou", (2.5e3, 2.5e9), 1e11)
+    monkeypatch.setattr(bed_cases, "STILL_STEPS", 2000)
+    found = bed_cases.column_at_rest("zhou", (2.5e3, 2.5e9), 1e11)
     volume = 4 / 3 * math.pi * 1e-9
     weight = 9.81 * volume * (2.5e3 + 2.5e9)
     assert found.expected == pytest.approx(weight)
     lost = 0.0
     for radius_eff in (1e-3, 0.5e-3):
-        k = 4 / 3 * 1e11 / (2.0 * (1.0 - piles.POISSON**2)) * math.sqrt(radius_eff)
+        k = 4 / 3 * 1e11 / (2.0 * (1.0 - bed_cases.POISSON**2)) * math.sqrt(radius_eff)
         tangent = 3.35 * 1.5 * weight / (weight / k) ** (2 / 3)
         lost += tangent * found.time_step**2 / (8.0 * 2.5e3 * volume)
     assert lost < 3e-3
     assert found.reached == pytest.approx(weight, rel=lost)
 
 
-def test_grains_made_half_overlapping_part_with_what_their_law_gives_back(taichi_f64):
+def test_particles_made_half_overlapping_part_with_what_their_law_gives_back(taichi_f64):
     """Zhou's law gives back e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
-    grains = {"grains": piles.listed([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
+    particles = {"grains": bed_cases.particles_at([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
     weightless = {"gravity": 0.0, "walls": {}}
-    scene = piles.scene_with("zhou", grains, 1e-3, **weightless, numerics={"overlap_limit": 0.8})
+    scene = bed_cases.scene_with("zhou", particles, 1e-3, **weightless, numerics={"max_overlap": 0.8})
     simulation = Simulation(scene)
     simulation.run()
-    k = 4 / 3 * piles.YOUNG / (2.0 * (1.0 - piles.POISSON**2)) * math.sqrt(0.5e-3)
+    k = 4 / 3 * bed_cases.YOUNG / (2.0 * (1.0 - bed_cases.POISSON**2)) * math.sqrt(0.5e-3)
     energy = 0.25 * 0.4 * k * 0.5e-3**2.5
-    mass = 4 / 3 * math.pi * 1e-9 * piles.DENSITY
+    mass = 4 / 3 * math.pi * 1e-9 * bed_cases.DENSITY
     speed = simulation.snapshot().particles["velocity"][1, 0]
     assert speed == pytest.approx(math.sqrt(energy / mass), rel=0.02)
     simulation.free()
@@ -153,12 +153,12 @@ def test_without_matplotlib_all_but_the_figure_comes(monkeypatch, tmp_path, caps
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     works = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
     monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(works)])
-    monkeypatch.setattr(report, "run_cases", lambda cases, tell: [attempt(case) for case in cases])
+    monkeypatch.setattr(report, "run_cases", lambda cases, tell: [run_case(case) for case in cases])
     monkeypatch.setitem(report.EXPLANATIONS, "family", "What it is.")
     assert main(["stability", "--out", str(tmp_path)]) == 1
-    said = capsys.readouterr().out
-    assert "pip install granflow[plot]" in said
-    assert "family: the row, 1: defect: silent error 40 %" in said
+    message = capsys.readouterr().out
+    assert "pip install granflow[plot]" in message
+    assert "family: the row, 1: defect: silent error 40 %" in message
     with (tmp_path / "stability.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["verdict"] for row in rows] == [

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from child import in_child
+from subprocess_runner import in_subprocess
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
@@ -84,11 +84,11 @@ def test_damping_given_to_lammps_has_the_restitution_wanted():
         overlap = max(state[0], 0.0)
         return state[1], -np.sqrt(radius * overlap) * (stiffness * overlap + damping * mass * state[1]) / mass
 
-    def apart(_, state):
+    def separation(_, state):
         return state[0] if state[1] < 0 else 1.0
 
-    apart.terminal = True
-    run = solve_ivp(motion, (0, 0.05), (1e-12, speed), events=apart, rtol=1e-9, atol=1e-14)
+    separation.terminal = True
+    run = solve_ivp(motion, (0, 0.05), (1e-12, speed), events=separation, rtol=1e-9, atol=1e-14)
     assert -run.y[1, -1] / speed == pytest.approx(0.9, abs=0.02)
 
 
@@ -164,15 +164,15 @@ def test_ratios_are_taken_round_by_round():
 
 def test_bytes_of_motion_are_those_of_its_fields():
     counts = module("counts")
-    fields = dict.fromkeys(("position", "velocity", "spin", "force", "torque", "position_at_search"), 24)
-    load = counts.Load(10, 0, 0, fields | {"mass": 8, "radius": 8}, 0, 0, "hertz", True)
+    fields = dict.fromkeys(("position", "velocity", "angular_velocity", "force", "torque", "position_at_rebuild"), 24)
+    load = counts.BytesMoved(10, 0, 0, fields | {"mass": 8, "radius": 8}, 0, 0, "hertz", True)
     # Read: x, v, w, F, M, x at the last search and two scalars; written: x, v, w.
     assert counts.bytes_of(load)["motion"] == 10 * (6 * 24 + 2 * 8 + 3 * 24)
 
 
 def test_arithmetic_of_an_empty_bed_is_that_of_its_motion():
     counts = module("counts")
-    load = counts.Load(1000, 0, 0, {}, 0, 0, "zhou", False)
+    load = counts.BytesMoved(1000, 0, 0, {}, 0, 0, "zhou", False)
     operations = counts.operations_of(load)
     limits = {"product_sum_seconds": 2e-9, "root_seconds": 3e-9, "quotient_seconds": 5e-9}
     assert operations["forces"].seconds(limits) == 0.0
@@ -209,7 +209,7 @@ def test_no_results_is_said_in_a_sentence(tmp_path):
         module("page").write(tmp_path, "")
 
 
-def measured_in_child(tools, path):
+def measured_in_subprocess(tools, path):
     sys.path.insert(0, tools)
     from benchmark import ours
 
@@ -221,7 +221,7 @@ def test_granflow_measures_a_bed(tmp_path):
     # Two spheres 3.999 mm apart touch, for about 60 steps; the others do not.
     position = np.array([[2.0, 2.0, 2.0], [5.999, 2.0, 2.0], [12.0, 2.0, 2.0], [2.0, 12.0, 2.0]]) * 1e-3
     module("cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02)).save(path)
-    found = in_child(measured_in_child, str(TOOLS), str(path))
+    found = in_subprocess(measured_in_subprocess, str(TOOLS), str(path))
     assert found["contacts"] == pytest.approx(1 / 4)
     assert found["rate"] > 0 and found["mass_flow"] is None
     # No fewer than what one sphere needs: position, velocity, force, spin, torque and a copy of those that travel.

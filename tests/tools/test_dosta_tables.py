@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from granflow import load_scene
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 REFERENCE = Path(os.environ.get("GRANFLOW_REFERENCE", TOOLS.parent.parent / "shared" / "reference")) / "dosta2024"
@@ -33,10 +33,10 @@ def test_beads_stand_where_the_tables_say(tables, tmp_path, monkeypatch):
     ball = " 5 0.01 0.01 0 0 0.06\n\n"  # their last line: speed, radius and place of the ball
     (tmp_path / "Penetration_25KParticles.txt").write_text(HEAD + "0.001 0 0.01 -0.08\n" + ball)
     scenes = made(tables, tmp_path, tmp_path, monkeypatch)
-    grains = {name: initial_grains(scene) for name, scene in scenes.items()}
-    np.testing.assert_allclose(grains["drum"].radius, [0.002, 0.002, 0.001])
-    np.testing.assert_allclose(grains["drum"].position[2], [0.03, 0.0, -0.02])
-    np.testing.assert_allclose(grains["penetration"].position, [[0.0, 0.01, -0.08]])
+    particles = {name: initial_particles(scene) for name, scene in scenes.items()}
+    np.testing.assert_allclose(particles["drum"].radius, [0.002, 0.002, 0.001])
+    np.testing.assert_allclose(particles["drum"].position[2], [0.03, 0.0, -0.02])
+    np.testing.assert_allclose(particles["penetration"].position, [[0.0, 0.01, -0.08]])
     # Their drum has twice the size of ours, a radius of 0.1 m and a length of 0.06 m.
     shell = scenes["drum"].walls["shell"]
     assert shell.radius == pytest.approx(0.1) and shell.to[1] - shell.from_[1] == pytest.approx(0.06)
@@ -48,10 +48,10 @@ def test_beads_stand_where_the_tables_say(tables, tmp_path, monkeypatch):
 def test_published_beads_lie_inside_our_walls(tables, tmp_path, monkeypatch):
     scenes = made(tables, REFERENCE, tmp_path, monkeypatch)
     assert {name: group.count for name, group in scenes["drum"].particles.items()} == {"large": 8000, "small": 30000}
-    drum = initial_grains(scenes["drum"])
+    drum = initial_particles(scenes["drum"])
     reach = np.hypot(drum.position[:, 0], drum.position[:, 2]) + drum.radius
     assert reach.max() < 0.1 * (1 + 1e-3) and (np.abs(drum.position[:, 1]) + drum.radius).max() < 0.03 * (1 + 1e-3)
     # At rest on the floor: no bead deeper in it than 1 % of its radius.
-    bed = initial_grains(scenes["penetration"])
+    bed = initial_particles(scenes["penetration"])
     floor = scenes["penetration"].walls["floor"].corner[2]
     assert len(bed.radius) == 25000 and (bed.position[:, 2] - bed.radius).min() > floor - 1e-5

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from child import in_child
+from subprocess_runner import in_subprocess
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 SCRIPT = TOOLS / "gpu_check.py"
@@ -62,11 +62,11 @@ def test_agreement_is_judged_by_what_rounding_does(tmp_path, off, passed):
     assert judged["steps missing"]
 
 
-def run_of(tmp_path, answers, **asked):
+def run_of(tmp_path, answers, **requested):
     """A Run whose jobs answer from a table, or raise what stands there."""
     check = module("gpu_check")
     usual = {"arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True}
-    options = argparse.Namespace(**usual | {"out": tmp_path / "found.json"} | asked)
+    options = argparse.Namespace(**usual | {"out": tmp_path / "found.json"} | requested)
     result = {"checks": [], "points": [], "profiles": [], "left_out": []}
     result["device"] = {"name": "host", "driver": None, "memory_free": 10**9}
     run = check.Run(options, tmp_path, check.Budget(600.0), result)
@@ -105,17 +105,17 @@ def test_what_was_measured_is_in_the_file_although_a_later_point_fails(tmp_path,
     check = module("gpu_check")
     monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: 100 * size)
     run = run_of(tmp_path, {"measure": POINT}, part="bench", sizes=[1000, 10**7])
-    check.bench(run, 1000, "f64", {})
+    check.setup(run, 1000, "f64", {})
     assert json.loads(run.options.out.read_text())["points"] == [{"precision": "f64"} | POINT]
-    check.bench(run, 10**7, "f64", {})
+    check.setup(run, 10**7, "f64", {})
     assert "10000000 spheres in f64: fields of 1.0 GB are more than 70% of the 1.0 GB free" in run.result["left_out"]
     # 50 s for 1000 spheres, 1 s of them under the clock: 49 s a thousand for 100 000 are more than 600 s.
-    check.bench(run, 100_000, "f64", {"f64": (1000, 50.0)})
+    check.setup(run, 100_000, "f64", {"f64": (1000, 50.0)})
     assert run.result["left_out"][-1].startswith("100000 spheres in f64: about 4901 s are needed")
     assert len(run.result["points"]) == 1
 
 
-def measured_in_child(tools, path):
+def measured_in_subprocess(tools, path):
     sys.path.insert(0, tools)
     from gpu import device, speed
 
@@ -128,7 +128,7 @@ def test_a_point_of_speed(tmp_path):
     position = np.array([[2.0, 2.0, 9.0], [5.9, 2.0, 9.0], [12.0, 2.0, 9.0], [2.0, 12.0, 9.0]]) * 1e-3
     case = module("benchmark.cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02))
     case.save(tmp_path / "bed.npz")
-    found = in_child(measured_in_child, str(TOOLS), str(tmp_path / "bed.npz"))
+    found = in_subprocess(measured_in_subprocess, str(TOOLS), str(tmp_path / "bed.npz"))
     assert found["count"] == 4 and found["steps"] % 64 == 0
     assert min(found["gpu_kernels"].values()) > 0.0
     # particle-steps over seconds, and the share of the bandwidth that follows from it

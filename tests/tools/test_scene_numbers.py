@@ -52,7 +52,7 @@ def test_every_hole_is_set_wherever_the_scene_has_it():
     from granflow import load_scene
 
     scene = load_scene(module("beverloo").SCENE, module("beverloo").overrides(28))
-    assert scene.walls["floor"].hole_radius == scene.walls["plug"].radius == scene.output.meters["outlet"].radius
+    assert scene.walls["floor"].hole_radius == scene.walls["plug"].radius == scene.output.flow_meters["outlet"].radius
     assert scene.walls["floor"].hole_radius == pytest.approx(0.014)
 
 
@@ -67,10 +67,10 @@ def test_edge_of_a_disc_one_bead_thick():
 
 def test_few_beads_far_out_are_no_deposit():
     random = np.random.default_rng(1)
-    heap = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
+    bed = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
     stray = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
     numbers, radius = module("scene_numbers"), np.full(4002, 1e-3)
-    assert numbers.edge_of(np.vstack([heap, stray]), radius) == numbers.edge_of(heap, radius[:-2]) < 0.03
+    assert numbers.edge_of(np.vstack([bed, stray]), radius) == numbers.edge_of(bed, radius[:-2]) < 0.03
 
 
 def test_quadrants_are_counted_in_the_plane_of_rotation():
@@ -95,7 +95,7 @@ def test_every_shipped_scene_has_a_row_for_each_quantity_it_expects():
         for expectation in table.load(table.SCENES / f"{name}.yaml").expect:
             mine = [each for each in rows if each[0] == f"| `{name}`" and each[1] == f"`{expectation.quantity}`"]
             assert mine, (name, expectation.quantity)
-    stored = table.json.loads(table.RESULTS.read_text(encoding="utf-8"))
+    stored = table.json.wall_forces(table.RESULTS.read_text(encoding="utf-8"))
     assert set(stored) <= set(table.names())
 
 

@@ -7,27 +7,27 @@ import zipfile
 
 import numpy as np
 import pytest
-from trials import balls, plane, trial
+from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
 from granflow.observe import CheckpointError, accepted_change, newest_checkpoint, read_checkpoint, write_checkpoint
-from granflow.observe.checkpoint import PLACEHOLDER
+from granflow.observe.checkpoint import CHECKSUM_PLACEHOLDER
 from granflow.observe.checkpoint_validation import particle_arrays
 from granflow.plan import plan_for
 
 
 def scene():
     """Eight particles with friction on a floor, in chunks of four; each touches the next and the floor."""
-    places = [[0.0049 * k + 0.01, 0.02, 0.00249] for k in range(8)]
-    return trial(
-        {"row": balls(places, 0.005)},
+    positions = [[0.0049 * k + 0.01, 0.02, 0.00249] for k in range(8)]
+    return build_scene(
+        {"row": particle_group(positions, 0.005)},
         walls={"floor": plane([0, 0, 0], [0, 0, 1])},
         pair={"friction": 0.3, "restitution": 0.5},
         gravity=[0.0, 0.0, -9.81],
-        numerics={"chunk_size": 4, "overlap_limit": 0.3},
-        domain={"min": [-0.01, -0.01, -0.01], "max": [0.08, 0.05, 0.05], "leaving": "error"},
+        numerics={"chunk_size": 4, "max_overlap": 0.3},
+        domain={"min": [-0.01, -0.01, -0.01], "max": [0.08, 0.05, 0.05], "on_exit": "error"},
         run={"duration": 2e-4, "time_step": 1e-5},
-        output={"interval": 1e-4, "energy": True},
+        output={"interval": 1e-4, "energy_budget": True},
     )
 
 
@@ -41,33 +41,33 @@ def original(tmp_path_factory):
 
 def crafted(original, directory, change):
     """The checkpoint with its state changed, written with a valid checksum, and checked against the plan."""
-    kept = read_checkpoint(original.path).kept
-    change(kept)
-    path = write_checkpoint(directory, original.scene, original.time, 20, kept)
-    return accepted_change(read_checkpoint(path), plan_for(scene()), anyway=False)
+    saved = read_checkpoint(original.path).saved
+    change(saved)
+    path = write_checkpoint(directory, original.scene, original.time, 20, saved)
+    return accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
 
 
 def test_the_original_is_accepted(original, tmp_path):
-    assert not crafted(original, tmp_path, lambda kept: None).differences
+    assert not crafted(original, tmp_path, lambda saved: None).differences
 
 
 def put(*keys, value=None, entry=None):
     """A change: the value at these keys, or one entry of the array there."""
 
-    def change(kept):
+    def change(saved):
         *around, last = keys
         for key in around:
-            kept = kept[key]
+            saved = saved[key]
         if entry is None:
-            kept[last] = value
+            saved[last] = value
         else:
-            kept[last] = kept[last].copy()
-            kept[last][entry] = value
+            saved[last] = saved[last].copy()
+            saved[last][entry] = value
 
     return change
 
 
-CONTACTS, PARTICLES, BOOKS = ("engine", "contacts"), ("engine", "particles"), ("engine", "books")
+CONTACTS, PARTICLES, BOOKS = ("engine", "contacts"), ("engine", "particles"), ("engine", "accounting")
 CHANGES = {
     "partner that does not exist": (put(*CONTACTS, "partner", entry=1, value=10**8), "partner holds 100000000"),
     "triangle that does not exist": (put(*CONTACTS, "partner", entry=0, value=-1000), "partner holds -1000"),
@@ -78,7 +78,7 @@ CHANGES = {
     "negative row length": (put(*CONTACTS, "row_length", entry=0, value=-5), "row_length holds -5"),
     "walls of a row": (put(*CONTACTS, "row_walls", entry=0, value=3), "row_walls|partner"),
     "state of a contact": (put(*CONTACTS, "touching", entry=0, value=7), "touching holds 7"),
-    "infinite displacement": (put(*CONTACTS, "lateral", entry=0, value=np.inf), "lateral holds inf"),
+    "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "lateral holds inf"),
     "id twice": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
     "id above all": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
     "position that is no number": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
@@ -95,7 +95,7 @@ CHANGES = {
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
     "time": (put("engine", "clock", "since_time", value=1e9), "gives the time"),
     "walls": (put("engine", "walls_present", value=[True] * 50), "must be a list of 1"),
-    "ledger": (put("engine", "ledger", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
+    "energy_budget": (put("engine", "energy_budget", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
     "stage": (put("course", "stage", value="\x1b[2J"), "stage is "),
     "stage times": (put("course", "stage_times", value={}), "stage_times has other stages"),
     "plan": (put("plan", value={}), "plan has the keys none"),
@@ -117,8 +117,8 @@ def test_a_crafted_state_is_refused_with_its_key(original, tmp_path, name):
 def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
     """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
 
-    def change(kept):
-        contacts = kept["engine"]["contacts"]
+    def change(saved):
+        contacts = saved["engine"]["contacts"]
         owner = np.repeat(np.arange(8), contacts["row_length"])
         partner = contacts["partner"].copy()
         across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
@@ -133,29 +133,29 @@ def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
 
 
 def test_observers_are_checked_before_the_device_gets_anything(original, tmp_path):
-    kept = read_checkpoint(original.path).kept
-    name = next(name for name in kept["observers"] if name.startswith("TimeSeries"))
-    kept["observers"][name]["size"] = "x"
-    path = write_checkpoint(tmp_path, original.scene, original.time, 20, kept)
+    saved = read_checkpoint(original.path).saved
+    name = next(name for name in saved["observers"] if name.startswith("TimeSeries"))
+    saved["observers"][name]["size"] = "x"
+    path = write_checkpoint(tmp_path, original.scene, original.time, 20, saved)
     with pytest.raises(CheckpointError, match=r"TimeSeries 0/size is 'x'"):
         Simulation(scene(), out=tmp_path, resume=read_checkpoint(path))
     assert {each.name for each in tmp_path.iterdir()} == {path.name}, "nothing else is written"
 
 
 def test_the_arrays_of_a_plan_are_those_of_a_checkpoint(original):
-    assert set(particle_arrays(plan_for(scene()))) == set(original.kept["engine"]["particles"])
+    assert set(particle_arrays(plan_for(scene()))) == set(original.saved["engine"]["particles"])
 
 
 def sealed(path, data):
     """Write an archive whose last bytes are the checksum of those before."""
-    data = data[: -len(PLACEHOLDER)]
+    data = data[: -len(CHECKSUM_PLACEHOLDER)]
     path.write_bytes(data + hashlib.sha256(data).hexdigest().encode())
 
 
 def archive(path, entries, compression=zipfile.ZIP_STORED):
     """A checkpoint file of raw entries, with a valid checksum."""
     with zipfile.ZipFile(path, "w", compression) as file:
-        file.comment = PLACEHOLDER
+        file.comment = CHECKSUM_PLACEHOLDER
         for name, data in entries:
             file.writestr(name, data)
     sealed(path, path.read_bytes())
@@ -207,11 +207,11 @@ def test_flipped_bytes_give_a_sentence_or_the_same_run(original, tmp_path):
     path, refused = tmp_path / original.path.name, 0
     for _ in range(60):
         data = bytearray(whole)
-        for place in random.integers(0, len(whole) - len(PLACEHOLDER), random.integers(1, 4)):
-            data[place] = random.integers(256)
+        for insertion in random.integers(0, len(whole) - len(CHECKSUM_PLACEHOLDER), random.integers(1, 4)):
+            data[insertion] = random.integers(256)
         sealed(path, bytes(data))
         try:
-            accepted_change(read_checkpoint(path), plan_for(scene()), anyway=False)
+            accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
         except Exception as error:
             refused += 1
             from granflow.errors import GranflowError

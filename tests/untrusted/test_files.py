@@ -16,7 +16,7 @@ from granflow.cli.main import main
 from granflow.cli.messages import say
 from granflow.errors import SceneError
 from granflow.regular_files import open_regular, read_regular, resolved
-from granflow.scene.table import read_table
+from granflow.scene.particle_table import read_table
 from granflow.visible_text import visible
 from granflow.walls.mesh_file import MeshFileError, read_triangles
 from granflow.walls.vtu_file import read_vtu
@@ -210,7 +210,7 @@ from pathlib import Path
 import numpy as np
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 from granflow.errors import GranflowError
-from granflow.scene.table import read_table
+from granflow.scene.particle_table import read_table
 from granflow.walls.mesh_file import MeshFileError, read_triangles
 random, folder = np.random.default_rng(5), Path(sys.argv[1])
 for path in sorted(folder.iterdir()):

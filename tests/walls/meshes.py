@@ -4,18 +4,18 @@ import meshio
 import numpy as np
 
 from granflow.walls.mesh import mesh_of
-from granflow.walls.mesh_file import Soup
+from granflow.walls.mesh_file import RawTriangles
 
 
 def sheet(count, size=1.0, bumps=0.0, seed=1):
     """Points and corners of a square of count x count cells of two triangles each, from -size/2 to size/2 at z = 0."""
     x = np.linspace(-0.5 * size, 0.5 * size, count + 1)
-    places = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
+    positions = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
     z = bumps * np.random.default_rng(seed).standard_normal((count + 1, count + 1, 1))
     i = np.arange(count * (count + 1)).reshape(count, count + 1)[:, :count].reshape(-1)
     lower, upper = [i, i + count + 1, i + count + 2], [i, i + count + 2, i + 1]
     corners = np.concatenate([np.stack(lower, axis=1), np.stack(upper, axis=1)])
-    return np.concatenate([places, z], axis=-1).reshape(-1, 3), corners
+    return np.concatenate([positions, z], axis=-1).reshape(-1, 3), corners
 
 
 def cube():
@@ -40,7 +40,7 @@ def tube(facets, radius=1.0, length=2.0, rings=1):
 
 def mesh(points, corners):
     """The mesh of points and corners."""
-    return mesh_of(Soup(np.asarray(points, float), np.asarray(corners)))
+    return mesh_of(RawTriangles(np.asarray(points, float), np.asarray(corners)))
 
 
 def write(path, points, corners):

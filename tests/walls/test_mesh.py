@@ -14,8 +14,8 @@ def contacts(surface, points):
     """Gaps and normals (n, t) of every point with every triangle, and bare distances."""
     count = surface.triangle_count
     triangles, repeated = np.tile(np.arange(count), len(points)), np.repeat(points, count, axis=0)
-    gap, normal = reference_contact(surface.links, triangles, repeated)
-    bare = bare_distance(surface.links.vertex[triangles], repeated)
+    gap, normal = reference_contact(surface.adjacency, triangles, repeated)
+    bare = bare_distance(surface.adjacency.vertex[triangles], repeated)
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
 
 
@@ -52,16 +52,16 @@ def test_the_nearest_point_of_a_mesh_is_always_answered_for(name):
     np.testing.assert_allclose(gap[answered], bare[answered], rtol=0.0, atol=1e-14)
 
 
-def test_one_triangle_answers_on_a_plane_wherever_the_centre_is():
+def test_one_triangle_answers_on_a_plane_wherever_the_center_is():
     """Over faces, exactly over seams and corners, and where rounding decides; the gap is the height to the last bit."""
     surface = mesh(*sheet(8))
     rng = np.random.default_rng(3)
     seams = rng.integers(-4, 5, (400, 2)) / 8.0
     beside = seams + rng.choice([-1e-17, 0.0, 1e-17, 1e-16, 1e-12], (400, 2))
     diagonal = np.repeat(rng.uniform(-0.5, 0.5, (200, 1)), 2, axis=1)
-    places = np.concatenate([seams, beside, diagonal, rng.uniform(-0.5, 0.5, (200, 2))])
-    places = np.clip(places, -0.5, 0.5)
-    points = np.concatenate([places, rng.choice([-0.3, 0.1, 1e-3], (len(places), 1))], axis=1)
+    positions = np.concatenate([seams, beside, diagonal, rng.uniform(-0.5, 0.5, (200, 2))])
+    positions = np.clip(positions, -0.5, 0.5)
+    points = np.concatenate([positions, rng.choice([-0.3, 0.1, 1e-3], (len(positions), 1))], axis=1)
     gap, _, _ = contacts(surface, points)
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
     np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
@@ -107,29 +107,29 @@ def test_a_corner_is_touched_on_both_sides():
 def test_the_grid_lists_every_triangle_within_reach_once():
     """Against all triangles tried one by one."""
     surface, reach = SURFACES["rough sheet"], 0.12
-    grid = grid_over(surface.links.vertex, reach)
+    grid = grid_over(surface.adjacency.vertex, reach)
     points = np.random.default_rng(6).uniform(-0.7, 0.7, (200, 3))
     _, _, bare = contacts(surface, points)
     for point, distance in zip(points, bare, strict=True):
-        place = np.floor((point - grid.low) / grid.side).astype(int)
+        insertion = np.floor((point - grid.low) / grid.side).astype(int)
         listed = np.array([], int)
-        if np.all((place >= 0) & (place < grid.shape)):
-            cell = (place[2] * grid.shape[1] + place[1]) * grid.shape[0] + place[0]
+        if np.all((insertion >= 0) & (insertion < grid.shape)):
+            cell = (insertion[2] * grid.shape[1] + insertion[1]) * grid.shape[0] + insertion[0]
             listed = grid.triangle[grid.start[cell] : grid.start[cell + 1]]
         assert len(set(listed)) == len(listed)
         assert set(np.flatnonzero(distance < reach)) <= set(listed)
 
 
 def test_parts_meshed_one_by_one_join_without_a_seam():
-    """A square of two triangles beside one of 32: one triangle answers wherever the centre is, also along the seam."""
+    """A square of two triangles beside one of 32: one triangle answers wherever the center is, also along the seam."""
     coarse, halves = sheet(1)
     fine, corners = sheet(4)
     surface = mesh(np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)]))
     assert surface.divided_count == 1
-    assert (surface.triangle_count, surface.links.open_count) == (2 + 3 + 32, 3 + 12)
+    assert (surface.triangle_count, surface.adjacency.open_count) == (2 + 3 + 32, 3 + 12)
     rng = np.random.default_rng(8)
-    places = np.stack([rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1)
-    points = np.concatenate([places, rng.choice([-0.2, 0.1], (300, 1))], axis=1)
+    positions = np.stack([rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1)
+    points = np.concatenate([positions, rng.choice([-0.2, 0.1], (300, 1))], axis=1)
     points[:10, 1] = np.linspace(-0.5, 0.5, 9)[[0, 1, 2, 3, 4, 5, 6, 7, 8, 4]]
     gap, _, _ = contacts(surface, points)
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
@@ -146,5 +146,5 @@ def test_points_are_welded_and_useless_triangles_left_out():
     assert len(found.points) == len(points)
     assert found.triangle_count == len(corners)
     assert (found.duplicate_count, found.degenerate_count) == (2, 2)
-    assert found.links.open_count == 12
-    assert mesh(*cube()).links.open_count == 0
+    assert found.adjacency.open_count == 12
+    assert mesh(*cube()).adjacency.open_count == 0

@@ -85,8 +85,8 @@ def test_poses_are_continuous():
 
 def test_a_motion_that_has_not_started_yet():
     """Clocks that start with a stage are at infinity until the stage begins."""
-    waiting = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
-    poses = pose(waiting, np.array([0.0, 1e6]))
+    queued = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
+    poses = pose(queued, np.array([0.0, 1e6]))
     np.testing.assert_array_equal(poses.offset, 0.0)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (2, 3, 3)))
 

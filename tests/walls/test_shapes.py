@@ -17,7 +17,7 @@ COORDINATE_SIZE = 4.0
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_device_equals_twin(taichi_f64, name):
+def test_device_equals_reference(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 10_000)
     distance, normal, _ = on_device(shape, points)

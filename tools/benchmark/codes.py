@@ -11,13 +11,13 @@ from typing import Any
 
 from benchmark import cases, decks
 from benchmark.cases import Case, Steps, steps_for
-from benchmark.process import Finished, run
+from benchmark.process import ProcessResult, run
 
 BENCH = Path(__file__).resolve().parent.parent / "bench.py"
 MPI = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
 SKINS = {"bed": {"granflow": 0.2e-3, "liggghts": 0.2e-3, "lammps": 0.2e-3, "yade": 0.25e-3}, "hopper": {}}
 FLOWING_SKIN = 0.5e-3
-"""Neighbour skins [m], FLOWING_SKIN where none is named.
+"""Neighbor skins [m], FLOWING_SKIN where none is named.
 
 Those of LIGGGHTS and LAMMPS were the best of 0.1 to 0.7 mm in one scan of the 50 000 bed on a busy machine; granflow's,
 YADE's and the hopper's have not been scanned on a quiet one. `--skin` tries others.
@@ -92,16 +92,16 @@ def prepare(case: Case, folder: Path, peers: list[str]) -> Path:
     return own
 
 
-def child(order: dict[str, Any], folder: Path) -> Finished:
+def child(order: dict[str, Any], folder: Path) -> ProcessResult:
     """Do something in a new granflow process; see `bench.py --child`."""
     return run([sys.executable, str(BENCH), "--child", json.dumps(order)], folder)
 
 
-def last_json(done: Finished, who: str) -> dict[str, Any]:
+def last_json(done: ProcessResult, case_name: str) -> dict[str, Any]:
     """What a process said in its last JSON line; raises Failed where it ended without."""
     lines = [line for line in done.output.splitlines() if line.startswith("{")]
     if done.code or not lines:
-        raise Failed(f"{who} ended with code {done.code}: {last_words(done.output)}")
+        raise Failed(f"{case_name} ended with code {done.code}: {last_words(done.output)}")
     return json.loads(lines[-1])
 
 

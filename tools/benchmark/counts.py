@@ -3,7 +3,7 @@
     bytes of motion = N (read + written of every field that motion touches)
     bytes of forces = N (fields of a particle once, force and torque twice) + S (number of the partner, whether it
                       touches) + C (history read and written)
-    bytes of search = N (travelling fields 4 times, position twice, 8 integers)
+    bytes of search = N (traveling fields 4 times, position twice, 8 integers)
                       + S (number of the partner and whether it touches, read and written)
                       + C (history and partner read twice, written twice)
 
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-MOTION_READ = ("position", "velocity", "spin", "mass", "radius", "force", "torque", "position_at_search")
-MOTION_WRITTEN = ("position", "velocity", "velocity_now", "spin")
-FORCES_READ = ("position", "velocity", "velocity_now", "spin", "radius", "mass", "material")
+MOTION_READ = ("position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild")
+MOTION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
+FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")
 FORCES_WRITTEN = ("force", "torque")
 INTEGER = 4
 ROW_INTEGERS, SORT_INTEGERS = 3, 8
@@ -50,7 +50,7 @@ class Operations:
 
 
 MOTION = Operations(35, 0, 2)
-"""Kick 3 + 3, present velocity 6, drift 6, inertia and spin 3 + 6, distance travelled 3 + 5; dt/m and dt/I."""
+"""Kick 3 + 3, present velocity 6, drift 6, inertia and spin 3 + 6, distance traveled 3 + 5; dt/m and dt/I."""
 DISTANCE = Operations(10)
 """Difference 3, its square 5, the sum of the radii and its square 2."""
 GEOMETRY = Operations(47, 1, 3)
@@ -70,14 +70,14 @@ TESTS_PER_SLOT = 27.0 / (4.0 / 3.0 * pi)
 
 
 @dataclass(frozen=True)
-class Load:
+class BytesMoved:
     """What a state holds: particles, rows, and sizes of fields by name [bytes an entry]."""
 
     particles: int
-    slots: int
+    list_entries: int
     touching: int
     fields: dict[str, int]
-    travelling: int
+    traveling: int
     history: int
     law: str
     friction: bool
@@ -87,18 +87,18 @@ class Load:
         return sum(self.fields.get(name, 0) for name in names)
 
 
-def load_of(state: Any, slots: int, touching: int) -> Load:
+def load_of(state: Any, list_entries: int, touching: int) -> BytesMoved:
     """Read the sizes off the state."""
     names = {*MOTION_READ, *MOTION_WRITTEN, *FORCES_READ, *FORCES_WRITTEN}
     held = {name: getattr(state.particles, name, None) for name in names}
     plan = state.plan
-    return Load(
+    return BytesMoved(
         particles=state.count,
-        slots=slots,
+        list_entries=list_entries,
         touching=touching,
         fields={name: entry_size(field) for name, field in held.items() if field is not None},
-        travelling=sum(map(entry_size, state.particles.sorted_fields())),
-        history=sum(map(entry_size, state.contacts.history.values())),
+        traveling=sum(map(entry_size, state.particles.sorted_fields())),
+        history=sum(map(entry_size, state.neighbors.history.values())),
         law=plan.law.name,
         friction=plan.features.friction,
     )
@@ -109,25 +109,25 @@ def entry_size(field: Any) -> int:
     return int(getattr(field, "n", 1) * getattr(field, "m", 1) * (8 if "64" in str(field.dtype) else 4))
 
 
-def bytes_of(load: Load) -> dict[str, float]:
+def bytes_of(load: BytesMoved) -> dict[str, float]:
     """Least bytes of each phase, once."""
     n, row = load.particles, ROW_INTEGERS * INTEGER
     return {
         "motion": n * (load.size(MOTION_READ) + load.size(MOTION_WRITTEN)),
         "forces": n * (load.size(FORCES_READ) + 2 * load.size(FORCES_WRITTEN) + row)
-        + load.slots * 2 * INTEGER
+        + load.list_entries * 2 * INTEGER
         + load.touching * 2 * load.history,
-        "search": n * (4 * load.travelling + 2 * load.size(("position",)) + SORT_INTEGERS * INTEGER)
-        + load.slots * 4 * INTEGER
+        "search": n * (4 * load.traveling + 2 * load.size(("position",)) + SORT_INTEGERS * INTEGER)
+        + load.list_entries * 4 * INTEGER
         + load.touching * 4 * (INTEGER + load.history),
     }
 
 
-def operations_of(load: Load) -> dict[str, Operations]:
+def operations_of(load: BytesMoved) -> dict[str, Operations]:
     """Operations of each phase, once."""
     contact = GEOMETRY + NORMAL[load.law] + (FRICTION if load.friction else Operations())
     return {
         "motion": MOTION.times(load.particles),
-        "forces": DISTANCE.times(load.slots) + contact.times(load.touching),
-        "search": PLACING.times(load.particles) + DISTANCE.times(TESTS_PER_SLOT * load.slots),
+        "forces": DISTANCE.times(load.list_entries) + contact.times(load.touching),
+        "search": PLACING.times(load.particles) + DISTANCE.times(TESTS_PER_SLOT * load.list_entries),
     }

@@ -66,9 +66,9 @@ def liggghts_deck(case: Case, steps: Steps, skin: float) -> str:
 
 def lammps_deck(case: Case, steps: Steps, skin: float) -> str:
     """gran/hertz/history; walls as planes in a bed, as regions in the hopper."""
-    normal, lateral = cases.hertz_stiffnesses()
+    normal, tangential = cases.hertz_stiffnesses()
     damping = cases.lammps_damping()
-    numbers = f"{normal:.6g} {lateral:.6g} {damping:.6g} {0.5 * damping:.6g} {cases.FRICTION} 1"
+    numbers = f"{normal:.6g} {tangential:.6g} {damping:.6g} {0.5 * damping:.6g} {cases.FRICTION} 1"
     law, model = f"hertz/history {numbers}", f"pair_style gran/hertz/history {numbers}"
     walls = "\n".join(
         f"fix wall_{axis} all wall/gran {law} {axis}plane 0.0 {high}"

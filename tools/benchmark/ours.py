@@ -27,8 +27,8 @@ walls:
   right: {{shape: plane, point: [{x}, 0, 0], normal: [-1, 0, 0], material: m}}
   front: {{shape: plane, point: [0, 0, 0], normal: [0, 1, 0], material: m}}
   back: {{shape: plane, point: [0, {y}, 0], normal: [0, -1, 0], material: m}}
-particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, place: {place}}}}}
-domain: {{min: [-0.01, -0.01, -0.01], max: [{x_high}, {y_high}, 2], leaving: error}}
+particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
+domain: {{min: [-0.01, -0.01, -0.01], max: [{x_high}, {y_high}, 2], on_exit: error}}
 run: {{duration: {duration}, time_step: {time_step}, velocity_max: 0.3 m/s, precision: {precision}}}
 numerics: {{skin: {skin}}}
 output: {{interval: 10 s}}
@@ -40,8 +40,8 @@ contact: {{normal: {normal}, tangential: mindlin, rolling: none}}
 walls:
   cone: {{shape: cone, from: [0, 0, 0], to: [0, 0, {cone}], radius_from: {orifice}, radius_to: {tube}, material: m}}
   tube: {{shape: cylinder, from: [0, 0, {cone}], to: [0, 0, {top}], radius: {tube}, material: m}}
-particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, place: {place}}}}}
-domain: {{min: [-{reach}, -{reach}, {floor}], max: [{reach}, {reach}, 1], leaving: delete}}
+particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
+domain: {{min: [-{reach}, -{reach}, {floor}], max: [{reach}, {reach}, 1], on_exit: delete}}
 run: {{duration: 1 s, time_step: {time_step}, velocity_max: 1.5 m/s, precision: {precision}}}
 numerics: {{skin: {skin}}}
 output: {{interval: 10 s}}
@@ -61,7 +61,7 @@ def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
     same = {
         "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
         "sizes": sizes, "precision": precision, "skin": skin,
-        "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
+        "time_step": cases.TIME_STEP, "insert": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
     }  # fmt: skip
     if case.kind == "bed":
         return (MATERIAL + BED).format(**same, x=x, y=y, x_high=x + 0.01, y_high=y + 0.01, duration=1)
@@ -85,7 +85,7 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
     from granflow.device.engine import Engine
     from granflow.plan import plan_for
     from granflow.scene import load
-    from granflow.scene.generate import Grains
+    from granflow.scene.generate import ParticleData
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "case.yaml"
@@ -93,7 +93,7 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
         plan = plan_for(load(scene_file))
     engine = Engine(plan, start("cpu", precision, threads))  # type: ignore[arg-type]
     still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
-    engine.insert(Grains(case.position, still, still, 0.5 * case.diameter, none, none))
+    engine.insert(ParticleData(case.position, still, still, 0.5 * case.diameter, none, none))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     return engine
@@ -108,13 +108,13 @@ def measure(
     engine.advance(1)
     first_step = time.time()
     engine.advance(warm)
-    above, searches = mass_above(engine), engine.timing.search_count
+    above, searches = mass_above(engine), engine.timing.rebuild_count
     began = time.perf_counter()
     engine.advance(window)
     seconds = time.perf_counter() - began
-    if engine.trip is not None:
-        raise SystemExit(f"granflow stopped: {engine.trip}")
-    searches, memory = engine.timing.search_count - searches, peak_memory()
+    if engine.diagnosis is not None:
+        raise SystemExit(f"granflow stopped: {engine.diagnosis}")
+    searches, memory = engine.timing.rebuild_count - searches, peak_memory()
     span = window * cases.TIME_STEP
     return {
         "rate": window * case.count / seconds,
@@ -122,22 +122,22 @@ def measure(
         "compile": engine.timing.compile,
         "memory": memory,
         "field_bytes": field_bytes(engine) / case.count,
-        "contacts": grain_contacts(engine) / case.count,
+        "contacts": particle_contacts(engine) / case.count,
         "rebuilds": 1000.0 * searches / window,
         "mass_flow": (above - mass_above(engine)) / span if case.kind == "hopper" else None,
     }
 
 
 def mass_above(engine: Any) -> float:
-    """Mass whose centres are above the orifice [kg]."""
-    arrays = engine.transfer.taken(("mass", "position"))
+    """Mass whose centers are above the orifice [kg]."""
+    arrays = engine.host_copy.copy_to_host(("mass", "position"))
     return float(arrays["mass"][arrays["position"][:, 2] > 0.0].sum(dtype=float))
 
 
-def grain_contacts(engine: Any) -> int:
+def particle_contacts(engine: Any) -> int:
     """Contacts between two grains, each counted once."""
     contacts = engine.snapshot("run", frozenset({"contacts"})).contacts
-    return int((contacts["second_id"] >= 0).sum())
+    return int((contacts["id_j"] >= 0).sum())
 
 
 def field_bytes(engine: Any) -> int:
@@ -157,7 +157,7 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def settle(count: int, path: str, threads: int) -> None:
+def relax(count: int, path: str, threads: int) -> None:
     """Let a loose lattice of spheres fall and come to rest in a square box about as wide as the bed is high."""
     from granflow import Simulation, load_scene
 

@@ -32,14 +32,14 @@ This page is written by `python tools/bench.py --page`; the numbers are in [`{re
 - The codes run in turn, round after round, each in processes of its own. The rate is the median over the rounds, in
   brackets the slowest and the fastest. Ratios are taken within a round, then their median and range: what slows the
   machine for a while slows both.
-- Every code has a neighbour skin of its own, given in the table; how they were chosen stands at `SKINS` in `codes.py`,
+- Every code has a neighbor skin of its own, given in the table; how they were chosen stands at `SKINS` in `codes.py`,
   and `--skin CODE=MM,...` tries others. Threads are OpenMP threads in YADE and MPI ranks in LAMMPS and LIGGGHTS.
 - `memory` is the peak of the whole process, or of all ranks together, with the program itself (Taichi's compiler takes
   a few hundred MB); `bytes/sphere` is all that granflow allocates for its spheres and contacts. `start` is from the
   start of the process to the end of the first step, with kernels from Taichi's cache if they are there.
 - `contacts/sphere` counts each contact of two grains once. `mass flow` is what passes the outlet under the clock, early
   in the discharge: it says that all codes do the same work.
-- A window is seconds long. LAMMPS and LIGGGHTS list neighbours anew before the clock of each run starts; granflow pays
+- A window is seconds long. LAMMPS and LIGGGHTS list neighbors anew before the clock of each run starts; granflow pays
   for its lists within.
 
 ## Where the time goes

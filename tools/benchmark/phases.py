@@ -36,22 +36,22 @@ def measure(
     engine = ours.engine_for(Case.load(Path(path)), law, precision, threads, skin)
     engine.advance(warm)
     clear_profile()
-    before, searches = phase_seconds(engine), engine.timing.search_count
+    before, searches = phase_seconds(engine), engine.timing.rebuild_count
     engine.advance(window)
-    after, searches = phase_seconds(engine), engine.timing.search_count - searches
+    after, searches = phase_seconds(engine), engine.timing.rebuild_count - searches
     stepping = profile(window)
     searching = [one_search(engine) for _ in range(SEARCHES)]
     searched = profile(SEARCHES)
     seconds = {name: (after[name] - before[name]) / window for name in after}
-    slots, touching = rows_of(engine)
-    load = counts.load_of(engine.state, slots, touching)
+    list_entries, touching = neighbors_of(engine)
+    load = counts.load_of(engine.state, list_entries, touching)
     moved, operations = counts.bytes_of(load), counts.operations_of(load)
     return {
         "seconds": seconds | {"search": median(searching)},
         "steps_per_search": window / searches if searches else None,
         "bytes": moved,
         "operations": {name: vars(each) for name, each in operations.items()},
-        "slots": slots / load.particles,
+        "slots": list_entries / load.particles,
         "touching": touching / load.particles,
         "working_set": ours.field_bytes(engine),
         "kernels": {"step": stepping, "search": searched},
@@ -61,29 +61,29 @@ def measure(
 def phase_seconds(engine: Any) -> dict[str, float]:
     """Wall seconds so far."""
     timing = engine.timing
-    return {"motion": timing.motion, "forces": timing.forces}
+    return {"motion": timing.integration, "forces": timing.forces}
 
 
 def one_search(engine: Any) -> float:
     """Seconds of a search."""
-    began = engine.timing.search
-    engine.stepper.search()
-    return engine.timing.search - began
+    began = engine.timing.neighbor_list
+    engine.stepper.rebuild_neighbor_lists()
+    return engine.timing.neighbor_list - began
 
 
-def rows_of(engine: Any) -> tuple[int, int]:
+def neighbors_of(engine: Any) -> tuple[int, int]:
     """Near pairs in all rows, walls and pairs that stand twice included, and how many of them touch."""
-    contacts, particles, count = engine.state.contacts, engine.state.particles, engine.state.count
-    begin, end = (field.to_numpy()[:count] for field in (contacts.row_begin, contacts.row_end))
+    contacts, particles, count = engine.state.neighbors, engine.state.particles, engine.state.count
+    begin, end = (field.to_numpy()[:count] for field in (contacts.list_begin, contacts.list_end))
     number = end - begin
     row = np.repeat(np.arange(count), number)
-    slot = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + np.repeat(begin, number)
-    partner = contacts.partner.to_numpy()[slot]
-    grains = partner >= 0
+    list_index = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + np.repeat(begin, number)
+    partner = contacts.partner.to_numpy()[list_index]
+    owners = partner >= 0
     position, radius = particles.position.to_numpy()[:count], particles.radius.to_numpy()[:count]
-    i, j = row[grains], partner[grains]
+    i, j = row[owners], partner[owners]
     apart = np.linalg.norm(position[i] - position[j], axis=1)
-    return len(slot), int((apart < radius[i] + radius[j]).sum())
+    return len(list_index), int((apart < radius[i] + radius[j]).sum())
 
 
 def clear_profile() -> None:

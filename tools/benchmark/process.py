@@ -6,12 +6,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-LOOK_EVERY = 0.2  # s between two looks at the memory of a running code
+SAMPLE_EVERY = 0.2  # s between two looks at the memory of a running code
 LONGEST = 900.0  # s
 
 
 @dataclass(frozen=True)
-class Finished:
+class ProcessResult:
     """`began` [s since 1970] is just before the process was made; `memory` the peak bytes of all its processes."""
 
     output: str
@@ -20,11 +20,11 @@ class Finished:
     memory: int | None
 
 
-def run(command: list[str], folder: Path, environment: dict[str, str] | None = None) -> Finished:
+def run(command: list[str], folder: Path, environment: dict[str, str] | None = None) -> ProcessResult:
     """Run to the end in `folder`; standard output and errors are read together."""
-    said = folder / "said.txt"
+    message = folder / "said.txt"
     peaks: dict[int, int] = {}
-    with said.open("w") as file:
+    with message.open("w") as file:
         began = time.time()
         process = subprocess.Popen(
             command, cwd=folder, env=os.environ | (environment or {}), stdout=file, stderr=subprocess.STDOUT
@@ -32,12 +32,12 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
         try:
             while process.poll() is None and time.time() - began < LONGEST:
                 peaks |= _peaks_below(process.pid)
-                time.sleep(LOOK_EVERY)
+                time.sleep(SAMPLE_EVERY)
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
-    return Finished(said.read_text(errors="replace"), process.returncode, began, sum(peaks.values()) or None)
+    return ProcessResult(message.read_text(errors="replace"), process.returncode, began, sum(peaks.values()) or None)
 
 
 def _peaks_below(root: int) -> dict[int, int]:

@@ -11,7 +11,7 @@ from benchmark.cases import Case, find_beds, read_data, tiled
 from benchmark.codes import LARGEST, Failed, Job, job_for
 from benchmark.machine import ROOT, machine
 
-SHARED = ROOT.parent / "shared" / "peers"
+SHARED_EDGE = ROOT.parent / "shared" / "peers"
 HERTZ_ONLY_FROM = 1_000_000
 """Spheres from which granflow is measured with the law of the comparison alone, to save time."""
 START = {"granflow": (4.0, 6e-6), "liggghts": (0.5, 1e-5), "lammps": (0.5, 8e-6), "yade": (1.5, 1e-4)}
@@ -22,11 +22,11 @@ RATE = {"granflow": 7e6, "liggghts": 4e6, "lammps": 4e6, "yade": 5e5}
 
 def gather_cases(options: argparse.Namespace, folder: Path) -> list[Case]:
     """The beds of the sizes asked and the hopper; what no folder of beds holds is settled or tiled."""
-    beds = options.beds or (SHARED / "beds" if (SHARED / "beds").is_dir() else None)
+    beds = options.beds or (SHARED_EDGE / "beds" if (SHARED_EDGE / "beds").is_dir() else None)
     at_hand = {} if beds is None else find_beds(beds)
     found = [bed_of(size, at_hand, folder) for size in options.sizes]
     if options.hopper:
-        path = options.hopper_data or SHARED / "hopper" / "hop.data.gz"
+        path = options.hopper_data or SHARED_EDGE / "hopper" / "hop.data.gz"
         if path.exists():
             found.append(read_data(path, "hopper"))
         else:
@@ -39,14 +39,14 @@ def bed_of(size: int, at_hand: dict[int, Path], folder: Path) -> Case:
     if size in at_hand:
         return read_data(at_hand[size])
     if size in cases.SEED_SIZES:
-        return settled(size, folder)
+        return relaxed(size, folder)
     seeds = [count for count in {*at_hand, *cases.SEED_SIZES} if count < size and size % count == 0]
     if not seeds:
         raise SystemExit(f"--sizes {size} is neither there as a bed nor a multiple of {min(cases.SEED_SIZES)}.")
     return tiled(bed_of(max(seeds), at_hand, folder), size)
 
 
-def settled(size: int, folder: Path) -> Case:
+def relaxed(size: int, folder: Path) -> Case:
     """A bed that granflow lets settle, once."""
     path = folder / f"settled_{size}.npz"
     if not path.exists():

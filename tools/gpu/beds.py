@@ -19,15 +19,15 @@ SETTLED = {False: 10_000, True: 1_000}
 LAW = "hertz"
 
 
-def settle(count: int, path: str) -> None:
+def relax(count: int, path: str) -> None:
     """Job of a child: settle `count` spheres in a box into a file."""
-    ours.settle(count, path, threads=0)
+    ours.relax(count, path, threads=0)
 
 
 def bed(path: str, count: int) -> Case:
     """About `count` spheres: the settled bed at `path`, or images of it."""
-    settled = Case.load(Path(path))
-    return settled if count <= settled.count else tiled(settled, count)
+    relaxed = Case.load(Path(path))
+    return relaxed if count <= relaxed.count else tiled(relaxed, count)
 
 
 def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
@@ -47,7 +47,7 @@ def engine_for(
     """An engine holding a bed, with velocities (n, 3) [m/s] or at rest, forces known, no step done."""
     from granflow.device.backend import start
     from granflow.device.engine import Engine
-    from granflow.scene.generate import Grains
+    from granflow.scene.generate import ParticleData
 
     backend = start(arch, precision)  # type: ignore[arg-type]
     plan = plan_of(case, precision, not backend.on_cpu)
@@ -56,7 +56,7 @@ def engine_for(
     engine = Engine(plan, backend)
     still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
     moving = still if velocity is None else velocity
-    engine.insert(Grains(case.position, moving, still, 0.5 * case.diameter, none, none))
+    engine.insert(ParticleData(case.position, moving, still, 0.5 * case.diameter, none, none))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     return engine

@@ -23,7 +23,7 @@ EPS["f32"] = EPS["mixed"]
 SPREAD = 6.0
 """Standard deviations that rounding may reach."""
 TRAJECTORY_STEPS = 1000
-GRAINS = (256, 60)
+PARTICLE_COUNT = (256, 60)
 """In the shaken box: those that stay and those that rain in upwards and leave the domain."""
 
 
@@ -37,17 +37,17 @@ def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
 
     A collision of n steps is right to about 1/n; coarse positions add the length they resolve over the overlap.
     """
-    from granflow.laws.catalogue import NORMAL_LAWS
+    from granflow.laws.catalog import NORMAL_LAWS
     from granflow.study.collide import collide
 
     logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 warns that it is coarse: the limit knows
     found, diameter = [], 4e-3
     resolved = EPS[precision] * diameter * (10.0 if precision == "f32" else 1.0)
     for law, wall in [*((law, False) for law in NORMAL_LAWS), ("zhou", True)]:
-        asked: dict[str, Any] = {} if NORMAL_LAWS[law].restitution == "nothing" else {"restitution": 0.7}
+        requested: dict[str, Any] = {} if NORMAL_LAWS[law].restitution == "nothing" else {"restitution": 0.7}
         numbers = collide(
             law, "stainless_316", diameter, 0.5, wall=wall, steps_per_contact=STEPS, precision=precision, arch=arch,
-            **asked,
+            **requested,
         )  # fmt: skip
         limit = 1.0 / STEPS + resolved / numbers["overlap_max"]
         for name in ("restitution", "duration", "overlap_max", "force_max"):
@@ -82,19 +82,19 @@ def _cloud(bed_file: str, precision: str) -> Any:
     """Spheres of a settled bed thrown at each other, none near a wall."""
     case, rng = bed(bed_file, 0), np.random.default_rng(7)
     middle = case.position.mean(axis=0)
-    kept = np.argsort(np.linalg.norm(case.position - middle, axis=1))[:1000]
-    position = case.position[kept] - middle
+    saved = np.argsort(np.linalg.norm(case.position - middle, axis=1))[:1000]
+    position = case.position[saved] - middle
     return _scene(
-        {"balls": _balls(position, case.diameter[kept], rng.normal(0.0, 0.3, position.shape))},
+        {"balls": _balls(position, case.diameter[saved], rng.normal(0.0, 0.3, position.shape))},
         walls={}, gravity=[0.0, 0.0, 0.0], run={"duration": 0.005, "velocity_max": 1.0, "precision": precision},
     )  # fmt: skip
 
 
 def _balls(position: np.ndarray, diameter: Any, velocity: np.ndarray) -> dict[str, Any]:
-    place = {"kind": "list", "positions": position.tolist()}
+    insertion = {"kind": "positions", "positions": position.tolist()}
     sizes = np.asarray(diameter).tolist()
     return {
-        "material": "m", "count": len(position), "diameter": sizes, "velocity": velocity.tolist(), "place": place
+        "material": "m", "count": len(position), "diameter": sizes, "velocity": velocity.tolist(), "insert": insertion
     }  # fmt: skip
 
 
@@ -106,9 +106,9 @@ def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
         "materials": {"m": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
         "pairs": {"m-m": {"restitution": 0.6, "friction": 0.4, "rolling_friction": 0.05}},
         "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "epsd"},
-        "domain": {"min": [-0.1] * 3, "max": [0.1] * 3, "leaving": "delete"},
+        "domain": {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "delete"},
         "numerics": {"chunk_size": 1},
-        "output": {"interval": 1.0, "energy": True},
+        "output": {"interval": 1.0, "energy_budget": True},
     }
     return Scene.model_validate(same | {"walls": walls, "particles": groups} | parts)
 
@@ -116,7 +116,7 @@ def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
 def _shaken(precision: str) -> Any:
     """A lattice falls into a shaken box; grains rain in upwards and leave the domain. Friction, rolling, the ledger."""
     rng = np.random.default_rng(4)
-    place = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    insertion = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
     walls: dict[str, Any] = {}
     for axis, name in enumerate("xyz"):
         unit = np.eye(3)[axis]
@@ -126,15 +126,15 @@ def _shaken(precision: str) -> Any:
             walls[f"high_{name}"] = {"shape": "plane", "material": "m", **far}
     motion = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
     walls["low_z"] |= {"motion": motion}
-    sizes = rng.uniform(0.004, 0.006, len(place))
+    sizes = rng.uniform(0.004, 0.006, len(insertion))
     room = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
     rain = {
-        "material": "m", "count": GRAINS[1], "diameter": 0.005, "velocity": [0.0, 0.0, 1.5],
-        "place": {"kind": "rain", "region": room, "rate": 6000.0},
+        "material": "m", "count": PARTICLE_COUNT[1], "diameter": 0.005, "velocity": [0.0, 0.0, 1.5],
+        "insert": {"kind": "rain", "region": room, "rate": 6000.0},
     }  # fmt: skip
     return _scene(
-        {"lattice": _balls(place, sizes, rng.normal(0.0, 0.3, place.shape)), "rain": rain}, walls,
-        gravity=[0.0, 0.0, -9.81], domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.07], "leaving": "delete"},
+        {"lattice": _balls(insertion, sizes, rng.normal(0.0, 0.3, insertion.shape)), "rain": rain}, walls,
+        gravity=[0.0, 0.0, -9.81], domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.07], "on_exit": "delete"},
         run={"duration": 0.04, "velocity_max": 2.0, "time_step": 4e-6, "precision": precision},
     )  # fmt: skip
 
@@ -146,14 +146,14 @@ def shaken(arch: str, precision: str) -> dict[str, Any]:
     simulation = Simulation(_shaken(precision), arch=arch, precision=precision)  # type: ignore[arg-type]
     totals = simulation.run().totals
     last = simulation.snapshot().particles
-    names = ("id", "position", "velocity", "spin", "force", "torque", "coordination_number")
+    names = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last[name]).tobytes() for name in names))
     coarse = 1e-2 if precision == "f32" else 1e-3
     return {
         "digest": digest.hexdigest(),
         "checks": [
-            record("shaken box: grains missing", totals["particle_count"] - GRAINS[0], 0.0),
-            record("shaken box: deleted grains missing", totals["deleted_count"] - GRAINS[1], 0.0),
+            record("shaken box: grains missing", totals["particle_count"] - PARTICLE_COUNT[0], 0.0),
+            record("shaken box: deleted grains missing", totals["deleted_count"] - PARTICLE_COUNT[1], 0.0),
             record("shaken box: energy error", totals["energy_error"], coarse),
             record("shaken box: largest overlap over radius", totals["overlap_largest"], 0.1),
         ],

@@ -37,10 +37,10 @@ def _host_memory() -> dict[str, Any]:
 
 
 def _ask_driver() -> dict[str, Any]:
-    asked = "--query-gpu=name,driver_version,memory.total,memory.free"
+    requested = "--query-gpu=name,driver_version,memory.total,memory.free"
     try:
         done = subprocess.run(
-            ["nvidia-smi", asked, "--format=csv,noheader,nounits"], capture_output=True, text=True, timeout=60
+            ["nvidia-smi", requested, "--format=csv,noheader,nounits"], capture_output=True, text=True, timeout=60
         )
         name, driver, total, free = (word.strip() for word in done.stdout.splitlines()[0].split(","))
         mebi = 1 << 20
@@ -60,14 +60,14 @@ def bandwidth(on_cpu: bool) -> dict[str, float]:
 
 
 def _gpu_bandwidth(count: int) -> dict[str, float]:
-    """The same where neighbouring threads take neighbouring numbers."""
+    """The same where neighboring threads take neighboring numbers."""
     import taichi as ti
     from benchmark import limits
 
     builder = ti.FieldsBuilder()
     a, b, c = (ti.field(ti.f32) for _ in range(3))
     for field in (a, b, c):
-        builder.dense(ti.i, count).place(field)
+        builder.dense(ti.i, count).insertion(field)
     tree = builder.finalize()
 
     @ti.kernel

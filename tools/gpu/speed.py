@@ -20,11 +20,11 @@ ROOM = 0.7
 
 def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> int:
     """Bytes of all fields of a bed of about `count` spheres, before rows grow."""
-    from granflow.plan.memory import memory_of
+    from granflow.plan.memory_estimate import estimate_memory
 
     case = bed(bed_file, 0)
     plan = plan_of(case, precision, on_gpu)
-    return int(memory_of(plan, precision).total / case.count * max(count, case.count))  # type: ignore[arg-type]
+    return int(estimate_memory(plan, precision).total / case.count * max(count, case.count))  # type: ignore[arg-type]
 
 
 def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:
@@ -45,8 +45,8 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
     stepping = phases.profile(steps)
     searching = [phases.one_search(engine) for _ in range(SEARCHES)]
     kernels = {"step": stepping, "search": phases.profile(SEARCHES)}
-    if engine.trip is not None:
-        raise SystemExit(f"granflow stopped: {engine.trip}")
+    if engine.diagnosis is not None:
+        raise SystemExit(f"granflow stopped: {engine.diagnosis}")
     return {
         "count": case.count,
         "rate": case.count * steps / spent,
@@ -64,11 +64,11 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
 
 def _window(engine: Any, seconds: float) -> tuple[int, float, int]:
     """Steps done in at least `seconds` of wall time, those seconds, and the searches among them."""
-    searches, steps, began = engine.timing.search_count, 0, time.perf_counter()
-    while time.perf_counter() - began < seconds and not engine.tripped:
+    searches, steps, began = engine.timing.rebuild_count, 0, time.perf_counter()
+    while time.perf_counter() - began < seconds and not engine.aborted:
         engine.advance(BATCH)  # waits for the device: it reads how many steps were done
         steps += BATCH
-    return steps, time.perf_counter() - began, engine.timing.search_count - searches
+    return steps, time.perf_counter() - began, engine.timing.rebuild_count - searches
 
 
 def _traffic(
@@ -77,15 +77,15 @@ def _traffic(
     """Least bytes of a particle step (`benchmark.counts`) and the share of the copy bandwidth that they make."""
     state = engine.state
     totals = engine.snapshot("run", frozenset({"totals"})).totals
-    begin, end = (f.to_numpy()[: state.count] for f in (state.contacts.row_begin, state.contacts.row_end))
-    slots, contacts = int((end - begin).sum()), totals["contact_count"]
+    begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
+    list_entries, contacts = int((end - begin).sum()), totals["contact_count"]
     both_sides = 2 if state.plan.chunk_size == 1 else 1
-    moved = counts.bytes_of(counts.load_of(state, slots, int(both_sides * contacts)))
+    moved = counts.bytes_of(counts.load_of(state, list_entries, int(both_sides * contacts)))
     each = (moved["motion"] + moved["forces"] + searches_per_step * moved["search"]) / case.count
     return {
         "contacts": contacts / case.count,
         "coordination_number": totals["coordination_number"],
-        "near": slots / case.count,
+        "near": list_entries / case.count,
         "overlap_largest": totals["overlap_largest"],
         "bytes_per_particle_step": each,
         "copy_bandwidth": limits["copy"],

@@ -9,8 +9,8 @@ from granflow.device.backend import Precision
 from granflow.laws.material import Solid
 from granflow.scene.presets import PRESETS
 from granflow.study.accuracy.exact import EXACT, Exact
-from granflow.study.paper.cases import Case
-from granflow.study.paper.encounters import Encounter
+from granflow.study.paper.cases import PaperCase
+from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
@@ -31,7 +31,7 @@ DISTANCE = 60e-3
 
 
 @dataclass(frozen=True)
-class Contender:
+class StudiedLaw:
     """A law of the study: its name there, `contact.normal` of a scene, and the restitutions asked of it."""
 
     name: str
@@ -39,8 +39,8 @@ class Contender:
     restitutions: tuple[float, ...]
 
     @property
-    def law(self) -> str:
-        """Its name in the catalogue."""
+    def law_name(self) -> str:
+        """Its name in the catalog."""
         return str(self.normal if isinstance(self.normal, str) else self.normal["law"])
 
 
@@ -52,7 +52,7 @@ class Integrator:
 
 
 @dataclass(frozen=True)
-class Kind:
+class CollisionKind:
     """One kind of collision: restitution asked, approach velocity [m/s], diameter [m], and its exact numbers."""
 
     restitution: float
@@ -67,11 +67,11 @@ class Kind:
 
 
 RESTITUTIONS = (0.2, 0.5, 0.9)
-CONTENDERS = (
-    Contender("zhou", "zhou", RESTITUTIONS),
-    Contender("hertz", "hertz", RESTITUTIONS),
-    Contender("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
-    Contender("hertz, elastic", "hertz", (1.0,)),
+STUDIED_LAWS = (
+    StudiedLaw("zhou", "zhou", RESTITUTIONS),
+    StudiedLaw("hertz", "hertz", RESTITUTIONS),
+    StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
+    StudiedLaw("hertz, elastic", "hertz", (1.0,)),
 )
 
 
@@ -79,11 +79,11 @@ INTEGRATORS = (Integrator("leapfrog"),)
 """The only one: docs/accuracy.md says what became of others."""
 
 
-def bead_case() -> Case:
+def bead_case() -> PaperCase:
     """Two beads of softened glass."""
     glass = PRESETS["glass"]
     solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
-    return Case("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=BEAD)
+    return PaperCase("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=BEAD)
 
 
 def common_duration() -> float:
@@ -91,28 +91,28 @@ def common_duration() -> float:
     return bead_case().duration(1.0, 1.0)
 
 
-def kinds_of(contender: Contender) -> tuple[Kind, ...]:
+def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
     """All collisions of one law, in sizes that make them last equally long (durations go with the diameter)."""
     case, found = bead_case(), []
-    for e in contender.restitutions:
+    for e in law.restitutions:
         for velocity in VELOCITIES:
-            alike = exact_of(contender.law, case, e, velocity, BEAD)
-            diameter = BEAD * common_duration() / alike.duration
-            found.append(Kind(e, velocity, diameter, exact_of(contender.law, case, e, velocity, diameter)))
+            matching = exact_of(law.law_name, case, e, velocity, BEAD)
+            diameter = BEAD * common_duration() / matching.duration
+            found.append(CollisionKind(e, velocity, diameter, exact_of(law.law_name, case, e, velocity, diameter)))
     return tuple(found)
 
 
-def exact_of(law: str, case: Case, e: float, velocity: float, diameter: float) -> Exact:
+def exact_of(law: str, case: PaperCase, e: float, velocity: float, diameter: float) -> Exact:
     """Exact numbers of two spheres of a diameter [m] meeting at a velocity [m/s]."""
     return EXACT[law](e, case.stiffness(diameter), case.mass_eff(diameter), velocity)
 
 
-def encounters_of(kinds: tuple[Kind, ...]) -> list[Encounter]:
+def collisions_of(kinds: tuple[CollisionKind, ...]) -> list[HeadOnCollision]:
     """Every kind `PHASES` times over."""
     case = bead_case()
-    return [case.encounter(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)]
+    return [case.head_on(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)]
 
 
-def touches_of(kinds: tuple[Kind, ...], time_step: float) -> np.ndarray:
+def first_contact_times(kinds: tuple[CollisionKind, ...], time_step: float) -> np.ndarray:
     """When each of them first touches [s]: within the first step, evenly spread for every kind."""
     return np.tile(time_step * (np.arange(PHASES) + 0.5) / PHASES, len(kinds))

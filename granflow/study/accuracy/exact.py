@@ -52,7 +52,7 @@ EXACT: Mapping[str, Callable[[float, float, float, float], Exact]] = {"zhou": zh
 """By name of the law; arguments as of `zhou`."""
 
 
-def freed_at(law: str, e: float) -> float | None:
+def end_overlap_ratio(law: str, e: float) -> float | None:
     """Overlap at which the force of a parting contact vanishes, over the largest; None where a dashpot decides it."""
     if law == "zhou":
         return 1.0 - float(theory.recovery(e))

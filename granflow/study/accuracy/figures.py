@@ -6,41 +6,43 @@ from typing import Any
 import numpy as np
 
 from granflow.study.accuracy.orders import fitted_order
-from granflow.study.accuracy.points import QUANTITIES, WORDS, Line
+from granflow.study.accuracy.points import QUANTITIES, WORDS, StudyLine
 from granflow.study.figures import COLORS, MARKERS
 
-LOOKS = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
-"""Line and marker of a precision; laws and integrators have colours."""
+LINE_STYLES = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
+"""Line and marker of a precision; laws and integrators have colors."""
 LOWEST = 1e-9
 HIGHEST = 3.0
 WORK_HEIGHT = 3.9
 QUANTITY_HEIGHT = 5.6
 
 
-def _names(lines: Sequence[Line]) -> list[tuple[str, str]]:
+def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
     return list(dict.fromkeys((line.law, line.integrator) for line in lines))
 
 
-def _label(line: Line, lines: Sequence[Line]) -> str:
+def _label(line: StudyLine, lines: Sequence[StudyLine]) -> str:
     several = len({each.integrator for each in lines}) > 1
     return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
 
 
-def _with_order(line: Line, lines: Sequence[Line]) -> str:
+def _with_order(line: StudyLine, lines: Sequence[StudyLine]) -> str:
     order = fitted_order(line.steps, line.error("restitution")) if line.precision == "f64" else None
     return _label(line, lines) + (f": order {order.order:.2f}" if order else "")
 
 
-def _plot(axes: Any, line: Line, lines: Sequence[Line], x: np.ndarray, error: np.ndarray, **more: Any) -> None:
-    place = _names(lines).index((line.law, line.integrator))
-    style, marker = LOOKS.get(line.precision, ("-", MARKERS[-1]))
+def _plot(
+    axes: Any, line: StudyLine, lines: Sequence[StudyLine], x: np.ndarray, error: np.ndarray, **more: Any
+) -> None:
+    pair_ids = _names(lines).index((line.law, line.integrator))
+    style, marker = LINE_STYLES.get(line.precision, ("-", MARKERS[-1]))
     axes.plot(
-        x, error, linestyle=style, marker=marker, color=COLORS[place % len(COLORS)], linewidth=0.9,
+        x, error, linestyle=style, marker=marker, color=COLORS[pair_ids % len(COLORS)], linewidth=0.9,
         markersize=3.0, markerfacecolor="white", markeredgewidth=0.8, **more,
     )  # fmt: skip
 
 
-def draw_work(lines: Sequence[Line], target: float) -> Callable[[Any], None]:
+def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
     """Error of the restitution against wall time, and against the time step with fitted slopes."""
 
     def draw(figure: Any) -> None:
@@ -64,7 +66,7 @@ def draw_work(lines: Sequence[Line], target: float) -> Callable[[Any], None]:
     return draw
 
 
-def draw_quantities(lines: Sequence[Line]) -> Callable[[Any], None]:
+def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
     """Every error against the time step, in double precision, with its fitted order."""
     exact = [line for line in lines if line.precision == "f64"] or list(lines)
 

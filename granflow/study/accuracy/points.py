@@ -12,21 +12,22 @@ import numpy as np
 
 from granflow.device.backend import Backend, Precision, start
 from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import meetings_of
+from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import shortest_phase
-from granflow.study.accuracy.axes import STEPS, Contender, Integrator, Kind
-from granflow.study.accuracy.collisions import REPEATS, Bench, Reached
+from granflow.study.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
+from granflow.study.accuracy.collisions import REPEATS, CollisionBench, Reached
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
 WORDS = {"restitution": "restitution", "duration": "duration", "overlap_max": "largest overlap", "energy": "energy"}
 
 
 @dataclass(frozen=True)
-class Point:
+class StudyPoint:
     """One row of the CSV, in SI.
 
     `steps`: duration of the collision over the time step; `share`: time step over the shorter of loading and unloading,
-    which is what `numerics.time_step_safety` of a scene is. Errors are relative to the exact value, that of the energy
+    which is what `numerics.time_step_fraction` of a scene is. Errors are relative to the exact value, that of the
+    energy
     kept to the energy brought; root mean square and worst over the phases of first touch. `seconds`: of one collision.
     """
 
@@ -53,13 +54,13 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Line:
+class StudyLine:
     """All points of one law, integrator and precision."""
 
     law: str
     integrator: str
     precision: str
-    points: tuple[Point, ...]
+    points: tuple[StudyPoint, ...]
 
     @cached_property
     def steps(self) -> np.ndarray:
@@ -74,11 +75,11 @@ class Line:
         """Wall time of a collision [s] (n,)."""
         return self._over_kinds(f"seconds_{which}")
 
-    def kinds(self) -> list[list[Point]]:
+    def kinds(self) -> list[list[StudyPoint]]:
         """Points of each kind of collision by rising steps."""
         names = dict.fromkeys((point.restitution, point.velocity) for point in self.points)
-        alike = [[p for p in self.points if (p.restitution, p.velocity) == name] for name in names]
-        return [sorted(points, key=lambda point: point.steps) for points in alike]
+        matching = [[p for p in self.points if (p.restitution, p.velocity) == name] for name in names]
+        return [sorted(points, key=lambda point: point.steps) for points in matching]
 
     def _over_kinds(self, name: str) -> np.ndarray:
         return np.array([max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps])
@@ -89,14 +90,14 @@ def max_or_nan(values: Iterable[float]) -> float:
     return float(np.max(np.array(list(values))))
 
 
-def columns(points: Sequence[Point]) -> dict[str, np.ndarray]:
+def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
     """Columns of the CSV."""
-    names = [each.name for each in fields(Point)]
+    names = [each.name for each in fields(StudyPoint)]
     return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
 
 
 @contextmanager
-def worker() -> Iterator[ProcessPoolExecutor]:
+def spare_process() -> Iterator[ProcessPoolExecutor]:
     """One process beside this one: Taichi can be started with one precision a process.
 
     It ends with what stands inside, also where that is interrupted. Raises GranflowError where it dies.
@@ -114,23 +115,23 @@ def worker() -> Iterator[ProcessPoolExecutor]:
         process.shutdown(cancel_futures=True)
 
 
-def line_of(
-    contender: Contender, integrator: Integrator, precision: Precision, steps: Sequence[float], repeats: int
-) -> tuple[Line, list[str]]:
+def line_in_process(
+    studied_law: StudiedLaw, integrator: Integrator, precision: Precision, steps: Sequence[float], repeats: int
+) -> tuple[StudyLine, list[str]]:
     """`measured_line` on one CPU thread, in a process that has not started Taichi otherwise."""
-    return measured_line(contender, integrator, start("cpu", precision, 1), steps, repeats)
+    return measured_line(studied_law, integrator, start("cpu", precision, 1), steps, repeats)
 
 
 def measured_line(
-    contender: Contender,
+    studied_law: StudiedLaw,
     integrator: Integrator,
     backend: Backend,
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
-) -> tuple[Line, list[str]]:
+) -> tuple[StudyLine, list[str]]:
     """Measure all points of one line; also words for the steps that were refused as not stable."""
-    bench = Bench(contender, integrator, backend)
-    points: list[Point] = []
+    bench = CollisionBench(studied_law, integrator, backend)
+    points: list[StudyPoint] = []
     refused: list[float] = []
     for count in steps:
         try:
@@ -138,28 +139,28 @@ def measured_line(
         except SceneError:
             refused.append(count)
     bench.free()
-    words = [f"{contender.name} with {', '.join(f'{n:g}' for n in refused)} steps a collision"]
-    return Line(contender.name, integrator.name, backend.precision, tuple(points)), words if refused else []
+    words = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps a collision"]
+    return StudyLine(studied_law.name, integrator.name, backend.precision, tuple(points)), words if refused else []
 
 
-def _points(bench: Bench, reached: Reached, precision: str) -> list[Point]:
+def _points(bench: CollisionBench, reached: Reached, precision: str) -> list[StudyPoint]:
     seconds = reached.seconds
-    shared = {"law": bench.contender.name, "integrator": bench.integrator.name, "precision": precision,
+    shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
               "steps": float(reached.steps), "time_step": reached.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip
     found = []
     for index, kind in enumerate(bench.kinds):
         errors = dict(zip(QUANTITIES, _errors(reached, kind, index), strict=True))
-        typical = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
+        rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
-        own = {"restitution": kind.restitution, "velocity": kind.velocity,
+        given = {"restitution": kind.restitution, "velocity": kind.velocity,
                "share": reached.time_step / _phase(bench, kind)}  # fmt: skip
-        found.append(Point(**shared, **own, **typical, **worst))  # type: ignore[arg-type]
+        found.append(StudyPoint(**shared, **given, **rms, **worst))  # type: ignore[arg-type]
     return found
 
 
-def _errors(reached: Reached, kind: Kind, index: int) -> tuple[np.ndarray, ...]:
+def _errors(reached: Reached, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
     """In the order of QUANTITIES, each (phases,)."""
     exact, e = kind.exact, reached.restitution[index]
     return (
@@ -170,8 +171,8 @@ def _errors(reached: Reached, kind: Kind, index: int) -> tuple[np.ndarray, ...]:
     )
 
 
-def _phase(bench: Bench, kind: Kind) -> float:
+def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
     """Shorter of loading and unloading of a kind [s], as a plan reckons it."""
-    alike = [m for m in meetings_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
-    scaled = shortest_phase(alike[0], bench.plan.law, kind.velocity) / (2.0 * alike[0].radius)
+    matching = [m for m in pair_cases_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
+    scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
     return scaled * kind.diameter

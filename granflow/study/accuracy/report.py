@@ -7,7 +7,6 @@ from pathlib import Path
 from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import (
-    CONTENDERS,
     DISTANCE,
     FULL_STEPS,
     INTEGRATORS,
@@ -15,14 +14,15 @@ from granflow.study.accuracy.axes import (
     PRECISIONS,
     RESTITUTIONS,
     STEPS,
+    STUDIED_LAWS,
     VELOCITIES,
     YOUNG_MODULUS,
-    Contender,
+    StudiedLaw,
 )
 from granflow.study.accuracy.collisions import REPEATS
 from granflow.study.accuracy.figures import QUANTITY_HEIGHT, WORK_HEIGHT, draw_quantities, draw_work
 from granflow.study.accuracy.orders import fitted_order
-from granflow.study.accuracy.points import QUANTITIES, WORDS, Line, columns, line_of, worker
+from granflow.study.accuracy.points import QUANTITIES, WORDS, StudyLine, columns, line_in_process, spare_process
 from granflow.study.accuracy.recommend import (
     default_sentence,
     recommendation,
@@ -31,7 +31,7 @@ from granflow.study.accuracy.recommend import (
     velocity_rows,
 )
 from granflow.study.figures import draw_to, require_plotting, write_columns
-from granflow.study.page import Page, Picture, Section, Table, write_page
+from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE = "accuracy.html"
 POINTS = "accuracy.csv"
@@ -44,10 +44,10 @@ LEAD = (
 
 
 @dataclass(frozen=True)
-class Study:
+class TwoBodyStudy:
     """All lines measured, and what was refused."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[StudyLine, ...]
     refused: tuple[str, ...]
     target: float
 
@@ -60,38 +60,38 @@ class Study:
 def measure_two_bodies(
     target: float,
     full: bool = False,
-    say: Callable[[str], None] = lambda words: None,
-    contenders: Sequence[Contender] = CONTENDERS,
+    report: Callable[[str], None] = lambda words: None,
+    studied_laws: Sequence[StudiedLaw] = STUDIED_LAWS,
     precisions: Sequence[Precision] = PRECISIONS,
     steps: Sequence[float] | None = None,
-) -> Study:
+) -> TwoBodyStudy:
     """Measure every combination, each precision in a process of its own; `full` takes more steps and repeats."""
     counts = steps or (FULL_STEPS if full else STEPS)
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
     for precision in precisions:
-        with worker() as process:
-            for contender in contenders:
+        with spare_process() as process:
+            for studied_law in studied_laws:
                 for integrator in INTEGRATORS:
-                    say(f"{contender.name}, {integrator.name}, {precision}")
-                    order = (contender, integrator, precision, counts, repeats)
-                    line, problems = process.submit(line_of, *order).result()
+                    report(f"{studied_law.name}, {integrator.name}, {precision}")
+                    order = (studied_law, integrator, precision, counts, repeats)
+                    line, problems = process.submit(line_in_process, *order).result()
                     lines.append(line)
                     refused += problems
-    return Study(tuple(lines), tuple(dict.fromkeys(refused)), target)
+    return TwoBodyStudy(tuple(lines), tuple(dict.fromkeys(refused)), target)
 
 
-def write_two_bodies(out: Path, study: Study) -> None:
+def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
     """Write CSV and page, with figures where matplotlib is installed; raises GranflowError at the end where not."""
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, columns([point for line in study.lines for point in line.points]))
     missing = _draw(out, study)
-    write_page(_page(out, study, drawn=missing is None), out / PAGE)
+    write_page(_page(out, study, has_figures=missing is None), out / PAGE)
     if missing is not None:
         raise missing
 
 
-def _draw(out: Path, study: Study) -> GranflowError | None:
+def _draw(out: Path, study: TwoBodyStudy) -> GranflowError | None:
     """Both figures; what is missing to draw them."""
     try:
         require_plotting()
@@ -102,15 +102,15 @@ def _draw(out: Path, study: Study) -> GranflowError | None:
     return None
 
 
-def _page(out: Path, study: Study, drawn: bool) -> Page:
+def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
     lines, target = study.lines, study.target
     rows = table_rows(lines, target)
-    needs = Table("What every combination reaches and needs.", table_heads(target), rows)
+    table_of_requirements = PageTable("What every combination reaches and needs.", table_heads(target), rows)
     heads, by_velocity = velocity_rows(lines, target)
-    slow = Table(f"Steps a collision for {100.0 * target:g} % by approach velocity.", heads, by_velocity)
-    work: list[str | Table | Picture] = [study.recommendation, default_sentence(lines, target)]
-    errors: list[str | Table | Picture] = []
-    if drawn:
+    velocity_table = PageTable(f"Steps a collision for {100.0 * target:g} % by approach velocity.", heads, by_velocity)
+    work: list[str | PageTable | Picture] = [study.recommendation, default_sentence(lines, target)]
+    errors: list[str | PageTable | Picture] = []
+    if has_figures:
         caption = (
             "Largest error of the restitution over all collisions of a line, (a) against the wall time of a "
             f"collision on one core, median of {lines[0].points[0].repeats} timings, (b) against the time step, with "
@@ -118,17 +118,28 @@ def _page(out: Path, study: Study, drawn: bool) -> Page:
         )
         work.append(Picture(out / WORK, caption, (WORK, POINTS)))
         errors.append(Picture(out / ERRORS, "All errors in double precision, with fitted orders.", (ERRORS,)))
-    return Page("Error against run time", LEAD, [
-        Section("Work and precision", [*work, needs]),
-        Section("Slow impacts in single precision", [
-            "A slow impact overlaps little, and an overlap is a small difference of large numbers: that, and not the "
-            "time step, bounds single precision; with very short steps, positions no longer change at all.", slow]),
-        Section("Duration, overlap and energy", [*errors, _orders_table(lines)]),
-        Section("How this was computed", [_method(), *_refused(study)]),
-    ])  # fmt: skip
+    return Page(
+        "Error against run time",
+        LEAD,
+        [
+            Section("Work and precision", [*work, table_of_requirements]),
+            Section(
+                "Slow impacts in single precision",
+                [
+                    "A slow impact overlaps little, and an overlap is a small difference of large numbers: that, "
+                    "and not the "
+                    "time step, bounds single precision; with very short steps, "
+                    "positions no longer change at all.",
+                    velocity_table,
+                ],
+            ),
+            Section("Duration, overlap and energy", [*errors, _orders_table(lines)]),
+            Section("How this was computed", [_method(), *_refused(study)]),
+        ],
+    )
 
 
-def _orders_table(lines: Sequence[Line]) -> Table:
+def _orders_table(lines: Sequence[StudyLine]) -> PageTable:
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
@@ -138,7 +149,7 @@ def _orders_table(lines: Sequence[Line]) -> Table:
         "Orders of convergence, in brackets the steps a collision between which they were fitted; a dash where "
         "errors do not fall over enough points."
     )
-    return Table(caption, heads, rows)
+    return PageTable(caption, heads, rows)
 
 
 def _method() -> str:
@@ -156,7 +167,7 @@ def _method() -> str:
     )
 
 
-def _refused(study: Study) -> list[str]:
+def _refused(study: TwoBodyStudy) -> list[str]:
     if not study.refused:
         return []
     return [f"Left out as not stable, by the bound that `granflow check` uses: {'; '.join(study.refused)}."]

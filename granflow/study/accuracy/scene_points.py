@@ -10,12 +10,12 @@ import numpy as np
 from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import PRECISIONS
-from granflow.study.accuracy.points import worker
+from granflow.study.accuracy.points import spare_process
 from granflow.study.accuracy.scene_runs import (
-    FAMILIES,
-    Family,
-    Outcome,
-    Task,
+    STEP_FAMILIES,
+    RunOutcome,
+    SceneTask,
+    StepFamily,
     ordered,
     phase_of,
     restitution_error,
@@ -35,7 +35,7 @@ FINER = 0.5
 """`full` takes a reference this much finer."""
 SIGMAS = 2.0
 """The noise told is this many standard errors."""
-LEDGER = "energy_error"
+ENERGY_ERROR = "energy_error"
 
 
 @dataclass(frozen=True)
@@ -86,17 +86,17 @@ class SceneStudy:
         """Those with an error against the reference."""
         return list(self.noise)
 
-    def meets(self, point: ScenePoint) -> bool:
+    def within_target(self, point: ScenePoint) -> bool:
         """Whether restitution, ledger and every quantity are within the target, or not told from noise."""
         if point.stopped:
             return False
         inside = all(point.errors[name] <= max(self.target, self.noise[name]) for name in self.noise)
-        return inside and max(point.restitution_error, point.errors[LEDGER]) <= self.target
+        return inside and max(point.restitution_error, point.errors[ENERGY_ERROR]) <= self.target
 
     @property
     def best(self) -> ScenePoint | None:
         """The cheapest point that meets the target."""
-        return min(filter(self.meets, self.points), key=lambda point: point.cost[0], default=None)
+        return min(filter(self.within_target, self.points), key=lambda point: point.cost[0], default=None)
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class _Runs:
     share: float
     time_step: float
     restitution_error: float
-    outcomes: list[Outcome]
+    outcomes: list[RunOutcome]
 
     @property
     def stopped(self) -> str:
@@ -121,10 +121,10 @@ class _Runs:
 
 
 def measure_scene(
-    task: Task,
+    task: SceneTask,
     target: float,
     full: bool = False,
-    say: Callable[[str], None] = lambda words: None,
+    report: Callable[[str], None] = lambda words: None,
     shares: Sequence[float] = SHARES,
     precisions: Sequence[Precision] = PRECISIONS,
 ) -> SceneStudy:
@@ -133,7 +133,7 @@ def measure_scene(
     `precisions` begin with f64. Raises SceneError for a scene that cannot be run, GranflowError where its finest step
     does not run to the end.
     """
-    task = task.with_overrides("output.energy=true")
+    task = task.with_overrides("output.energy_budget=true")
     scene = task.scene()
     phase, own_share = phase_of(scene)
     seeds = seeds_of(scene, FULL_SEEDS if full else SEEDS)
@@ -141,12 +141,12 @@ def measure_scene(
     runs: list[_Runs] = []
     for precision in precisions:
         wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
-        plain = [(family, share) for family in FAMILIES for share in wanted]
+        plain = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
-            plain = [(FAMILIES[0], finest), *[(FAMILIES[0], finest / FINER)] * full, *plain]
-        with worker() as process:
+            plain = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *plain]
+        with spare_process() as process:
             for family, share in plain:
-                say(f"{family.name} step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
+                report(f"{family.name} step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
                 runs.append(_run(process, task, family, share, phase, precision, seeds))
                 if runs[0].stopped:
                     raise GranflowError(f"Not even the finest step of this study runs to its end. {runs[0].stopped}")
@@ -156,8 +156,8 @@ def measure_scene(
 
 def _run(
     process: ProcessPoolExecutor,
-    task: Task,
-    family: Family,
+    task: SceneTask,
+    family: StepFamily,
     share: float,
     phase: float,
     precision: str,
@@ -171,16 +171,16 @@ def _run(
 
 
 def _study(
-    runs: Sequence[_Runs], finest: float, title: str, own: tuple[float, float], count: int, seeds: int, target: float
+    runs: Sequence[_Runs], finest: float, title: str, given: tuple[float, float], count: int, seeds: int, target: float
 ) -> SceneStudy:
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
     quantities = [name for name in ordered([o.values for r in runs for o in r.outcomes if not o.stopped])
-                  if name != LEDGER]  # fmt: skip
+                  if name != ENERGY_ERROR]  # fmt: skip
     scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}
     noise = {name: _noise(runs, reference, name) / scales[name] for name in quantities}
     spread = {name: float(reference.value(name).std(ddof=1)) / scales[name] for name in quantities}
     points = tuple(_point(each, reference, scales) for each in runs)
-    return SceneStudy(title, points, noise, spread, *own, count, seeds, target)
+    return SceneStudy(title, points, noise, spread, *given, count, seeds, target)
 
 
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
@@ -196,8 +196,8 @@ def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
 def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoint:
     values, errors = {}, {}
     if not runs.stopped:
-        values = {name: float(runs.value(name).mean()) for name in (LEDGER, *scales)}
-        errors = {LEDGER: float(np.abs(runs.value(LEDGER)).max())}
+        values = {name: float(runs.value(name).mean()) for name in (ENERGY_ERROR, *scales)}
+        errors = {ENERGY_ERROR: float(np.abs(runs.value(ENERGY_ERROR)).max())}
         errors |= {name: abs(values[name] - float(reference.value(name).mean())) / scales[name] for name in scales}
     return ScenePoint(
         runs.family, runs.precision, runs.share, runs.time_step, runs.restitution_error, values, errors,

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.study.accuracy.figures import LOOKS
-from granflow.study.accuracy.scene_points import LEDGER, SIGMAS, ScenePoint, SceneStudy
+from granflow.study.accuracy.figures import LINE_STYLES
+from granflow.study.accuracy.scene_points import ENERGY_ERROR, SIGMAS, ScenePoint, SceneStudy
 from granflow.study.figures import COLORS, draw_to, require_plotting, write_columns
-from granflow.study.page import Page, Picture, Section, Table, write_page
+from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
 HEIGHT = 3.9
@@ -24,29 +24,30 @@ LEAD = (
 
 def scene_recommendation(study: SceneStudy) -> str:
     """The one sentence that the study ends in."""
-    best, asked = study.best, f"{100.0 * study.target:g} % error in restitution"
+    best, requested = study.best, f"{100.0 * study.target:g} % error in restitution"
     if best is None:
-        return f"No time step of this study keeps to {asked} and the rest of the scene within that or its noise."
+        return f"No time step of this study keeps to {requested} and the rest of the scene within that or its noise."
     median, least, most = best.cost
-    step = f"dt = {best.time_step:.3g} s (time_step_safety {best.share:g})"
+    step = f"dt = {best.time_step:.3g} s (time_step_fraction {best.share:g})"
     if best.family != "fixed":
-        step = f"run.time_step {best.family} with time_step_safety {best.share:g}"
+        step = f"run.time_step {best.family} with time_step_fraction {best.share:g}"
     return (
-        f"For {asked} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
+        f"For {requested} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
         f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The scene as it stands takes "
-        f"dt = {study.own_time_step:.3g} s (time_step_safety {study.own_share:.3g})."
+        f"dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g})."
     )
 
 
 def noise_sentence(study: SceneStudy) -> str:
     """How far seeds differ, and how many errors drown in that."""
-    told = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
+    significant = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
             study.quantities]  # fmt: skip
     spreads = ", ".join(f"{_words(name)} {_percent(spread)}" for name, spread in study.spread.items())
     return (
         f"Grains forget where they were: one seed differs from another by {spreads} (standard deviation with the "
         f"finest step, {study.seed_count} seeds). Errors of these quantities above the "
-        f"noise of {SIGMAS:g} standard errors: {sum(told)} of {len(told)}; the others, marked n, are noise."
+        f"noise of {SIGMAS:g} standard errors: {sum(significant)} of {len(significant)}; the others, marked n, "
+        f"are noise."
     )
 
 
@@ -64,7 +65,7 @@ def _percent(value: float) -> str:
 def scene_heads(study: SceneStudy) -> tuple[str, ...]:
     """Heads of `scene_rows`."""
     return (
-        "time step", "precision", "safety", "dt s", "restitution", "ledger",
+        "time step", "precision", "safety", "dt s", "restitution", "energy_budget",
         *(_words(name) for name in study.quantities), "s per simulated s", "meets",
     )  # fmt: skip
 
@@ -84,8 +85,8 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
         errors.append(_percent(point.errors[name]) + (" n" if below else ""))
     median, least, most = point.cost
     return (
-        *first, _percent(point.restitution_error), _percent(point.errors[LEDGER]), *errors,
-        f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.meets(point) else "no",
+        *first, _percent(point.restitution_error), _percent(point.errors[ENERGY_ERROR]), *errors,
+        f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.within_target(point) else "no",
     )  # fmt: skip
 
 
@@ -95,7 +96,7 @@ def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
     for point in study.points:
         row: dict[str, Any] = {name: getattr(point, name) for name in
                                ("family", "precision", "share", "time_step", "restitution_error")}  # fmt: skip
-        row["energy_error"] = point.errors.get(LEDGER, np.nan)
+        row["energy_error"] = point.errors.get(ENERGY_ERROR, np.nan)
         for name in study.quantities:
             row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
             row |= {f"{name}_noise": study.noise[name], f"{name}_spread": study.spread[name]}
@@ -124,8 +125,8 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
 
     def draw(figure: Any) -> None:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-        for name, color in zip(("restitution", LEDGER, *study.quantities), COLORS, strict=False):
-            for precision, (style, marker) in LOOKS.items():
+        for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
+            for precision, (style, marker) in LINE_STYLES.items():
                 _draw_errors(left, right, study, name, precision, color, style, marker)
         for axes, title, x in ((left, "(a) restitution and ledger", "s"), (right, "(b) bed, against its noise", "s")):
             axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
@@ -147,7 +148,7 @@ def _draw_errors(
     errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
     shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
     if shown:
-        label = f"{'energy ledger' if name == LEDGER else _words(name)}, {precision}"
+        label = f"{'energy ledger' if name == ENERGY_ERROR else _words(name)}, {precision}"
         line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
         axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
     if precision == "f64" and name in study.quantities:
@@ -159,7 +160,7 @@ def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
         "Errors relative to the finest step (restitution: to what the pairs are asked; ledger: to the energy that "
         "passed); n: below the noise."
     )
-    parts: list[str | Table | Picture] = [scene_recommendation(study), noise_sentence(study)]
+    parts: list[str | PageTable | Picture] = [scene_recommendation(study), noise_sentence(study)]
     if drawn:
         words = (
             "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy ledger. (b) "
@@ -167,12 +168,12 @@ def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
             f"Dotted: {100.0 * study.target:g} %."
         )
         parts.append(Picture(out / FIGURE, words, (FIGURE, POINTS)))
-    parts.append(Table(caption, scene_heads(study), scene_rows(study)))
+    parts.append(PageTable(caption, scene_heads(study), scene_rows(study)))
     stopped = [f"{p.precision}, safety {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
     method = (
         f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: the largest error of any "
         "pair of materials, over phases of first touch, from a tenth of the largest velocity on, as `granflow "
-        "restitution` measures it. Centre height: of the mass, above the bottom of the domain, and coordination "
+        "restitution` measures it. Center height: of the mass, above the bottom of the domain, and coordination "
         "number: averaged over the run. Mass flow: while the middle half of the mass passes. Wall time: search, "
         "forces and motion, after compiling; median, least and most of the seeds."
     )

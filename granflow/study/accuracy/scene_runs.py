@@ -11,7 +11,7 @@ from granflow.errors import RunError, SceneError
 from granflow.observe import every
 from granflow.observe.build import stage_durations
 from granflow.plan import plan_for
-from granflow.plan.plan import meetings_of
+from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import shortest_phase
 from granflow.scene import Scene
 from granflow.scene import load as load_scene
@@ -20,14 +20,14 @@ from granflow.snapshot import Snapshot
 from granflow.study.restitution import QUICK_VELOCITIES
 from granflow.study.restitution import measure as measure_restitution
 
-FEW = 250
+MAX_PARTICLES = 250
 """Particles that a scene is cut down to, unless the whole is asked for."""
-LOOKS = 200
-"""Moments over which centre of mass and coordination number are averaged."""
+SAMPLES = 200
+"""Moments over which center of mass and coordination number are averaged."""
 
 
 @dataclass(frozen=True)
-class Family:
+class StepFamily:
     """A way to choose the step: its name, and the overrides that make it this share of the shortest phase [s]."""
 
     name: str
@@ -39,24 +39,24 @@ def _fixed(share: float, phase: float) -> list[str]:
 
 
 def _adaptive(share: float, _phase: float) -> list[str]:
-    return ["run.time_step=adaptive", f"numerics.time_step_safety={share!r}"]
+    return ["run.time_step=adaptive", f"numerics.time_step_fraction={share!r}"]
 
 
-FAMILIES = (Family("fixed", _fixed), Family("adaptive", _adaptive))
+STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
 """One step throughout; and one that follows the scene."""
 
 
 @dataclass(frozen=True)
-class Task:
+class SceneTask:
     """A scene file with overrides, and the simulated time to stop at [s]."""
 
     path: Path
     overrides: tuple[str, ...]
     until: float | None
 
-    def with_overrides(self, *more: str) -> "Task":
+    def with_overrides(self, *more: str) -> "SceneTask":
         """The same with more overrides."""
-        return Task(self.path, (*self.overrides, *more), self.until)
+        return SceneTask(self.path, (*self.overrides, *more), self.until)
 
     def scene(self) -> Scene:
         """Read it."""
@@ -64,7 +64,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """Values by quantity, wall seconds of search, forces and motion, and steps; or why there are none."""
 
     values: dict[str, float] = field(default_factory=dict)
@@ -74,9 +74,11 @@ class Outcome:
     stopped: str = ""
 
 
-def cut_down(scene: Scene, most: int = FEW) -> list[str]:
+def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
     """Overrides that leave no more than `most` particles in the groups whose count the scene states."""
-    counted = {name: group.count for name, group in scene.particles.items() if scene.gives("particles", name, "count")}
+    counted = {
+        name: group.count for name, group in scene.particles.items() if scene.is_given("particles", name, "count")
+    }
     total = sum(counted.values())
     if total <= most:
         return []
@@ -86,11 +88,11 @@ def cut_down(scene: Scene, most: int = FEW) -> list[str]:
 def phase_of(scene: Scene) -> tuple[float, float]:
     """Shortest phase of any contact [s], and the time step over it that the scene's own plan takes."""
     plan = plan_for(scene)
-    phase = min(shortest_phase(meeting, plan.law, plan.velocity_max) for meeting in meetings_of(scene))
+    phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in pair_cases_of(scene))
     return phase, plan.time_step / phase
 
 
-class _Means:
+class _RunMeans:
     """Averages over the run of what a moment shows."""
 
     def __init__(self, scene: Scene) -> None:
@@ -99,44 +101,44 @@ class _Means:
         self._up = -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
         corners = np.array([scene.domain.min, scene.domain.max]) * self._up
         self._ground = float(corners.min(axis=0).sum())
-        self._seen: dict[str, list[float]] = {"centre_height": [], "coordination_number": []}
+        self._samples: dict[str, list[float]] = {"center_height": [], "coordination_number": []}
 
-    def look(self, snapshot: Snapshot) -> None:
+    def update(self, snapshot: Snapshot) -> None:
         """Take in one moment; one without particles says nothing."""
         mass = snapshot.particles["mass"] if snapshot.particles else np.zeros(0)
         if not len(mass):
             return
         heights = snapshot.particles["position"] @ self._up
-        self._seen["centre_height"].append(float(mass @ heights / mass.sum()) - self._ground)
-        self._seen["coordination_number"].append(snapshot.totals["coordination_number"])
+        self._samples["center_height"].append(float(mass @ heights / mass.sum()) - self._ground)
+        self._samples["coordination_number"].append(snapshot.totals["coordination_number"])
 
     def values(self) -> dict[str, float]:
         """By quantity."""
-        return {name: float(np.mean(seen)) for name, seen in self._seen.items() if seen}
+        return {name: float(np.mean(seen)) for name, seen in self._samples.items() if seen}
 
 
-def run_task(task: Task) -> Outcome:
+def run_task(task: SceneTask) -> RunOutcome:
     """One run. A step that is not stable and a guard that trips are told in the outcome."""
     scene = task.scene()
-    means = _Means(scene)
-    whole = sum(duration for _, duration in stage_durations(scene))
-    interval = min(whole, task.until or whole) / LOOKS
+    means = _RunMeans(scene)
+    total_duration = sum(duration for _, duration in stage_durations(scene))
+    interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
-        simulation = Simulation(scene, observers=[every(interval, means.look, ("particles", "totals"))])
+        simulation = Simulation(scene, observers=[every(interval, means.update, ("particles", "totals"))])
         result = simulation.run(until=task.until)
     except SceneError as error:
-        return Outcome(stopped=str(error).partition(": ")[2])  # the place is this study's own override
+        return RunOutcome(stopped=str(error).partition(": ")[2])  # the place is this study's own override
     except RunError as error:
-        return Outcome(stopped=str(error))
+        return RunOutcome(stopped=str(error))
     simulation.free()
     numbers = result.numbers
-    flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.meters.items()}
+    flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.flow_meters.items()}
     values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
     seconds = numbers["step_count"] / numbers["steps_per_second"]
-    return Outcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
+    return RunOutcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
 
 
-def restitution_error(task: Task) -> float:
+def restitution_error(task: SceneTask) -> float:
     """Largest relative error of the restitution of any pair of materials, from a tenth of the largest velocity on."""
     rows, _ = measure_restitution(task.scene())
     fastest = max(row.velocity for row in rows)

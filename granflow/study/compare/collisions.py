@@ -9,12 +9,12 @@ from granflow.device.backend import Backend
 from granflow.errors import GranflowError, SceneError
 from granflow.laws import theory
 from granflow.laws.material import PairMaterial
-from granflow.laws.spring import SLOWEST_SHARE
+from granflow.laws.spring import MIN_VELOCITY_SHARE
 from granflow.plan.plan import pair_material
-from granflow.plan.sizes import diameter_range
+from granflow.plan.size_classes import diameter_range
 from granflow.scene import Scene
-from granflow.study.compare.variants import Variant, restitution_for
-from granflow.study.paper.encounters import Encounter, Outcomes, collide_all
+from granflow.study.compare.variants import LawVariant, restitution_for
+from granflow.study.paper.head_on_collisions import HeadOnCollision, Outcomes, collide_all
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
 FINE_STEPS = 100
@@ -25,7 +25,7 @@ STEPS = {"fine": FINE_STEPS, "coarse": COARSE_STEPS}
 
 
 @dataclass(frozen=True)
-class Subject:
+class CollisionSubject:
     """The collision that stands for the scene: two spheres of its first group."""
 
     material: str
@@ -62,15 +62,15 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class LawSweep:
     """What collisions under one law reached, by the names of STEPS; a law or step that is refused, with the reason."""
 
-    variant: Variant
+    variant: LawVariant
     outcomes: dict[str, Outcomes]
     refused: dict[str, str]
 
 
-def subject_of(scene: Scene, reference_velocity: float) -> Subject | None:
+def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | None:
     """Two equal spheres of the scene's first group, of its middle size; None where its pair gives no restitution."""
     group = next(iter(scene.particles.values()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
@@ -80,12 +80,16 @@ def subject_of(scene: Scene, reference_velocity: float) -> Subject | None:
         return None
     diameter = float(np.mean(diameter_range(group)))
     mass = np.pi / 6.0 * diameter**3 * scene.materials[group.material].density
-    return Subject(group.material, key, pair, diameter, 0.5 * mass, reference_velocity)
+    return CollisionSubject(group.material, key, pair, diameter, 0.5 * mass, reference_velocity)
 
 
 def sweeps_of(
-    scene: Scene, subject: Subject, variants: Sequence[Variant], backend: Backend, steps: Sequence[str] = tuple(STEPS)
-) -> list[Sweep]:
+    scene: Scene,
+    subject: CollisionSubject,
+    variants: Sequence[LawVariant],
+    backend: Backend,
+    steps: Sequence[str] = tuple(STEPS),
+) -> list[LawSweep]:
     """Collide the subject under every law, with a fine step and with one chosen at the reference velocity."""
     shortest = min(subject.duration(velocity) for velocity in subject.velocities)
     elastic = float(theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity))
@@ -96,21 +100,21 @@ def sweeps_of(
         for name in steps:
             try:
                 outcomes[name] = collide_all(
-                    variant.normal, _encounters(scene, subject, variant), time_steps[name], backend
+                    variant.normal, _collisions(scene, subject, variant), time_steps[name], backend
                 )
             except (GranflowError, SceneError, ValueError) as error:
                 refused[name] = str(error)
-        found.append(Sweep(variant, outcomes, refused))
+        found.append(LawSweep(variant, outcomes, refused))
     return found
 
 
-def _encounters(scene: Scene, subject: Subject, variant: Variant) -> list[Encounter]:
+def _collisions(scene: Scene, subject: CollisionSubject, variant: LawVariant) -> list[HeadOnCollision]:
     material = scene.materials[subject.material].model_dump(by_alias=True, exclude_none=True)
     e = restitution_for(scene, subject.pair_key, str(variant.normal["law"]), subject.reference_velocity)
-    return [Encounter(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]
+    return [HeadOnCollision(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]
 
 
-def sweep_columns(subject: Subject, sweeps: Sequence[Sweep]) -> dict[str, np.ndarray]:
+def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict[str, np.ndarray]:
     """Columns of collisions.csv: a row for each law, step and velocity."""
     velocity = subject.velocities
     exact = {
@@ -121,9 +125,9 @@ def sweep_columns(subject: Subject, sweeps: Sequence[Sweep]) -> dict[str, np.nda
     rows: list[dict[str, np.ndarray]] = []
     for sweep in sweeps:
         for name, reached in sweep.outcomes.items():
-            words = {"law": sweep.variant.key, "step": name}
+            labels = {"law": sweep.variant.key, "step": name}
             rows.append(
-                {key: np.repeat(word, len(velocity)) for key, word in words.items()}
+                {key: np.repeat(word, len(velocity)) for key, word in labels.items()}
                 | {"time_step": np.repeat(reached.time_step, len(velocity)), "velocity": velocity}
                 | {"velocity_over_reference": velocity / subject.reference_velocity}
                 | {"duration": reached.duration, "overlap_max": reached.overlap_max}
@@ -134,7 +138,7 @@ def sweep_columns(subject: Subject, sweeps: Sequence[Sweep]) -> dict[str, np.nda
 
 
 @dataclass(frozen=True)
-class Deviation:
+class CollisionDeviation:
     """Reached over exact less 1, for one law at one velocity."""
 
     duration: float
@@ -142,18 +146,18 @@ class Deviation:
     restitution: float
 
 
-def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> Deviation | None:
+def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> CollisionDeviation | None:
     """How far collisions of a law are off at a multiple of the reference velocity; None where there are none."""
     if not columns:
         return None
-    mine = (columns["law"] == law) & (columns["step"] == step)
-    mine &= np.isclose(columns["velocity_over_reference"], over_reference)
-    if not mine.any():
+    is_row = (columns["law"] == law) & (columns["step"] == step)
+    is_row &= np.isclose(columns["velocity_over_reference"], over_reference)
+    if not is_row.any():
         return None
     names = ("duration", "overlap_max", "restitution")
-    return Deviation(*(float(columns[n][mine][0] / columns[f"{n}_exact"][mine][0] - 1.0) for n in names))
+    return CollisionDeviation(*(float(columns[n][is_row][0] / columns[f"{n}_exact"][is_row][0] - 1.0) for n in names))
 
 
-def floor_velocity(subject: Subject) -> float:
+def floor_velocity(subject: CollisionSubject) -> float:
     """Velocity [m/s] below which Eq. 19 per contact takes the spring of this velocity, as the law does in the scene."""
-    return SLOWEST_SHARE * float(subject.velocities.max())
+    return MIN_VELOCITY_SHARE * float(subject.velocities.max())

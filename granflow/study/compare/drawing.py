@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from granflow.study.compare.collisions import Subject, floor_velocity
-from granflow.study.compare.runs import Run
+from granflow.study.compare.bed_statistics import FORCE_EDGES
+from granflow.study.compare.collisions import CollisionSubject, floor_velocity
+from granflow.study.compare.runs import VariantRun
 from granflow.study.compare.summary import densest_stage
-from granflow.study.compare.watch import FORCE_EDGES
 from granflow.study.figures import COLORS, MARKERS, draw_to
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
@@ -23,7 +23,7 @@ ENERGIES = {
 
 
 def draw_all(
-    out: Path, runs: Sequence[Run], subject: Subject | None, collisions: Mapping[str, np.ndarray]
+    out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
 ) -> list[str]:
     """Write every PNG; returns their names. Raises GranflowError where matplotlib is not installed."""
     figures: dict[str, tuple[Callable[[Any], None], float]] = {
@@ -38,7 +38,7 @@ def draw_all(
     return list(figures)
 
 
-def _look(number: int) -> dict[str, Any]:
+def _style(number: int) -> dict[str, Any]:
     return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
 
 
@@ -47,34 +47,34 @@ def _legend(figure: Any, axes: Any) -> None:
     figure.legend(handles, names, loc="outside upper center", ncols=5)
 
 
-def draw_course(figure: Any, runs: Sequence[Run]) -> None:
+def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
     """What flows, how high the bed stands, contacts and overlaps against time."""
     panels = figure.subplots(2, 2, sharex=True).ravel()
     meters = runs[0].meters
     for number, run in enumerate(runs):
-        look, columns = _look(number), run.columns
+        style, columns = _style(number), run.columns
         first = columns[f"flow_mass.{meters[0]}"] if meters else 1e3 * columns["kinetic_energy"]
-        panels[0].plot(columns["time"], first, label=run.variant.title, **look)
-        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **look)
-        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 2], **look, alpha=0.6, linewidth=0.8)
-        panels[2].plot(columns["time"], columns["coordination_number"], **look)
-        panels[3].plot(columns["time"], 100.0 * columns["overlap_mean"], **look)
+        panels[0].plot(columns["time"], first, label=run.variant.title, **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 2], **style, alpha=0.6, linewidth=0.8)
+        panels[2].plot(columns["time"], columns["coordination_number"], **style)
+        panels[3].plot(columns["time"], 100.0 * columns["overlap_mean"], **style)
         if run.stopped:
-            panels[0].plot(columns["time"][-1], first[-1], marker="x", color=look["color"])
+            panels[0].plot(columns["time"][-1], first[-1], marker="x", color=style["color"])
     panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
-    panels[1].set_ylabel("height (mm): centre, surface")
+    panels[1].set_ylabel("height (mm): center, surface")
     panels[2].set(ylabel="coordination number", xlabel="time (s)")
     panels[3].set(ylabel="mean overlap over radius (%)", xlabel="time (s)")
     _legend(figure, panels[0])
 
 
-def draw_energies(figure: Any, runs: Sequence[Run]) -> None:
+def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
     """What holds energy and where it was lost, a panel for each law."""
     panels = figure.subplots((len(runs) + 1) // 2, 2, sharex=True, sharey=True, squeeze=False)
     for number, (axes, run) in enumerate(zip(panels.ravel(), runs, strict=False)):
         for kind, (label, names) in enumerate(ENERGIES.items()):
             total = sum(run.columns[name] for name in names)
-            axes.plot(run.columns["time"], 1e3 * total, label=label, **_look(kind))
+            axes.plot(run.columns["time"], 1e3 * total, label=label, **_style(kind))
         axes.set_title(f"({'abcdefghij'[number]}) {run.variant.title}")
     for axes in panels.ravel()[len(runs) :]:
         axes.axis("off")
@@ -85,33 +85,35 @@ def draw_energies(figure: Any, runs: Sequence[Run]) -> None:
     _legend(figure, panels[0, 0])
 
 
-def draw_contacts(figure: Any, runs: Sequence[Run]) -> None:
+def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
     """Distribution of normal forces, and share of contacts that last longer."""
     left, right = figure.subplots(1, 2)
     stage = densest_stage(runs)
     middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
     for number, run in enumerate(runs):
-        look = _look(number)
+        style = _style(number)
         density = run.forces.density(stage)
-        left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **look)
+        left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **style)
         times, share = run.lasting
-        right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **look)
+        right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **style)
     left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
     right.set(xlabel="time in contact (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
     _legend(figure, left)
 
 
-def draw_collisions(figure: Any, subject: Subject, columns: Mapping[str, np.ndarray], runs: Sequence[Run]) -> None:
+def draw_collisions(
+    figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
+) -> None:
     """Duration and largest overlap over exact, restitution with a fine step and with the reference step."""
     panels = figure.subplots(2, 2, sharex=True).ravel()
     shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
     titles = {run.variant.key: run.variant.title for run in runs}
     for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
-        look = _look(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
+        style = _style(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
         for axes, (name, step) in zip(panels, shown, strict=True):
-            mine = (columns["law"] == law) & (columns["step"] == step)
-            ratio = columns[name][mine] / columns[f"{name}_exact"][mine]
-            axes.plot(columns["velocity"][mine], ratio, label=titles.get(law, law), **look)
+            is_row = (columns["law"] == law) & (columns["step"] == step)
+            ratio = columns[name][is_row] / columns[f"{name}_exact"][is_row]
+            axes.plot(columns["velocity"][is_row], ratio, label=titles.get(law, law), **style)
     for letter, axes in zip("abcd", panels, strict=True):
         axes.axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
         axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.scene import Scene
-from granflow.study.compare.runs import Run
+from granflow.study.compare.runs import VariantRun
 
 SCRIPT = "side_by_side.py"
 GAP = 0.25
@@ -84,24 +84,34 @@ if picture:
 '''
 
 
-def write_script(out: Path, scene: Scene, runs: Sequence[Run], speed: float) -> Path:
-    """Write the script; colours reach up to `speed` [m/s]."""
+def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> Path:
+    """Write the script; colors reach up to `speed` [m/s]."""
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     up = -np.array(scene.gravity, dtype=float)
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2
-    across = 0 if vertical != 0 else 1
-    toward = 3 - vertical - across
-    shift, axis, look = np.zeros(3), np.zeros(3), np.zeros(3)
-    shift[across] = (1.0 + GAP) * (high - low)[across]
+    horizontal = 0 if vertical != 0 else 1
+    depth = 3 - vertical - horizontal
+    shift, axis, view_axis = np.zeros(3), np.zeros(3), np.zeros(3)
+    shift[horizontal] = (1.0 + GAP) * (high - low)[horizontal]
     axis[vertical] = 1.0 if up[vertical] >= 0.0 else -1.0
-    look[toward] = -1.0 if (across, vertical, toward) == (0, 2, 1) else 1.0
+    view_axis[depth] = -1.0 if (horizontal, vertical, depth) == (0, 2, 1) else 1.0
     top = 0.5 * (low + high)
     top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
     path = out / SCRIPT
     names = {run.variant.key: run.variant.title + (" (stopped)" if run.stopped else "") for run in runs}
-    path.write_text(_TEXT.format(
-        title=scene.title.replace('"', "'"), names=", ".join(names.values()), script=SCRIPT, here=str(out.resolve()),
-        shift=shift.tolist(), names_by_key=names, speed=speed, top=top.tolist(),
-        toward=look.tolist(), up=axis.tolist(),
-    ), encoding="utf-8")  # fmt: skip
+    path.write_text(
+        _TEXT.format(
+            title=scene.title.replace('"', "'"),
+            names=", ".join(names.values()),
+            script=SCRIPT,
+            at_reference=str(out.resolve()),
+            shift=shift.tolist(),
+            names_by_key=names,
+            speed=speed,
+            top=top.tolist(),
+            depth=view_axis.tolist(),
+            up=axis.tolist(),
+        ),
+        encoding="utf-8",
+    )
     return path

@@ -11,12 +11,12 @@ from granflow.device.backend import start
 from granflow.errors import GranflowError
 from granflow.observe.report import readable
 from granflow.scene import Scene
-from granflow.study.compare.claim import Judgement, judge
+from granflow.study.compare.bed_statistics import FORCE_EDGES, TOPS
 from granflow.study.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
-    Subject,
-    Sweep,
+    CollisionSubject,
+    LawSweep,
     floor_velocity,
     subject_of,
     sweep_columns,
@@ -24,12 +24,12 @@ from granflow.study.compare.collisions import (
 )
 from granflow.study.compare.drawing import draw_all
 from granflow.study.compare.paraview import SCRIPT, write_script
-from granflow.study.compare.runs import BURSTS, LOOKS, LOOKS_PER_CONTACT, Run, hertz_duration, run_all
-from granflow.study.compare.summary import Row, as_text, densest_stage, heads, summary, summary_columns
-from granflow.study.compare.variants import reference_velocity_of, shrunk_counts, variants_of
-from granflow.study.compare.watch import FORCE_EDGES, TOPS
+from granflow.study.compare.runs import BURSTS, SAMPLES, SAMPLES_PER_CONTACT, VariantRun, hertz_duration, run_all
+from granflow.study.compare.spring_assessment import Assessment, assess
+from granflow.study.compare.summary import SummaryRow, as_text, densest_stage, heads, summary, summary_columns
+from granflow.study.compare.variants import reduced_counts, reference_velocity_of, variants_of
 from granflow.study.figures import write_columns
-from granflow.study.page import Page, Picture, Section, Table, write_page
+from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000
@@ -37,26 +37,26 @@ MOST_PARTICLES = 4000
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SceneComparison:
     """All that was found, and what was asked."""
 
     scene: Scene
     reference_velocity: float
-    shrunk: dict[str, int]
+    reduced: dict[str, int]
     until: float | None
-    runs: list[Run]
+    runs: list[VariantRun]
     refused: dict[str, str]
-    subject: Subject | None
-    sweeps: list[Sweep]
+    subject: CollisionSubject | None
+    sweeps: list[LawSweep]
     collisions: dict[str, np.ndarray]
 
     @property
-    def judgements(self) -> list[Judgement]:
+    def assessments(self) -> list[Assessment]:
         """What the numbers say of the claim about springs."""
-        return judge(self.collisions, self.runs)
+        return assess(self.collisions, self.runs)
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[SummaryRow]:
         """The table."""
         return summary(self.runs)
 
@@ -68,54 +68,55 @@ def compare(
     arch: str = "cpu",
     reference_velocity: float | None = None,
     until: float | None = None,
-    whole: bool = False,
-    say: Callable[[str], None] = lambda words: None,
-) -> Comparison:
+    all_particles: bool = False,
+    report: Callable[[str], None] = lambda text: None,
+) -> SceneComparison:
     """Run the scene under each law and write tables, figures, PVDs and the page into `out`.
 
     `reference_velocity` [m/s] is that of the one linear spring, by default a tenth of the fastest approach. `until`
-    [s] ends each run early; unless `whole`, scenes of more than MOST_PARTICLES are made smaller. `say` hears what is
+    [s] ends each run early; unless `all_particles`, scenes of more than MOST_PARTICLES are made smaller. `report`
+    hears what is
     being done. Raises GranflowError where no law can run the scene.
     """
     velocity = reference_velocity or reference_velocity_of(scene)
-    most = None if whole else MOST_PARTICLES
+    most = None if all_particles else MOST_PARTICLES
     variants = variants_of(scene, laws, velocity, most)
     out.mkdir(parents=True, exist_ok=True)
-    runs, refused = run_all(variants, [out / each.key for each in variants], arch, velocity, until, say)
+    runs, refused = run_all(variants, [out / each.key for each in variants], arch, velocity, until, report)
     subject = subject_of(scene, velocity)
-    sweeps: list[Sweep] = []
+    sweeps: list[LawSweep] = []
     if subject is not None:
-        say("collisions over three decades of velocity")
+        report("collisions over three decades of velocity")
         backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
         sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], backend)
     columns = sweep_columns(subject, sweeps) if subject is not None else {}
-    found = Comparison(
-        scene, velocity, shrunk_counts(scene, most), until, runs, refused, subject, sweeps, columns
+    found = SceneComparison(
+        scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns
     )  # fmt: skip
-    write_all(found, out, say)
+    write_all(found, out, report)
     return found
 
 
-def write_all(found: Comparison, out: Path, say: Callable[[str], None] = lambda words: None) -> None:
+def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] = lambda text: None) -> None:
     """Every file but those of the runs themselves; the page has no figures where matplotlib is not installed."""
     _write_tables(found, out)
-    write_script(out, found.scene, found.runs, max(run.fast for run in found.runs) or 1.0)
+    write_script(out, found.scene, found.runs, max(run.typical_speed for run in found.runs) or 1.0)
     try:
         drawn = draw_all(out, found.runs, found.subject, found.collisions)
         missing = ""
     except GranflowError as error:
         drawn, missing = [], str(error)
-        say(f"no figures: {missing}")
+        report(f"no figures: {missing}")
     write_page(_page(found, out, drawn, missing), out / PAGE)
 
 
-def _write_tables(found: Comparison, out: Path) -> None:
+def _write_tables(found: SceneComparison, out: Path) -> None:
     runs = found.runs
     write_columns(out / "compare.csv", summary_columns(runs, found.rows))
     write_columns(out / "heights.csv", {
         "law": np.concatenate([np.repeat(run.variant.key, len(run.heights)) for run in runs]),
         **{name: np.concatenate([run.heights[:, column] for run in runs])
-           for column, name in enumerate(("time", "height_of_centre", "height_of_surface"))},
+           for column, name in enumerate(("time", "height_of_center", "height_of_surface"))},
     })  # fmt: skip
     write_columns(out / "forces.csv", _force_columns(runs))
     lasting = [run.lasting for run in runs]
@@ -128,20 +129,20 @@ def _write_tables(found: Comparison, out: Path) -> None:
         write_columns(out / "collisions.csv", found.collisions)
 
 
-def _force_columns(runs: Sequence[Run]) -> dict[str, np.ndarray]:
+def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
     parts: list[tuple[np.ndarray, ...]] = []
     low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
     for run in runs:
         for stage in run.forces.counts:
             density, count = run.forces.density(stage), run.forces.counts[stage][:-1]
-            words = (np.repeat(run.variant.key, len(low)), np.repeat(stage, len(low)))
-            parts.append((*words, low, high, density, count))
+            text = (np.repeat(run.variant.key, len(low)), np.repeat(stage, len(low)))
+            parts.append((*text, low, high, density, count))
     names = ("law", "stage", "force_over_mean_from", "force_over_mean_to", "density", "contact_count")
     empty = tuple(np.empty(0) for _ in names)
     return {name: np.concatenate([part[n] for part in parts or [empty]]) for n, name in enumerate(names)}
 
 
-def _page(found: Comparison, out: Path, drawn: Sequence[str], missing: str) -> Page:
+def _page(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Page:
     names = [run.variant.title for run in found.runs]
     lead = (
         f"The scene {found.scene.path.name or found.scene.title} with the same seed and start under "
@@ -150,7 +151,7 @@ def _page(found: Comparison, out: Path, drawn: Sequence[str], missing: str) -> P
     )
     sections = [
         _result_section(found), _course_section(found, out, drawn, missing), _contact_section(found, out, drawn),
-        _claim_section(found, out, drawn), _paraview_section(found), _method_section(found),
+        _spring_section(found, out, drawn), _paraview_section(found), _method_section(found),
     ]  # fmt: skip
     return Page(f"{found.scene.title}: laws side by side", lead, sections)
 
@@ -159,48 +160,48 @@ def _picture(out: Path, name: str, drawn: Sequence[str], caption: str, beside: t
     return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in drawn else []
 
 
-def size_words(found: Comparison) -> str:
+def size_note(found: SceneComparison) -> str:
     """What was run of the scene, in a sentence."""
-    words = "The scene was run whole."
-    if found.shrunk:
+    text = "The scene was run whole."
+    if found.reduced:
         counts = ", ".join(
-            f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.shrunk.items()
+            f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.reduced.items()
         )
-        words = f"To keep this short, not the whole scene was run but {counts}; --full runs all."
-    return words + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
+        text = f"To keep this short, not the whole scene was run but {counts}; --full runs all."
+    return text + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
 
 
-def star_words(found: Comparison) -> str:
+def stage_note(found: SceneComparison) -> str:
     """Which stage the starred rows are from."""
     return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces over all of it."
 
 
-def ends_words(found: Comparison) -> list[str]:
+def stop_notes(found: SceneComparison) -> list[str]:
     """Runs that a guard stopped, and laws that could not serve the scene."""
-    words = [
+    text = [
         f"{run.variant.title} was stopped at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
         for run in found.runs
         if run.stopped
     ]
-    return words + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
+    return text + [f"{title} cannot run this scene: {why}" for title, why in found.refused.items()]
 
 
-def _result_section(found: Comparison) -> Section:
+def _result_section(found: SceneComparison) -> Section:
     first = found.runs[0].variant.title
     caption = (
-        f"Ratios are against {first}. {star_words(found)} Heights of the centre of mass and of the surface ({TOPS:g} % "
+        f"Ratios are against {first}. {stage_note(found)} Heights of the center of mass and of the surface ({TOPS:g} % "
         "of all tops lie below it) are against gravity, from the origin. <f> is the mean normal force of a frame."
     )
     return Section("Side by side", [
-        size_words(found), *ends_words(found), Table(caption, heads(found.runs), as_text(found.rows)),
+        size_note(found), *stop_notes(found), PageTable(caption, heads(found.runs), as_text(found.rows)),
         "Numbers: compare.csv; each run has a directory of its own with timeseries.csv, result.json, run.log, the "
         "scene as it was run, and its PVDs.",
     ])  # fmt: skip
 
 
-def _course_section(found: Comparison, out: Path, drawn: Sequence[str], missing: str) -> Section:
+def _course_section(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Section:
     course = (
-        "Course of the runs: flow (kinetic energy where there is no meter), height of the centre of mass and of the "
+        "Course of the runs: flow (kinetic energy where there is no meter), height of the center of mass and of the "
         f"surface ({TOPS:g} % of all tops lie below it; grains in free fall count), coordination number, mean overlap."
     )
     energies = "Where the energy is and where it went. What a law loses by plastic unloading or damping is its own way."
@@ -210,12 +211,13 @@ def _course_section(found: Comparison, out: Path, drawn: Sequence[str], missing:
     return Section("Flow, height, energies", pictures or [missing])
 
 
-def _contact_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
-    spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / LOOKS_PER_CONTACT
+def _contact_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+    spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT
     method = (
-        f"Durations: in {BURSTS} bursts spread evenly over the run all contacts with a force were looked at {LOOKS} "
+        f"Durations: in {BURSTS} bursts spread evenly over the run all contacts with a force were looked at {SAMPLES} "
         f"times in steps of {spacing:.3g} µs, an eighth of an elastic collision at the reference velocity. Followed "
-        f"are those that began in a burst; what was still there when it ended, after {readable(spacing * (LOOKS - 1))} "
+        f"are those that began in a burst; what was still there when it ended, after "
+        f"{readable(spacing * (SAMPLES - 1))} "
         "µs, counts as longer (Kaplan and Meier 1958). A contact shorter than the distance of two looks can be "
         "missed, and no duration is known better than that."
     )
@@ -232,11 +234,11 @@ def _contact_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Sect
     return Section("Forces and durations of contacts", [*picture, method, "; ".join(counted) + "."])
 
 
-def _claim_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Section:
-    judged = [(each.part, each.verdict, each.why) for each in found.judgements]
-    said = [Table("What the numbers say.", ("claim", "verdict", "numbers"), judged)] if judged else []
+def _spring_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+    assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
+    tables = [PageTable("What the numbers say.", ("claim", "verdict", "numbers"), assessed)] if assessed else []
     if found.subject is None:
-        return Section("Is one spring enough?", said)
+        return Section("Is one spring enough?", tables)
     subject = found.subject
     caption = (
         f"Head-on collisions of two spheres of {1e3 * subject.diameter:.3g} mm ({subject.pair_key}), over Zhou's exact "
@@ -252,19 +254,19 @@ def _claim_section(found: Comparison, out: Path, drawn: Sequence[str]) -> Sectio
     ]
     return Section(
         "Is one spring enough?",
-        [*said, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
+        [*tables, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
     )
 
 
-def _paraview_section(found: Comparison) -> Section:
+def _paraview_section(found: SceneComparison) -> Section:
     names = ", ".join(f"{run.variant.key}/particles.pvd" for run in found.runs)
     return Section("Side by side in ParaView", [
-        f"{SCRIPT} puts all runs beside each other, coloured by speed: in ParaView by File > Load State, or for a "
+        f"{SCRIPT} puts all runs beside each other, colored by speed: in ParaView by File > Load State, or for a "
         f"picture by pvpython {SCRIPT} picture.png. Each run alone: {names}.",
     ])  # fmt: skip
 
 
-def _method_section(found: Comparison) -> Section:
+def _method_section(found: SceneComparison) -> Section:
     steps = "; ".join(
         f"{run.variant.title} {run.plan.time_step:.3g} s ({run.plan.step.limited_by})" for run in found.runs
     )

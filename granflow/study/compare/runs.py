@@ -12,26 +12,26 @@ from granflow.errors import GranflowError, RunError, SceneError
 from granflow.laws import theory
 from granflow.observe import every
 from granflow.observe.build import stage_durations
-from granflow.observe.meters import steady_flow
+from granflow.observe.flow_meters import steady_flow
 from granflow.plan import Plan
-from granflow.plan.plan import meetings_of
+from granflow.plan.plan import pair_cases_of
 from granflow.scene import Scene
 from granflow.simulation import Simulation
-from granflow.study.compare.durations import Followed, bursts, median_of, survival
-from granflow.study.compare.variants import Variant
-from granflow.study.compare.watch import Bursts, Forces, Heights
+from granflow.study.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
+from granflow.study.compare.contact_durations import FollowedContacts, bursts, median_of, survival
+from granflow.study.compare.variants import LawVariant
 
 BURSTS = 8
-LOOKS = 48
-LOOKS_PER_CONTACT = 8
+SAMPLES = 48
+SAMPLES_PER_CONTACT = 8
 """Looks in a burst, and in the duration of a Hertz contact at the reference velocity."""
 
 
 @dataclass(frozen=True)
-class Run:
+class VariantRun:
     """What one variant did. `columns`: timeseries.csv by name without units, (rows,) each."""
 
-    variant: Variant
+    variant: LawVariant
     plan: Plan
     step_count: int
     time: float
@@ -42,11 +42,11 @@ class Run:
     """What the guard said that ended the run early; empty if none did."""
     columns: dict[str, np.ndarray]
     heights: np.ndarray
-    """(rows, 3): time [s], height of the centre of mass and of the surface [m]."""
-    fast: float
-    """Speed [m/s] that a colour scale should reach."""
-    forces: Forces
-    followed: Followed
+    """(rows, 3): time [s], height of the center of mass and of the surface [m]."""
+    typical_speed: float
+    """Speed [m/s] that a color scale should reach."""
+    forces: ForceHistogram
+    followed: FollowedContacts
 
     @property
     def meters(self) -> list[str]:
@@ -76,22 +76,24 @@ class Run:
         return int(rows[-1])
 
 
-def run_variant(variant: Variant, out: Path, arch: str, reference_velocity: float, until: float | None) -> Run | str:
+def run_variant(
+    variant: LawVariant, out: Path, arch: str, reference_velocity: float, until: float | None
+) -> VariantRun | str:
     """Run a variant into a directory; the reason in words where its law cannot serve the scene."""
     assert variant.scene is not None
     scene = variant.scene
-    heights, forces = Heights.of(scene), Forces()
+    heights, forces = BedHeights.of(scene), ForceHistogram()
     end = min(sum(longest for _, longest in stage_durations(scene)), until or np.inf)
-    spacing = hertz_duration(scene, reference_velocity) / LOOKS_PER_CONTACT
-    looks = Bursts(list(bursts(end, BURSTS, LOOKS, spacing)), spacing)
+    spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
+    bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
     output = scene.output
-    watching = [
-        every(output.timeseries_interval, heights.look),
-        every(output.interval, forces.look, ("contacts",)),
-        looks,
+    observers = [
+        every(output.timeseries_interval, heights.update),
+        every(output.interval, forces.update, ("contacts",)),
+        bursts_observer,
     ]
     try:
-        simulation = Simulation(scene, arch=arch, out=out, observers=watching)  # type: ignore[arg-type]
+        simulation = Simulation(scene, arch=arch, out=out, observers=observers)  # type: ignore[arg-type]
     except SceneError as error:
         return "; ".join(error.problems)
     stopped = ""
@@ -102,19 +104,28 @@ def run_variant(variant: Variant, out: Path, arch: str, reference_velocity: floa
     finally:
         simulation.free()
     timing = simulation.engine.timing
-    return Run(
-        variant, simulation.plan, simulation.engine.step_count, simulation.time, timing.search + timing.advance,
-        timing.compile, stopped, read_time_series(out / "timeseries.csv"), np.array(heights.rows), heights.fast,
-        forces, looks.followed,
-    )  # fmt: skip
+    return VariantRun(
+        variant,
+        simulation.plan,
+        simulation.engine.step_count,
+        simulation.time,
+        timing.neighbor_list + timing.advance,
+        timing.compile,
+        stopped,
+        read_time_series(out / "timeseries.csv"),
+        np.array(heights.rows),
+        heights.typical_speed,
+        forces,
+        bursts_observer.followed,
+    )
 
 
 def hertz_duration(scene: Scene, velocity: float) -> float:
     """Duration [s] of the shortest elastic collision that the scene can have at an approach velocity (Eq. 13)."""
     durations = []
-    for meeting in meetings_of(scene):
-        k = theory.hertz_stiffness(meeting.pair.modulus_eff, meeting.radius_eff)
-        durations.append(float(theory.duration(1.0, k, meeting.mass_eff, velocity)))
+    for pair_case in pair_cases_of(scene):
+        k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
+        durations.append(float(theory.duration(1.0, k, pair_case.mass_eff, velocity)))
     return min(durations)
 
 
@@ -130,17 +141,17 @@ def read_time_series(path: Path) -> dict[str, np.ndarray]:
 
 
 def run_all(
-    variants: Sequence[Variant], directories: Sequence[Path], arch: str, reference_velocity: float,
-    until: float | None, say: Callable[[str], None],
-) -> tuple[list[Run], dict[str, str]]:  # fmt: skip
+    variants: Sequence[LawVariant], directories: Sequence[Path], arch: str, reference_velocity: float,
+    until: float | None, report: Callable[[str], None],
+) -> tuple[list[VariantRun], dict[str, str]]:  # fmt: skip
     """Run every variant; what ran, and why others could not. Raises GranflowError where none could."""
     ran, refused = [], {each.title: each.refused for each in variants if each.scene is None}
     for variant, out in zip(variants, directories, strict=True):
         if variant.scene is None:
             continue
-        say(f"running with {variant.title}")
+        report(f"running with {variant.title}")
         done = run_variant(variant, out, arch, reference_velocity, until)
-        if isinstance(done, Run):
+        if isinstance(done, VariantRun):
             ran.append(done)
         else:
             refused[variant.title] = done

@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from granflow.observe.report import readable
-from granflow.study.compare.runs import Run
+from granflow.study.compare.runs import VariantRun
 
 STRONG = 2.0
 """Contacts with more than this multiple of the mean force are counted as strong."""
 NOTHING = "–"
 
 
-SHOWN = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy": ("mJ", 1e3), "share": ("%", 1e2)}
+SHOWN = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
 """Small numbers as they are shown: unit, and the factor from SI."""
 
 
 @dataclass(frozen=True)
-class Row:
+class SummaryRow:
     """One number of every run in SI, in the order of the runs; nan where a run has none."""
 
     name: str
@@ -41,7 +41,7 @@ class Row:
         return tuple(value / first if first else float("nan") for value in self.values)
 
 
-def densest_stage(runs: Sequence[Run]) -> str:
+def densest_stage(runs: Sequence[VariantRun]) -> str:
     """The stage at whose end the first run that came to its end has the most contacts: where the bed is.
 
     Only stages that all such runs have rows of: one that waits for rest may be over before its first row.
@@ -53,19 +53,21 @@ def densest_stage(runs: Sequence[Run]) -> str:
     return max(shared or list(ends), key=lambda stage: ends[stage])
 
 
-def summary(runs: Sequence[Run]) -> list[Row]:
+def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     """All rows; one that no run has a number for is left out."""
     stage = densest_stage(runs)
     rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
     return [row for row in rows if np.isfinite(row.values).any()]
 
 
-def _row(runs: Sequence[Run], name: str, unit: str, number: Callable[[Run], float], shown: str = "") -> Row:
+def _row(
+    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], shown: str = ""
+) -> SummaryRow:
     values = tuple(float(number(run)) for run in runs)
-    return Row(name, unit, values, SHOWN[shown] if shown else (unit, 1.0))
+    return SummaryRow(name, unit, values, SHOWN[shown] if shown else (unit, 1.0))
 
 
-def _cost(runs: Sequence[Run]) -> list[Row]:
+def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     return [
         _row(runs, "time step", "s", lambda run: run.plan.time_step, "time"),
         _row(runs, "simulated time", "s", lambda run: run.time),
@@ -76,28 +78,28 @@ def _cost(runs: Sequence[Run]) -> list[Row]:
     ]
 
 
-def _flow(runs: Sequence[Run]) -> list[Row]:
-    def flow(meter: str) -> Callable[[Run], float]:
+def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    def flow(meter: str) -> Callable[[VariantRun], float]:
         return lambda run: run.mass_flow(meter)
 
     return [_row(runs, f"mass flow, {meter}", "kg/s", flow(meter)) for meter in runs[0].meters]
 
 
-def at_end(stage: str, name: str) -> Callable[[Run], float]:
+def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
     """Reader of a column of the time series at the end of a stage; nan for a run that did not finish it."""
 
-    def number(run: Run) -> float:
+    def number(run: VariantRun) -> float:
         row = run.at_end_of(stage)
         return float("nan") if row is None else float(run.columns[name][row])
 
     return number
 
 
-def _bed(runs: Sequence[Run], stage: str) -> list[Row]:
+def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
     when = at_end(stage, "time")
 
-    def height(column: int) -> Callable[[Run], float]:
-        def number(run: Run) -> float:
+    def height(column: int) -> Callable[[VariantRun], float]:
+        def number(run: VariantRun) -> float:
             nearest = int(np.argmin(np.abs(run.heights[:, 0] - when(run)))) if np.isfinite(when(run)) else None
             return float("nan") if nearest is None else float(run.heights[nearest, column])
 
@@ -105,7 +107,7 @@ def _bed(runs: Sequence[Run], stage: str) -> list[Row]:
 
     rows = [
         _row(runs, "end of stage", "s", when),
-        _row(runs, "centre of mass", "m", height(1), "length"),
+        _row(runs, "center of mass", "m", height(1), "length"),
         _row(runs, "surface", "m", height(2), "length"),
         _row(runs, "coordination number", "", at_end(stage, "coordination_number")),
         _row(runs, "mean overlap/radius", "", at_end(stage, "overlap_mean"), "share"),
@@ -114,14 +116,14 @@ def _bed(runs: Sequence[Run], stage: str) -> list[Row]:
     return [replace(row, at_stage=True) for row in rows]
 
 
-def _contacts(runs: Sequence[Run]) -> list[Row]:
+def _contacts(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     return [
         _row(runs, "largest overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
         _row(runs, "median contact time", "s", lambda run: run.median_duration, "time"),
     ]
 
 
-def _energies(runs: Sequence[Run]) -> list[Row]:
+def _energies(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     names = {
         "kinetic energy, end": "kinetic_energy",
         "lost: plastic": "plastic_dissipation",
@@ -130,21 +132,21 @@ def _energies(runs: Sequence[Run]) -> list[Row]:
         "lost: damping": "damping_dissipation",
     }
 
-    def last(name: str) -> Callable[[Run], float]:
+    def last(name: str) -> Callable[[VariantRun], float]:
         return lambda run: run.columns[name][-1]
 
-    rows = [_row(runs, label, "J", last(name), "energy") for label, name in names.items()]
+    rows = [_row(runs, label, "J", last(name), "energy_budget") for label, name in names.items()]
     error = _row(runs, "energy error, end", "", lambda run: abs(run.columns["energy_error"][-1]), "share")
     return [*(row for row in rows if any(row.values)), error]
 
 
-def heads(runs: Sequence[Run]) -> list[str]:
+def heads(runs: Sequence[VariantRun]) -> list[str]:
     """Heads of the table; titles of several words stand in two lines."""
     first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
     return ["", "unit", first, *(head for title in others for head in (title, "ratio"))]
 
 
-def as_text(rows: Sequence[Row]) -> list[list[str]]:
+def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
     """Cells of the table: the first law's number, then number and ratio of each other."""
     found = []
     for row in rows:
@@ -157,7 +159,7 @@ def as_text(rows: Sequence[Row]) -> list[list[str]]:
     return found
 
 
-def summary_columns(runs: Sequence[Run], rows: Sequence[Row]) -> dict[str, np.ndarray]:
+def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
     """Columns of compare.csv: a row for each number and law."""
     laws = [run.variant.key for run in runs]
     return {

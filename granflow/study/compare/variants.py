@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.errors import GranflowError, SceneError
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.plan.approach import fastest_approach
+from granflow.laws.catalog import NORMAL_LAWS
+from granflow.plan.max_impact_velocity import max_impact_velocity
 from granflow.plan.plan import pair_material
 from granflow.scene import Scene
 from granflow.scene.reader import scene_in
-from granflow.scene.suggest import known_or_meant
+from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
@@ -20,7 +20,7 @@ TYPICAL_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Variant:
+class LawVariant:
     """The scene under one law; `key` names its directory, `normal` is its `contact.normal`.
 
     A law that cannot serve the scene has no scene but the reason.
@@ -40,7 +40,7 @@ def law_names(given: str) -> tuple[str, ...]:
         raise GranflowError("No law is named: give at least one, such as --laws zhou,linear,hertz.")
     for number, name in enumerate(names):
         if name not in NORMAL_LAWS:
-            remedy = known_or_meant(name, NORMAL_LAWS, "laws")
+            remedy = suggestion_or_list(name, NORMAL_LAWS, "laws")
             raise GranflowError(f"There is no law {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
         if name in names[:number]:
             raise GranflowError(f"The law {name} is named twice: name each once.")
@@ -54,12 +54,12 @@ def variant_keys(laws: Sequence[str]) -> list[str]:
 
 def reference_velocity_of(scene: Scene) -> float:
     """A typical approach velocity [m/s]: an order of magnitude below the fastest that the plan reckons with."""
-    return TYPICAL_SHARE * fastest_approach(scene).value
+    return TYPICAL_SHARE * max_impact_velocity(scene).value
 
 
 def variants_of(
     scene: Scene, laws: Sequence[str], reference_velocity: float, most_particles: int | None = None
-) -> list[Variant]:
+) -> list[LawVariant]:
     """The scene under each law, `linear` twice: per contact and from the reference velocity [m/s].
 
     Every variant has its own automatic time step and keeps the energy ledger. With `most_particles`, groups that are
@@ -68,11 +68,11 @@ def variants_of(
     found = []
     for key, title, normal in _normals(scene, laws, reference_velocity):
         described = _described(scene, normal, reference_velocity, most_particles)
-        text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", placed=False)
+        text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", with_positions=False)
         try:
-            found.append(Variant(key, title, normal, scene_in(text, folder=scene.folder)))
+            found.append(LawVariant(key, title, normal, scene_in(text, folder=scene.folder)))
         except SceneError as error:
-            found.append(Variant(key, title, normal, None, "; ".join(error.problems)))
+            found.append(LawVariant(key, title, normal, None, "; ".join(error.problems)))
     return found
 
 
@@ -97,14 +97,14 @@ def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: i
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["contact"]["normal"] = dict(normal)
     described["run"]["time_step"] = "auto"
-    described["output"] |= {"energy": True, "particles": True}
+    described["output"] |= {"energy_budget": True, "particles": True}
     described["expect"] = []
     for key, pair in described["pairs"].items():
         pair["restitution"] = restitution_for(scene, key, str(normal["law"]), velocity)
         if pair["restitution"] is None:
             del pair["restitution"]
-    shrunk = shrunk_counts(scene, most)
-    for name, count in shrunk.items():
+    reduced = reduced_counts(scene, most)
+    for name, count in reduced.items():
         described["particles"][name]["count"] = count
     return described
 
@@ -122,12 +122,12 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     return given.model_dump(exclude_none=True)
 
 
-def shrunk_counts(scene: Scene, most: int | None) -> dict[str, int]:
+def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
     """Smaller counts of the groups without given places, so that all together are at most `most` if they can."""
-    one_by_one = ("list", "file")
-    free = {name: group.count for name, group in scene.particles.items() if group.place.kind not in one_by_one}
-    listed = sum(group.count for group in scene.particles.values()) - sum(free.values())
-    if most is None or listed + sum(free.values()) <= most:
+    explicit_kinds = ("positions", "file")
+    scalable = {name: group.count for name, group in scene.particles.items() if group.insert.kind not in explicit_kinds}
+    explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())
+    if most is None or explicit_count + sum(scalable.values()) <= most:
         return {}
-    share = max(most - listed, 0) / sum(free.values()) if free else 1.0
-    return {name: max(int(share * count), 1) for name, count in free.items()}
+    share = max(most - explicit_count, 0) / sum(scalable.values()) if scalable else 1.0
+    return {name: max(int(share * count), 1) for name, count in scalable.items()}

@@ -8,8 +8,8 @@ import numpy as np
 from granflow.device.backend import Backend
 from granflow.study.figures import COLORS, MARKERS, POINTS
 from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
-from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Plate, relative_deviation
+from granflow.study.paper.figure_data import FigureData, relative_deviation
+from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 from granflow.study.paper.residual import RESOLVED, TARGET_DURATION, TARGET_RESTITUTION
 
 CASE = PAPER_CASES[0]
@@ -25,30 +25,30 @@ def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
     steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, RESTITUTIONS))
     time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
     pairs = [
-        CASE.encounter(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
+        CASE.head_on(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
         for a, count in zip(e, steps, strict=True)
     ]
     return collide_all("zhou", pairs, time_step, backend), e, steps
 
 
-def accuracy_plate(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Plate:
+def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:
     """Worst of the phases for every restitution and every number of steps."""
-    reached = np.abs(outcomes.restitution / e - 1.0)
-    lasted = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
+    restitution_error = np.abs(outcomes.restitution / e - 1.0)
+    duration_error = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
     shape = (-1, PHASES)
     columns = {
         "restitution": e.reshape(shape)[:, 0],
         "steps_per_contact": steps.reshape(shape)[:, 0],
-        "restitution_deviation": reached.reshape(shape).max(axis=1),
-        "duration_deviation": lasted.reshape(shape).max(axis=1),
+        "restitution_deviation": restitution_error.reshape(shape).max(axis=1),
+        "duration_deviation": duration_error.reshape(shape).max(axis=1),
     }
     chosen = (columns["steps_per_contact"] == STEPS_PER_CONTACT) & (columns["restitution"] >= RESOLVED)
     e_there = columns["restitution"][chosen]
 
-    def worst(name: str, words: str, target: float) -> Any:
+    def worst(name: str, text: str, target: float) -> Any:
         values = 1.0 + columns[name][chosen]
         return relative_deviation(
-            f"{words} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
+            f"{text} at {STEPS_PER_CONTACT} steps, from e = {RESOLVED:g} on",
             values, np.ones_like(values), lambda index: f"e = {e_there[index]:g}", target,
         )  # fmt: skip
 
@@ -62,7 +62,9 @@ def accuracy_plate(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Plat
         f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. With 50 steps the bound "
         "on the unloading tangent keeps e = 0.05 out of reach."
     )
-    return Plate("accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0)
+    return FigureData(
+        "accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0
+    )
 
 
 def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.laws import theory
 from granflow.laws.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
 from granflow.scene.presets import PRESETS
-from granflow.study.paper.encounters import Encounter
+from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 DIAMETER = 25.4e-3
 """Of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
@@ -20,7 +20,7 @@ STEPS_PER_CONTACT = 200
 
 
 @dataclass(frozen=True)
-class Case:
+class PaperCase:
     """Two equal spheres of one solid. `material` as a scene writes it; `yield_velocity` [m/s] for Thornton's e(v)."""
 
     name: str
@@ -60,18 +60,18 @@ class Case:
         """Diameter [m] of the spheres whose collision takes that long: durations go with the diameter."""
         return self.diameter * duration / self.duration(e, velocity)
 
-    def encounter(self, restitution: Any, velocity: float, diameter: float | None = None) -> Encounter:
+    def head_on(self, restitution: Any, velocity: float, diameter: float | None = None) -> HeadOnCollision:
         """The case meeting at a velocity [m/s]; `restitution` as a scene writes it."""
-        return Encounter(self.material, restitution, diameter or self.diameter, velocity)
+        return HeadOnCollision(self.material, restitution, diameter or self.diameter, velocity)
 
 
-def paper_case(preset: str, title: str, yield_velocity: float) -> Case:
+def paper_case(preset: str, title: str, yield_velocity: float) -> PaperCase:
     """One of the materials of Figs. 3 and 4."""
     known = PRESETS[preset]
     solid = Solid(known.young_modulus, known.poisson_ratio, known.density, known.yield_strength)
     sigma, psi = known.restitution_fit or (0.0, 1.0)
     fit = VelocityRestitution(sigma, psi, limit_velocity(solid, solid))
-    return Case(preset, title, solid, {"preset": preset}, fit, yield_velocity)
+    return PaperCase(preset, title, solid, {"preset": preset}, fit, yield_velocity)
 
 
 PAPER_CASES = (
@@ -81,8 +81,8 @@ PAPER_CASES = (
 """Yield velocities [m/s] as the paper takes them from Stevens & Hrenya (2005)."""
 
 
-def small_soft_case(poisson_ratio: float = 0.3) -> Case:
+def small_soft_case(poisson_ratio: float = 0.3) -> PaperCase:
     """Spheres of the paper's estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the Poisson ratio is ours."""
     solid = Solid(1e8, poisson_ratio, 1e3)
     material = {"young_modulus": 1e8, "poisson_ratio": poisson_ratio, "density": 1e3}
-    return Case("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)
+    return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)

@@ -1,4 +1,4 @@
-"""Every law of the catalogue on the paper's two materials, matched at one velocity: e(v) and T(v) from collisions."""
+"""Every law of the catalog on the paper's two materials, matched at one velocity: e(v) and T(v) from collisions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -8,14 +8,14 @@ import numpy as np
 
 from granflow.device.backend import Backend
 from granflow.errors import SceneError
-from granflow.laws.catalogue import NORMAL_LAWS
-from granflow.laws.law import Asked, NormalLaw
+from granflow.laws.catalog import NORMAL_LAWS
+from granflow.laws.law import ModelRequest, NormalLaw
 from granflow.laws.material import PairMaterial, shear_modulus_eff
 from granflow.scene.schema import Numerics
 from granflow.study.figures import COLORS, MARKERS
-from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, Case
-from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Plate, relative_deviation
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
+from granflow.study.paper.figure_data import FigureData, relative_deviation
+from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 from granflow.study.paper.velocity import restitution_of
 
 VELOCITIES = np.geomspace(0.01, 10.0, 19)
@@ -33,7 +33,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Contender:
+class CandidateModel:
     """A law with its settings, and for each material what is matched: `restitution` of the pair, yield strength."""
 
     name: str
@@ -47,64 +47,68 @@ class Contender:
         """As `contact.normal` of a scene."""
         return {"law": self.name, **self.settings}
 
-    def words(self) -> str:
+    def text(self) -> str:
         """Settings and what was matched, for a table."""
-        said = [f"{key} {_said(value)}" for key, value in self.settings.items()]
+        text_parts = [f"{key} {_as_text(value)}" for key, value in self.settings.items()]
         if any(isinstance(value, float) for value in self.restitutions):
-            said.append("restitution " + " and ".join(f"{value:.4g}" for value in self.restitutions))
+            text_parts.append("restitution " + " and ".join(f"{value:.4g}" for value in self.restitutions))
         elif self.restitutions[0] is not None:
-            said.append("Eq. 12 with the paper's sigma and psi")
+            text_parts.append("Eq. 12 with the paper's sigma and psi")
         if any(self.yield_strengths):
-            said.append(
+            text_parts.append(
                 "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
             )
-        return "; ".join(said)
+        return "; ".join(text_parts)
 
 
-def _said(value: Any) -> str:
+def _as_text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return " ".join(f"{key} {_said(inner)}" for key, inner in value.items()).replace("_", " ")
+        return " ".join(f"{key} {_as_text(inner)}" for key, inner in value.items()).replace("_", " ")
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def contender(name: str) -> Contender:
+def candidate_model(name: str) -> CandidateModel:
     """The law matched to Eq. 12 at the reference velocity on both materials, by the one number it has for that."""
     kind = NORMAL_LAWS[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
     pairs = [pair_of(case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
-    asked = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
-    law = kind.build(Asked(asked | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle))
+    defaults = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
+    law = kind.build(
+        ModelRequest(defaults | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle)
+    )
     if kind.restitution == "number or fit":
-        return Contender(name, settings, law, tuple({"preset": case.name} for case in PAPER_CASES), (None, None))
+        return CandidateModel(name, settings, law, tuple({"preset": case.name} for case in PAPER_CASES), (None, None))
     if kind.restitution == "nothing":
         found = [_matched_strength(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
-        return Contender(name, settings, law, (None, None), tuple(found))
+        return CandidateModel(name, settings, law, (None, None), tuple(found))
     numbers = [_matched_number(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
-    return Contender(name, settings, law, tuple(numbers), (None, None))
+    return CandidateModel(name, settings, law, tuple(numbers), (None, None))
 
 
-def pair_of(case: Case, restitution: Any, strength: float | None = None) -> PairMaterial:
+def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) -> PairMaterial:
     """The case's pair as laws see it, without friction."""
     shear = shear_modulus_eff(case.solid, case.solid)
     yields = strength or case.solid.yield_strength
     return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
 
 
-def promised(law: NormalLaw, case: Case, pair: PairMaterial, velocity: float) -> float:
+def promised_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
     """Restitution that a law promises to the case at a velocity [m/s]."""
     return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
 
 
-def _matched_number(law: NormalLaw, case: Case, e: float) -> float:
+def _matched_number(law: NormalLaw, case: PaperCase, e: float) -> float:
     """The pair's restitution number with which the law promises e at the reference velocity."""
-    return _root(lambda number: promised(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0)
+    return _root(
+        lambda number: promised_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
+    )
 
 
-def _matched_strength(law: NormalLaw, case: Case, e: float) -> float:
+def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
     """The yield strength [Pa] with which the law promises e at the reference velocity."""
     low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
-    return _root(lambda y: promised(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high)
+    return _root(lambda y: promised_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high)
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
@@ -116,62 +120,62 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class LawComparison:
     """Contenders with what their collisions reached; laws that could not run, with the reason."""
 
-    ran: dict[str, tuple[Contender, Outcomes]] = field(default_factory=dict)
+    ran: dict[str, tuple[CandidateModel, Outcomes]] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
 
 
-def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Comparison:
-    """Collide both materials at all velocities under every law of the catalogue."""
-    comparison = Comparison()
+def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawComparison:
+    """Collide both materials at all velocities under every law of the catalog."""
+    comparison = LawComparison()
     shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
     for name in NORMAL_LAWS:
         try:
-            one = contender(name)
-            outcomes = collide_all(one.normal, _pairs(one, velocities), shortest / STEPS_PER_CONTACT, backend)
+            model = candidate_model(name)
+            outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT, backend)
         except (SceneError, ValueError) as error:
             comparison.refused[name] = str(error)
             continue
-        comparison.ran[name] = (one, outcomes)
+        comparison.ran[name] = (model, outcomes)
     return comparison
 
 
-def _pairs(one: Contender, velocities: np.ndarray) -> list[Any]:
+def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
     found = []
-    for case, e, strength in zip(PAPER_CASES, one.restitutions, one.yield_strengths, strict=True):
+    for case, e, strength in zip(PAPER_CASES, model.restitutions, model.yield_strengths, strict=True):
         material = case.material if strength is None else {**case.material, "yield_strength": strength}
         made = replace(case, material=material)
-        found += [made.encounter(e, float(v)) for v in velocities]
+        found += [made.head_on(e, float(v)) for v in velocities]
     return found
 
 
-def comparison_plate(comparison: Comparison, velocities: np.ndarray = VELOCITIES) -> Plate:
+def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCITIES) -> FigureData:
     """e(v) and T(v) of all laws, with the deviation of each e from what its law promises."""
     count, rows, deviations = len(velocities), [], []
-    for name, (one, outcomes) in comparison.ran.items():
-        promise = []
+    for name, (model, outcomes) in comparison.ran.items():
+        requested_values = []
         for number, case in enumerate(PAPER_CASES):
-            given = case.fit if isinstance(one.restitutions[number], dict) else one.restitutions[number]
-            pair = pair_of(case, given, one.yield_strengths[number])
-            promise += [promised(one.law, case, pair, float(v)) for v in velocities]
+            given = case.fit if isinstance(model.restitutions[number], dict) else model.restitutions[number]
+            pair = pair_of(case, given, model.yield_strengths[number])
+            requested_values += [promised_restitution(model.law, case, pair, float(v)) for v in velocities]
         materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
         speeds = np.tile(velocities, len(PAPER_CASES))
         laws = np.repeat(name, len(speeds))
-        rows.append((laws, materials, speeds, np.array(promise), outcomes.restitution, outcomes.duration))
+        rows.append((laws, materials, speeds, np.array(requested_values), outcomes.restitution, outcomes.duration))
         where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
-        words = f"the e reached under {name} from what the law promises"
-        deviations.append(relative_deviation(words, outcomes.restitution, np.array(promise), where.__getitem__))
+        text = f"the e reached under {name} from what the law promises"
+        deviations.append(relative_deviation(text, outcomes.restitution, np.array(requested_values), where.__getitem__))
     names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")
     columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
     caption = (
         "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
-        "25.4 mm under every law of the catalogue, against approach velocity. Each law has the restitution of Eq. 12 "
+        "25.4 mm under every law of the catalog, against approach velocity. Each law has the restitution of Eq. 12 "
         f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
     )
     title = "All laws on the same two materials"
-    return Plate("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
+    return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
 
 
 def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
@@ -181,13 +185,13 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     for column, case in enumerate(PAPER_CASES):
         for number, law in enumerate(laws):
             mine = (columns["law"] == law) & (columns["material"] == case.name)
-            look = {
+            style = {
                 "color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": law,
                 "markersize": 6.0 - 0.5 * number, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
             }  # fmt: skip
             velocity = columns["velocity"][mine]
-            panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **look)
-            panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **look)
+            panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **style)
+            panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **style)
         for axes in panels[:, column]:
             axes.axvline(REFERENCE_VELOCITY, linestyle=":", color="0.5", linewidth=0.8)
         letter = "ab"[column]

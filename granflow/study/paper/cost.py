@@ -11,9 +11,9 @@ from granflow.device.backend import Backend
 from granflow.device.engine import Engine
 from granflow.plan import plan_for
 from granflow.scene import Scene
-from granflow.scene.generate import initial_grains
+from granflow.scene.generate import initial_particles
 from granflow.study.paper.cases import PAPER_CASES
-from granflow.study.paper.comparison import Contender
+from granflow.study.paper.comparison import CandidateModel
 
 SIDE = 16
 """Grains along an edge of the lattice that is timed."""
@@ -24,7 +24,7 @@ STEPS = 60
 TIME_STEP = 1e-12
 """So short [s] that the lattice stays as it is; grains approach and part all the same."""
 CLOSENESS = 0.9999
-"""Distance of neighbours over the diameter."""
+"""Distance of neighbors over the diameter."""
 BASE = "hertz"
 
 
@@ -38,9 +38,9 @@ class Cost:
     nanoseconds: float
 
 
-def costs(contenders: Mapping[str, Contender], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
+def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
     """Time every law on the same compressed lattice, one after the other, `repeats` times; Hertz is the measure."""
-    engines = {name: _engine(one, backend) for name, one in contenders.items()}
+    engines = {name: _engine(model, backend) for name, model in candidate_models.items()}
     for engine in engines.values():
         engine.advance(STEPS)
     times = {name: np.array([]) for name in engines}
@@ -63,35 +63,35 @@ def _timed(engine: Engine) -> float:
     return perf_counter() - start
 
 
-def _engine(one: Contender, backend: Backend) -> Engine:
-    scene = Scene.model_validate(_lattice(one, backend.precision))
+def _engine(model: CandidateModel, backend: Backend) -> Engine:
+    scene = Scene.model_validate(_lattice(model, backend.precision))
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     engine = Engine(plan, backend)
-    engine.insert(initial_grains(scene))
+    engine.insert(initial_particles(scene))
     engine.set_walls([], [])
     engine.refresh()
     return engine
 
 
-def _lattice(one: Contender, precision: str) -> dict[str, Any]:
-    """A cubic lattice of the first material, neighbours pressed together, with velocities of either sign."""
+def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
+    """A cubic lattice of the first material, neighbors pressed together, with velocities of either sign."""
     case, random = PAPER_CASES[0], np.random.default_rng(1)
     axis = CLOSENESS * case.diameter * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    strength = one.yield_strengths[0]
+    strength = model.yield_strengths[0]
     reach = case.diameter * (SIDE + 1)
     return {
         "title": "A lattice to time contacts on",
         "gravity": [0, 0, 0],
         "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
-        "pairs": {"steel-steel": {"restitution": one.restitutions[0], "friction": 0}},
-        "contact": {"normal": one.normal, "tangential": "none", "rolling": "none"},
+        "pairs": {"steel-steel": {"restitution": model.restitutions[0], "friction": 0}},
+        "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
         "particles": {"grains": {
             "material": "steel", "diameter": case.diameter,
             "velocity": random.uniform(-1.0, 1.0, positions.shape).tolist(),
-            "place": {"kind": "list", "positions": positions.tolist()},
+            "insert": {"kind": "positions", "positions": positions.tolist()},
         }},
-        "domain": {"min": [-case.diameter] * 3, "max": [reach] * 3, "leaving": "error"},
+        "domain": {"min": [-case.diameter] * 3, "max": [reach] * 3, "on_exit": "error"},
         "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0, "precision": precision},
         "output": {"interval": 1.0},
     }  # fmt: skip

@@ -10,8 +10,8 @@ from granflow.laws import theory
 from granflow.scene.schema import Numerics
 from granflow.study.figures import COLORS, MARKERS, POINTS
 from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
-from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Deviation, Plate
+from granflow.study.paper.figure_data import FigureData, FigureDeviation
+from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
 VELOCITY = 1.0
@@ -27,7 +27,7 @@ def loop_run(backend: Backend) -> Outcomes:
     """A pair per restitution, its diameter such that each collision takes 200 steps."""
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
-        CASE.encounter(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in RESTITUTIONS
+        CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in RESTITUTIONS
     ]
     return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
 
@@ -66,8 +66,8 @@ def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
     share = outcomes.overlap[acting, index] / largest
     loading = acting <= np.argmax(outcomes.overlap[:, index])
     expected = np.where(loading, np.abs(share) ** 1.5, loop_force(share, e))
-    asked = np.full_like(share, RESTITUTIONS[index])
-    return np.stack([asked, share, force[acting] / (k * largest**1.5), expected], axis=1)
+    requested = np.full_like(share, RESTITUTIONS[index])
+    return np.stack([requested, share, force[acting] / (k * largest**1.5), expected], axis=1)
 
 
 def enclosed_share(rows: np.ndarray) -> float:
@@ -78,19 +78,23 @@ def enclosed_share(rows: np.ndarray) -> float:
     return float(work.sum() / work[work > 0.0].sum())
 
 
-def loop_plate(outcomes: Outcomes) -> Plate:
+def loop_figure(outcomes: Outcomes) -> FigureData:
     """The loops as rows of all steps with a force."""
     carried = restitutions_carried(outcomes)
     loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(carried)]
-    off = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
-    lost = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
+    force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
+    energy_error = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
     remark = (
         f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps carry no less than "
         f"e = {carried[0]:.3f}, the bound that the step sets itself and theory is taken with."
     )
     deviations = (
-        Deviation("the force from Eq. 4, in shares of the largest force", max(off), f"e = {_worst(off)}"),
-        Deviation("the share of energy lost from 1 − e²", max(lost), f"e = {_worst(lost)}", None, remark),
+        FigureDeviation(
+            "the force from Eq. 4, in shares of the largest force", max(force_error), f"e = {_worst(force_error)}"
+        ),
+        FigureDeviation(
+            "the share of energy lost from 1 − e²", max(energy_error), f"e = {_worst(energy_error)}", None, remark
+        ),
     )
     caption = (
         "Force against overlap in one collision, both over their largest values, for restitution coefficients from 0 "
@@ -98,7 +102,7 @@ def loop_plate(outcomes: Outcomes) -> Plate:
     )
     names = ("restitution", "overlap_over_max", "force_over_max", "force_over_max_theory")
     columns = dict(zip(names, np.concatenate(loops).T, strict=True))
-    return Plate("loops", "Force-overlap loops", caption, columns, deviations, draw_loops, 3.6)
+    return FigureData("loops", "Force-overlap loops", caption, columns, deviations, draw_loops, 3.6)
 
 
 def _worst(values: list[float]) -> str:

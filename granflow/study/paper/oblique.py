@@ -17,7 +17,7 @@ from granflow.laws import theory
 from granflow.scene import Scene
 from granflow.simulation import Simulation
 from granflow.study.figures import COLORS, POINTS
-from granflow.study.paper.plate import Deviation, Plate, relative_deviation
+from granflow.study.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 
 SAFETY = 0.005
 """Share of the shortest contact phase that a step takes."""
@@ -42,7 +42,7 @@ HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "
 
 
 @dataclass(frozen=True)
-class Bench:
+class ImpactSetup:
     """What meets what: sphere, plate, radius [m], restitution, friction; `partner_radius` for a sphere as plate."""
 
     sphere: Solid
@@ -70,16 +70,16 @@ def rigid(solid: Solid) -> Solid:
     return {**solid, "young_modulus": RIGIDITY * solid["young_modulus"]}
 
 
-TEST_4 = Bench(ALUMINA, rigid(ALUMINA), 2.5e-3, 0.98, 0.092)
-KHARAZ = Bench(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
-TEST_5 = Bench(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
-TEST_6 = Bench(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
-TEST_8 = Bench(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
+TEST_4 = ImpactSetup(ALUMINA, rigid(ALUMINA), 2.5e-3, 0.98, 0.092)
+KHARAZ = ImpactSetup(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
+TEST_5 = ImpactSetup(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
+TEST_6 = ImpactSetup(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
+TEST_8 = ImpactSetup(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
 SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
 
 
 @dataclass(frozen=True)
-class Motion:
+class ImpactMotion:
     """n spheres over a plate: velocity away from it and along it [m/s], and spin [rad/s] that such a slide sets up."""
 
     normal: np.ndarray
@@ -91,48 +91,48 @@ class Motion:
         return self.along - radius * self.spin
 
 
-def rebound(bench: Bench, law: str, before: Motion) -> Motion:
+def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
     """Motion after the impact, each sphere with a place of its own on the plate; `before.normal` is below 0."""
-    elastic = theory.duration(1.0, *bench.reduced, -before.normal)
-    scene = _scene_of(bench, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
+    elastic = theory.duration(1.0, *setup.reduced, -before.normal)
+    scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
     simulation = Simulation(scene)
     simulation.run()
     last = simulation.snapshot().particles
     simulation.free()
     spheres = slice(0, len(before.normal))
-    velocity, spin = last["velocity"][spheres], last["spin"][spheres]
-    return Motion(velocity[:, 2], velocity[:, 0], spin[:, 1])
+    velocity, spin = last["velocity"][spheres], last["angular_velocity"][spheres]
+    return ImpactMotion(velocity[:, 2], velocity[:, 0], spin[:, 1])
 
 
-def _scene_of(bench: Bench, law: str, before: Motion, gap: np.ndarray, duration: float) -> Scene:
-    count, partner = len(gap), bench.partner_radius
-    spacing = 3.0 * (partner or bench.radius)
-    places = np.stack([np.zeros(count), spacing * np.arange(count), bench.radius + gap], axis=1)
-    still = np.zeros(count)
+def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
+    count, partner = len(gap), setup.partner_radius
+    spacing = 3.0 * (partner or setup.radius)
+    places = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
+    zeros = np.zeros(count)
     groups: dict[str, Any] = {"spheres": {
-        "material": "sphere", "diameter": 2.0 * bench.radius,
-        "velocity": np.stack([before.along, still, before.normal], axis=1).tolist(),
-        "spin": np.stack([still, before.spin, still], axis=1).tolist(),
-        "place": {"kind": "list", "positions": places.tolist()},
+        "material": "sphere", "diameter": 2.0 * setup.radius,
+        "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
+        "spin": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
+        "insert": {"kind": "positions", "positions": places.tolist()},
     }}  # fmt: skip
     walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
     if partner is not None:
-        below = np.stack([still, places[:, 1], still - partner], axis=1)
-        place = {"kind": "list", "positions": below.tolist()}
-        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "place": place}, {}
+        below = np.stack([zeros, places[:, 1], zeros - partner], axis=1)
+        pair_ids = {"kind": "positions", "positions": below.tolist()}
+        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": pair_ids}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
-    pair = {"restitution": bench.restitution, "friction": bench.friction}
+    pair = {"restitution": setup.restitution, "friction": setup.friction}
     return Scene.model_validate({
         "title": "Oblique impacts side by side",
         "gravity": [0, 0, 0],
-        "materials": {"sphere": bench.sphere, "plate": bench.plate},
+        "materials": {"sphere": setup.sphere, "plate": setup.plate},
         "pairs": dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
         "contact": {"normal": law, "tangential": "mindlin", "rolling": "none"},
         "walls": walls,
         "particles": groups,
-        "domain": {"min": [-each for each in reach], "max": reach, "leaving": "error"},
+        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
         "run": {"duration": duration, "velocity_max": float(np.max(-before.normal))},
-        "numerics": {"time_step_safety": SAFETY, "rayleigh_fraction": 1.0},
+        "numerics": {"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
         "output": {"interval": duration},
     })  # fmt: skip
 
@@ -156,28 +156,28 @@ def mean_overlap_share(e: float) -> float:
     return (theory.LOADING_DURATION / 1.8 + e * (1.0 - y) + unloading) / (1.0 + e)
 
 
-def slid(bench: Bench, before: Motion) -> Motion:
+def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
     """Motion after an impact that slides throughout under Zhou's law; impulse mu (1 + e) m v, arm radius - overlap.
 
     v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/R); the textbook's relations take
     the lever arm as R. Against a partner sphere the overlap is shared between the two.
     """
-    speed, way = -before.normal, np.sign(before.slip(bench.radius))
-    k, mass = bench.reduced
-    overlap = mean_overlap_share(bench.restitution) * theory.overlap_max(k, mass, speed)
-    other = bench.partner_radius
-    share = 1.0 if other is None else other / (other + bench.radius)
-    kick = way * bench.friction * (1.0 + bench.restitution) * speed
-    arm = 1.0 - share * overlap / bench.radius
-    return Motion(
-        bench.restitution * speed, before.along - kick, before.spin + 2.5 * kick * arm / bench.radius
+    speed, direction = -before.normal, np.sign(before.slip(setup.radius))
+    k, mass = setup.reduced
+    overlap = mean_overlap_share(setup.restitution) * theory.overlap_max(k, mass, speed)
+    other = setup.partner_radius
+    share = 1.0 if other is None else other / (other + setup.radius)
+    kick = direction * setup.friction * (1.0 + setup.restitution) * speed
+    arm = 1.0 - share * overlap / setup.radius
+    return ImpactMotion(
+        setup.restitution * speed, before.along - kick, before.spin + 2.5 * kick * arm / setup.radius
     )  # fmt: skip
 
 
-def slides(bench: Bench, before: Motion) -> np.ndarray:
+def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
     """Where the slip before is more than friction can take away: |slip| > 3.5 mu (1 + e) v, with some distance."""
-    limit = 3.5 * bench.friction * (1.0 + bench.restitution) * -before.normal
-    return np.abs(before.slip(bench.radius)) > SLIDING * limit
+    limit = 3.5 * setup.friction * (1.0 + setup.restitution) * -before.normal
+    return np.abs(before.slip(setup.radius)) > SLIDING * limit
 
 
 # ---------------------------------------------------------------- the figure
@@ -190,52 +190,52 @@ def published(source: str) -> dict[str, np.ndarray]:
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 
-def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> Motion:
+def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
     """Spheres without spin that come at an angle from the normal [deg] and a speed [m/s]."""
     turned = np.radians(angle)
-    return Motion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
+    return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
 
 
-def with_slip(ratio: np.ndarray) -> Motion:
+def with_slip(ratio: np.ndarray) -> ImpactMotion:
     """Test 5: velocity along the plate over friction times velocity towards it."""
-    return Motion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
+    return ImpactMotion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
 
 
-def with_spin(ratio: np.ndarray) -> Motion:
+def with_spin(ratio: np.ndarray) -> ImpactMotion:
     """Tests 6 and 8: 3.5 mu (1 + e) times velocity towards the plate over the slip that the spin makes."""
     slip = 3.5 * TEST_6.friction * (1.0 + TEST_6.restitution) * SPEED_6 / ratio
-    return Motion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
+    return ImpactMotion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
 
 
 @dataclass(frozen=True)
-class Sweep:
+class ImpactSweep:
     """One bench under one law, over a range of impacts."""
 
-    bench: Bench
+    setup: ImpactSetup
     law: str
     x: np.ndarray
-    before: Motion
-    after: Motion
+    before: ImpactMotion
+    after: ImpactMotion
 
 
-def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, Sweep]:
+def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
     """Simulate all that the figure shows; fewer points make it faster."""
     angle = np.linspace(2.0, 88.0, angles)
     slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
-    cases: dict[str, tuple[Bench, str, np.ndarray, Motion]] = {
-        f"{name}_{law}": (bench, law, angle, at_angles(angle))
-        for name, bench in (("glass", KHARAZ), ("test4", TEST_4)) for law in ("hertz", "zhou")
+    cases: dict[str, tuple[ImpactSetup, str, np.ndarray, ImpactMotion]] = {
+        f"{name}_{law}": (setup, law, angle, at_angles(angle))
+        for name, setup in (("glass", KHARAZ), ("test4", TEST_4)) for law in ("hertz", "zhou")
     }  # fmt: skip
     cases["test5_zhou"] = (TEST_5, "zhou", slip, with_slip(slip))
     cases["test6_zhou"] = (TEST_6, "zhou", spin, with_spin(spin))
     cases["test6_hertz"] = (TEST_6, "hertz", spin, with_spin(spin))
     cases["test8_zhou"] = (TEST_8, "zhou", spin, with_spin(spin))
-    return {name: Sweep(*case, rebound(case[0], case[1], case[3])) for name, case in cases.items()}
+    return {name: ImpactSweep(*case, rebound(case[0], case[1], case[3])) for name, case in cases.items()}
 
 
-def seen(sweep: Sweep, kind: str) -> dict[str, np.ndarray]:
+def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
     """What the sources plot: of tests 4, 5 or 6, by the name of the published curve."""
-    before, after, radius = sweep.before, sweep.after, sweep.bench.radius
+    before, after, radius = sweep.before, sweep.after, sweep.setup.radius
     slip = after.slip(radius)
     if kind == "test4":
         return {
@@ -244,20 +244,20 @@ def seen(sweep: Sweep, kind: str) -> dict[str, np.ndarray]:
             "rebound_angle": np.degrees(np.arctan2(slip, after.normal)),
         }
     if kind == "test5":
-        unit = sweep.bench.friction * -before.normal
+        unit = sweep.setup.friction * -before.normal
         return {"slip": slip / unit, "spin": -radius * after.spin / unit}
     return {"slip": -slip / before.slip(radius)}
 
 
-def oblique_plate(run: Mapping[str, Sweep]) -> Plate:
+def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
     """The figure of oblique impacts, with the measured points and what a contact that slides throughout is off."""
-    return Plate(
+    return FigureData(
         name="oblique_impacts",
         title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
         caption=(
-            "Spheres of aluminium oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
+            "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
             "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
-            "patch; below, their tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminium alloy). Where the "
+            "patch; below, their tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). Where the "
             "contact sticks for a while, the published curve of test 5 is that of half the tangential "
             "stiffness (a plate rigid along its normal only); those of 6 and 8 are not "
             "reproduced."
@@ -269,12 +269,12 @@ def oblique_plate(run: Mapping[str, Sweep]) -> Plate:
     )
 
 
-def _columns(run: Mapping[str, Sweep]) -> dict[str, np.ndarray]:
+def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
     """Every curve as two columns; the shorter ones end with nan."""
     columns: dict[str, np.ndarray] = {}
     for name, sweep in run.items():
         columns[f"{name}_x"] = sweep.x
-        for quantity, values in seen(sweep, _kind(name)).items():
+        for quantity, values in plotted_quantities(sweep, _kind(name)).items():
             columns[f"{name}_{quantity}"] = values
     for source in ("kharaz_2001", "chung_ooi_2011"):
         for quantity, points in published(source).items():
@@ -289,7 +289,7 @@ def _kind(name: str) -> str:
     return {"test5": "test5", "test6": "test6", "test8": "test6"}.get(name.split("_")[0], "test4")
 
 
-def _deviations(run: Mapping[str, Sweep]) -> tuple[Deviation, ...]:
+def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
     """Of contacts that slide throughout from their closed forms, under Zhou's law, in the order of the tests."""
     found = []
     for name, sweep in run.items():
@@ -298,24 +298,24 @@ def _deviations(run: Mapping[str, Sweep]) -> tuple[Deviation, ...]:
     return tuple(found)
 
 
-def _sliding_deviations(name: str, sweep: Sweep) -> list[Deviation]:
+def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
     """Velocity along the plate and spin; the textbook's lever arm is told of where it matters."""
-    sliding = slides(sweep.bench, sweep.before)
-    closed, after, radius = slid(sweep.bench, sweep.before), sweep.after, sweep.bench.radius
+    sliding = slides(sweep.setup, sweep.before)
+    closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
     title = TITLES[name.split("_")[0]]
     axis = {"test4": "the impact angle", "test5": "the slip ratio", "test6": "the ratio"}[_kind(name)]
     x = sweep.x[sliding]
     change = (after.spin - sweep.before.spin)[sliding]
-    textbook = 2.5 * (closed.along - sweep.before.along)[sliding] / -radius
+    textbook = 2.5 * (closed_form.along - sweep.before.along)[sliding] / -radius
     remark = (
         f"The textbook takes the radius as lever arm, where it is the radius less the overlap: "
         f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
     )
-    promised = (closed.spin - sweep.before.spin)[sliding]
+    promised = (closed_form.spin - sweep.before.spin)[sliding]
     return [
         relative_deviation(
             f"the change of velocity along the plate, sliding ({title})", (after.along - sweep.before.along)[sliding],
-            (closed.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
+            (closed_form.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
         ),
         relative_deviation(
             f"the change of spin, sliding ({title})", change, promised, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
@@ -323,7 +323,7 @@ def _sliding_deviations(name: str, sweep: Sweep) -> list[Deviation]:
     ]  # fmt: skip
 
 
-def _draw(figure: Any, run: Mapping[str, Sweep]) -> None:
+def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
     panels = figure.subplots(2, 3)
     _draw_angles(panels[0], run)
     _draw_test_5(panels[1, :2], run)
@@ -332,7 +332,7 @@ def _draw(figure: Any, run: Mapping[str, Sweep]) -> None:
         panel.set_title(f"({letter})")
 
 
-def _draw_angles(panels: Any, run: Mapping[str, Sweep]) -> None:
+def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
     """Test 4 and the measurements: Hertz with its damping, and Zhou's law."""
     measured, curves = published("kharaz_2001"), published("chung_ooi_2011")
     labels = {
@@ -344,21 +344,23 @@ def _draw_angles(panels: Any, run: Mapping[str, Sweep]) -> None:
             for number, law in enumerate(("hertz", "zhou")):
                 sweep = run[f"{plate}_{law}"]
                 text = {"glass": f"{law}, glass", "test4": f"{law}, rigid"}[plate]
-                panel.plot(sweep.x, seen(sweep, "test4")[quantity], line, color=COLORS[number], label=text)
+                panel.plot(
+                    sweep.x, plotted_quantities(sweep, "test4")[quantity], line, color=COLORS[number], label=text
+                )
         panel.plot(*curves[f"test4_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, rigid")
         panel.plot(*measured[quantity].T, marker="o", color="black", label="measured, glass", **POINTS)
         panel.set(xlabel="impact angle [deg]", ylabel=label, xlim=(0.0, 90.0))
     panels[2].legend(loc="upper left", fontsize=6.0)
 
 
-def _draw_test_5(panels: Any, run: Mapping[str, Sweep]) -> None:
+def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
     """Slip and spin after against slip before, and the straight lines of a contact that slides throughout."""
     sweep, curves = run["test5_zhou"], published("chung_ooi_2011")
     sliding = np.array([7.0, 20.0])
     lines = {"slip": sliding - 7.0, "spin": np.full(2, -5.0)}
     labels = {"slip": r"test 5: slip after $V_s'/(\mu V_n)$", "spin": r"test 5: spin after $r\omega'/(\mu V_n)$"}
     for panel, quantity in zip(panels, labels, strict=True):
-        panel.plot(sweep.x, seen(sweep, "test5")[quantity], color=COLORS[1], label="zhou")
+        panel.plot(sweep.x, plotted_quantities(sweep, "test5")[quantity], color=COLORS[1], label="zhou")
         panel.plot(*curves[f"test5_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi")
         panel.plot(sliding, lines[quantity], ":", color="black", label="sliding throughout")
         panel.set(xlabel=r"slip before $V_t/(\mu V_n)$", ylabel=labels[quantity], xlim=(0.0, 14.0))
@@ -366,12 +368,12 @@ def _draw_test_5(panels: Any, run: Mapping[str, Sweep]) -> None:
     panels[0].legend(loc="upper left")
 
 
-def _draw_test_6(panel: Any, run: Mapping[str, Sweep]) -> None:
+def _draw_test_6(panel: Any, run: Mapping[str, ImpactSweep]) -> None:
     """Slip after over slip before, turned about, against what friction could take away over slip before."""
     for name, line, color in (("test6_hertz", "-", 0), ("test6_zhou", "-", 1), ("test8_zhou", ":", 2)):
         sweep = run[name]
         label = {"test6_hertz": "hertz", "test6_zhou": "zhou", "test8_zhou": "zhou, test 8"}[name]
-        panel.semilogx(sweep.x, seen(sweep, "test6")["slip"], line, color=COLORS[color], label=label)
+        panel.semilogx(sweep.x, plotted_quantities(sweep, "test6")["slip"], line, color=COLORS[color], label=label)
     curves = published("chung_ooi_2011")
     panel.plot(*curves["test6_slip"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, 6")
     panel.plot(*curves["test8_slip"].T, "+", color="0.45", ms=3.5, label="Chung & Ooi, 8")

@@ -8,20 +8,20 @@ from granflow.device.backend import Backend, start
 from granflow.laws import theory
 from granflow.laws.material import limit_velocity
 from granflow.study.figures import draw_to, require_plotting, write_columns
-from granflow.study.page import Page, Picture, Section, Table, write_page
-from granflow.study.paper.accuracy import accuracy_plate, accuracy_run
+from granflow.study.page import Page, PageTable, Picture, Section, write_page
+from granflow.study.paper.accuracy import accuracy_figure, accuracy_run
 from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
-from granflow.study.paper.comparison import REFERENCE_VELOCITY, Comparison, compare, comparison_plate
+from granflow.study.paper.comparison import REFERENCE_VELOCITY, LawComparison, compare, comparison_figure
 from granflow.study.paper.cost import BASE, CONTACTS, REPEATS, SIDE, Cost, costs
-from granflow.study.paper.loops import loop_plate, loop_run
-from granflow.study.paper.oblique import oblique_plate, oblique_run
-from granflow.study.paper.plate import Plate, percent
-from granflow.study.paper.residual import error_plate, residual_plate, residual_run
+from granflow.study.paper.figure_data import FigureData, percent
+from granflow.study.paper.loops import loop_figure, loop_run
+from granflow.study.paper.oblique import oblique_figure, oblique_run
+from granflow.study.paper.residual import error_figure, residual_figure, residual_run
 from granflow.study.paper.velocity import (
-    duration_plate,
+    duration_figure,
     estimate_run,
-    restitution_plate,
-    spring_plate,
+    restitution_figure,
+    spring_figure,
     velocity_columns,
     velocity_run,
 )
@@ -38,73 +38,73 @@ LEAD = (
 )
 
 
-def write_paper(out: Path, say: Callable[[str], None] = lambda words: None) -> Path:
+def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) -> Path:
     """Write all figures (PNG and CSV) and the page into `out`; returns the page.
 
-    `say` hears what is being done. Raises GranflowError where matplotlib is not installed.
+    `report` hears what is being done. Raises GranflowError where matplotlib is not installed.
     """
     require_plotting()
     out.mkdir(parents=True, exist_ok=True)
     backend = start("cpu", "f64")
-    say("collisions of the paper's figures")
-    plates = paper_plates(backend)
-    say("collisions under every law of the catalogue")
+    report("collisions of the paper's figures")
+    figures = paper_figures(backend)
+    report("collisions under every law of the catalog")
     comparison = compare(backend)
-    laws = comparison_plate(comparison)
-    say("oblique impacts")
-    oblique = oblique_plate(oblique_run())
-    say("cost of a contact of each law")
-    spent = costs({name: one for name, (one, _) in comparison.ran.items()}, backend)
-    say("drawing")
-    for plate in (*plates.values(), laws, oblique):
-        write_columns(out / f"{plate.name}.csv", plate.columns)
-        draw_to(out / f"{plate.name}.png", _drawing(plate), plate.height)
+    laws = comparison_figure(comparison)
+    report("oblique impacts")
+    oblique = oblique_figure(oblique_run())
+    report("cost of a contact of each law")
+    law_costs = costs({name: model for name, (model, _) in comparison.ran.items()}, backend)
+    report("drawing")
+    for figure_data in (*figures.values(), laws, oblique):
+        write_columns(out / f"{figure_data.name}.csv", figure_data.columns)
+        draw_to(out / f"{figure_data.name}.png", _drawing(figure_data), figure_data.height)
     page = Page("A model of collisions, reproduced", LEAD, [
-        *_paper_sections(plates, out), _laws_section(laws, comparison, spent, out),
-        Section(oblique.title, _shown(oblique, out)), _numerics_section(backend),
+        *_paper_sections(figures, out), _laws_section(laws, comparison, law_costs, out),
+        Section(oblique.title, _figure_parts(oblique, out)), _numerics_section(backend),
     ])  # fmt: skip
     write_page(page, out / PAGE)
     return out / PAGE
 
 
-def paper_plates(backend: Backend) -> dict[str, Plate]:
+def paper_figures(backend: Backend) -> dict[str, FigureData]:
     """All figures of the paper as numbers, by name."""
     columns = velocity_columns(velocity_run(backend))
-    plates = (
-        residual_plate(residual_run(backend)),
-        error_plate(),
-        restitution_plate(columns),
-        duration_plate(columns),
-        spring_plate(columns, estimate_run(backend)),
-        loop_plate(loop_run(backend)),
-        accuracy_plate(*accuracy_run(backend)),
+    figures = (
+        residual_figure(residual_run(backend)),
+        error_figure(),
+        restitution_figure(columns),
+        duration_figure(columns),
+        spring_figure(columns, estimate_run(backend)),
+        loop_figure(loop_run(backend)),
+        accuracy_figure(*accuracy_run(backend)),
     )
-    return {plate.name: plate for plate in plates}
+    return {figure_data.name: figure_data for figure_data in figures}
 
 
-def _drawing(plate: Plate) -> Callable[[Any], None]:
-    return lambda figure: plate.draw(figure, plate.columns)
+def _drawing(figure_data: FigureData) -> Callable[[Any], None]:
+    return lambda figure: figure_data.draw(figure, figure_data.columns)
 
 
-def _shown(plate: Plate, out: Path) -> list[str | Table | Picture]:
+def _figure_parts(figure_data: FigureData, out: Path) -> list[str | PageTable | Picture]:
     """A figure and, under it, its deviations."""
-    files = (f"{plate.name}.png", f"{plate.name}.csv")
-    picture = Picture(out / files[0], plate.caption, files)
-    return [picture, *(deviation.sentence() for deviation in plate.deviations)]
+    files = (f"{figure_data.name}.png", f"{figure_data.name}.csv")
+    picture = Picture(out / files[0], figure_data.caption, files)
+    return [picture, *(deviation.sentence() for deviation in figure_data.deviations)]
 
 
-def _paper_sections(plates: dict[str, Plate], out: Path) -> Iterable[Section]:
-    extra = {"figure1_residual": _model_table(plates["figure1_residual"]), "figure3_restitution": _material_table()}
-    for name, plate in plates.items():
-        parts = _shown(plate, out)
+def _paper_sections(figures: dict[str, FigureData], out: Path) -> Iterable[Section]:
+    extra = {"figure1_residual": _model_table(figures["figure1_residual"]), "figure3_restitution": _material_table()}
+    for name, figure_data in figures.items():
+        parts = _figure_parts(figure_data, out)
         if name in extra:
             parts.append(extra[name])
-        yield Section(plate.title, parts)
+        yield Section(figure_data.title, parts)
 
 
-def _model_table(plate: Plate) -> Table:
+def _model_table(figure_data: FigureData) -> PageTable:
     """x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15 beside what collisions reached."""
-    columns, rows = plate.columns, []
+    columns, rows = figure_data.columns, []
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())
         scaled = columns["duration_over_ts_theory"][index]
@@ -116,10 +116,10 @@ def _model_table(plate: Plate) -> Table:
         ))  # fmt: skip
     heads = ("e asked", "e reached", "x theory", "x reached", "Λ(e)", "η₂", "T/Ts theory", "T/Ts reached")
     caption = f"The model's numbers (Eqs. 7, 8, 13-15) and collisions of {STEPS_PER_CONTACT} steps."
-    return Table(caption, heads, rows)
+    return PageTable(caption, heads, rows)
 
 
-def _material_table() -> Table:
+def _material_table() -> PageTable:
     """The paper's materials, with its own check: the ratio of E/Y between the two."""
     rows = []
     ratios = []
@@ -137,51 +137,55 @@ def _material_table() -> Table:
         "Materials of Figs. 3 and 4. The effective modulus over the yield strength is "
         f"{ratios[0] / ratios[1]:.2f} times as large for the first as for the second; the paper says 6.5."
     )
-    return Table(caption, heads, rows)
+    return PageTable(caption, heads, rows)
 
 
-def _laws_section(plate: Plate, comparison: Comparison, spent: dict[str, Cost], out: Path) -> Section:
+def _laws_section(figure_data: FigureData, comparison: LawComparison, law_costs: dict[str, Cost], out: Path) -> Section:
     """The figure of all laws, the farthest from its promise, what each was given and costs, and where it fails."""
-    worst = max(plate.deviations, key=lambda deviation: deviation.largest)
-    picture = Picture(out / f"{plate.name}.png", plate.caption, (f"{plate.name}.png", f"{plate.name}.csv"))
+    worst = max(figure_data.deviations, key=lambda deviation: deviation.largest)
+    picture = Picture(
+        out / f"{figure_data.name}.png", figure_data.caption, (f"{figure_data.name}.png", f"{figure_data.name}.csv")
+    )
     intro = (
         "What Stevens and Hrenya (2005) did for the laws of their day, open and repeatable: the one number of each law "
         f"that decides its restitution is such that it promises Eq. 12 at {REFERENCE_VELOCITY:g} m/s; linear springs "
         "have the stiffness of Eq. 19 there. Where the curves part, the law and not the match speaks."
     )
-    tables = (_cost_table(plate, comparison, spent), _failure_table(comparison))
-    return Section(plate.title, [intro, picture, worst.sentence(), *tables])
+    tables = (_cost_table(figure_data, comparison, law_costs), _failure_table(comparison))
+    return Section(figure_data.title, [intro, picture, worst.sentence(), *tables])
 
 
-def _cost_table(plate: Plate, comparison: Comparison, spent: dict[str, Cost]) -> Table:
+def _cost_table(figure_data: FigureData, comparison: LawComparison, law_costs: dict[str, Cost]) -> PageTable:
     rows = []
-    for (name, (one, _)), deviation in zip(comparison.ran.items(), plate.deviations, strict=True):
-        cost = spent[name]
+    for (name, (model, _)), deviation in zip(comparison.ran.items(), figure_data.deviations, strict=True):
+        cost = law_costs[name]
         spread = "" if name == BASE else f"{cost.low:.2f}–{cost.high:.2f}"
-        history = str(one.law.history_count)
-        rows.append((name, history, f"{cost.median:.2f}", spread, percent(deviation.largest), one.words()))
+        history = str(model.law.history_count)
+        rows.append((name, history, f"{cost.median:.2f}", spread, percent(deviation.largest), model.text()))
     heads = ("law", "history numbers", "cost", "quartiles", "e off its promise", "given here, SI (316 and 52100)")
     caption = (
         f"Cost: time of a step on a compressed lattice of {SIDE**3} grains with {CONTACTS} contacts over that with "
         f"{BASE} and its damping, in {REPEATS} rounds in which all laws take their turn in one process, motion "
-        f"included; {spent[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the writing machine. "
+        f"included; {law_costs[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the writing machine. "
         "Other work on that machine shows as spread."
     )
-    return Table(caption, heads, rows)
+    return PageTable(caption, heads, rows)
 
 
-def _failure_table(comparison: Comparison) -> Table:
-    rows = [(name, one.law.source, one.law.limits) for name, (one, _) in comparison.ran.items()]
+def _failure_table(comparison: LawComparison) -> PageTable:
+    rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
     rows += [(name, "", f"not compared here: {reason}") for name, reason in comparison.refused.items()]
-    return Table("Where the laws come from and what goes wrong with them.", ("law", "source", "what goes wrong"), rows)
+    return PageTable(
+        "Where the laws come from and what goes wrong with them.", ("law", "source", "what goes wrong"), rows
+    )
 
 
 def _numerics_section(backend: Backend) -> Section:
-    words = (
+    text = (
         f"Double precision on {backend.arch}. Pairs stand far apart in one scene and first touch at times spread "
         "evenly over the phases of a step. A collision begins at first touch, known from the gap, and ends where the "
         "force, continued from its last three values as a t + b t^1.5, vanishes inside a step; the restitution is the "
         "rate of parting over that of approach. In Fig. 1, the loops and the figure of accuracy the diameters are "
         f"chosen such that every collision takes the same number of steps, {STEPS_PER_CONTACT} unless said otherwise."
     )
-    return Section("How this was computed", [words])
+    return Section("How this was computed", [text])

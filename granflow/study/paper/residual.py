@@ -9,8 +9,8 @@ from granflow.device.backend import Backend
 from granflow.laws import theory
 from granflow.study.figures import COLORS, POINTS
 from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
-from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Plate, relative_deviation
+from granflow.study.paper.figure_data import FigureData, relative_deviation
+from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
 """x(e) and T/Ts depend on the restitution alone: any material shows them."""
@@ -27,12 +27,12 @@ def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> O
     """One scene with a pair per restitution, its diameter such that each collision takes exactly 200 steps."""
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
-        CASE.encounter(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
+        CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
     ]
     return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
 
 
-def residual_plate(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> Plate:
+def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureData:
     """Fig. 1: x(e), its exact root, Eq. 9, and what the collisions leave; with T and e reached."""
     exact = 1.0 - theory.recovery(e)
     simulated = outcomes.overlap_residual / outcomes.overlap_max
@@ -66,7 +66,7 @@ def residual_plate(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> Plate:
         "Residual overlap over largest overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
         "(line), the paper's Eq. 9 (dashed), and simulated collisions of 200 time steps each (circles)."
     )
-    return Plate("figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4)
+    return FigureData("figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4)
 
 
 def _few_steps() -> str:
@@ -95,15 +95,17 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     axes.legend(loc="lower left")
 
 
-def error_plate(e: np.ndarray | None = None) -> Plate:
+def error_figure(e: np.ndarray | None = None) -> FigureData:
     """Fig. 2: the relative error of Eq. 9; no collision is involved."""
     e = np.linspace(0.0, 0.9999, 1000) if e is None else e
     exact = 1.0 - theory.recovery(e)
-    closed = theory.residual_closed_form(e)
-    worst = relative_deviation("x by Eq. 9 from the exact root", closed, exact, lambda index: f"e = {e[index]:.4g}")
-    columns = {"restitution": e, "error": closed / exact - 1.0}
+    closed_form = theory.residual_closed_form(e)
+    worst = relative_deviation(
+        "x by Eq. 9 from the exact root", closed_form, exact, lambda index: f"e = {e[index]:.4g}"
+    )
+    columns = {"restitution": e, "error": closed_form / exact - 1.0}
     caption = "Relative error of the paper's closed form, Eq. 9, against the exact root of Eq. 8."
-    return Plate("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)
+    return FigureData("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)
 
 
 def draw_error(figure: Any, columns: Mapping[str, np.ndarray]) -> None:

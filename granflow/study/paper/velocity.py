@@ -7,9 +7,9 @@ import numpy as np
 
 from granflow.device.backend import Backend
 from granflow.study.figures import COLORS, MARKERS, POINTS
-from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, Case, small_soft_case
-from granflow.study.paper.encounters import Outcomes, collide_all
-from granflow.study.paper.plate import Deviation, Plate, percent, relative_deviation
+from granflow.study.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase, small_soft_case
+from granflow.study.paper.figure_data import FigureData, FigureDeviation, percent, relative_deviation
+from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 from granflow.study.paper.residual import TARGET_DURATION, TARGET_RESTITUTION
 from granflow.study.paper.thornton import thornton_restitution
 
@@ -24,15 +24,15 @@ Columns = Mapping[str, np.ndarray]
 
 def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:
     """Both materials at all velocities side by side, one after the other; the fastest collision takes 200 steps."""
-    pairs = [case.encounter({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
+    pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
     return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT, backend)
 
 
-def _shortest(cases: Sequence[Case], velocities: np.ndarray) -> float:
+def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
     return min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in cases)
 
 
-def restitution_of(case: Case, velocity: np.ndarray) -> np.ndarray:
+def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
     """Restitution asked for (Zhou 2011, Eq. 12)."""
     if case.fit is None:
         raise ValueError(f"{case.name} has no restitution that depends on velocity")
@@ -67,13 +67,13 @@ def _chosen(columns: Columns, *names: str) -> dict[str, np.ndarray]:
     return {name: columns[name] for name in ("material", "velocity", *names)}
 
 
-def _compared(columns: Columns, quantity: str, words: str, target: float | None = None) -> Deviation:
+def _compared(columns: Columns, quantity: str, text: str, target: float | None = None) -> FigureDeviation:
     def where(index: int) -> str:
         case = next(case for case in PAPER_CASES if case.name == columns["material"][index])
         return f"{columns['velocity'][index]:.3g} m/s ({case.title})"
 
     return relative_deviation(
-        words, columns[f"{quantity}_simulated"], columns[f"{quantity}_theory"], where, target
+        text, columns[f"{quantity}_simulated"], columns[f"{quantity}_theory"], where, target
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def _steps(columns: Columns) -> str:
     return f"One time step for all: {steps.min():.0f} to {steps.max():.0f} steps per contact"
 
 
-def restitution_plate(columns: Columns) -> Plate:
+def restitution_figure(columns: Columns) -> FigureData:
     """Fig. 3: e(v) asked, reached, and Thornton's."""
     caption = (
         "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated collisions "
@@ -92,7 +92,9 @@ def restitution_plate(columns: Columns) -> Plate:
     names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
     deviation = _compared(columns, "restitution", "the e reached from Eq. 12", TARGET_RESTITUTION)
     title = "Fig. 3: restitution coefficient against velocity"
-    return Plate("figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 3.0)
+    return FigureData(
+        "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 3.0
+    )
 
 
 def draw_restitution(figure: Any, columns: Columns) -> None:
@@ -111,7 +113,7 @@ def draw_restitution(figure: Any, columns: Columns) -> None:
     panels[0].legend(loc="lower left")
 
 
-def duration_plate(columns: Columns) -> Plate:
+def duration_figure(columns: Columns) -> FigureData:
     """Fig. 4: T(v)."""
     caption = (
         "Collision duration against approach velocity of spheres of 25.4 mm: Eqs. 13-16 (lines), simulated collisions "
@@ -120,7 +122,7 @@ def duration_plate(columns: Columns) -> Plate:
     names = ("duration_theory", "duration_simulated", "steps_per_contact")
     deviation = _compared(columns, "duration", "the duration T from Eq. 13", TARGET_DURATION)
     title = "Fig. 4: collision duration against velocity"
-    return Plate("figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4)
+    return FigureData("figure4_duration", title, caption, _chosen(columns, *names), (deviation,), draw_duration, 3.4)
 
 
 def draw_duration(figure: Any, columns: Columns) -> None:
@@ -144,16 +146,16 @@ def draw_duration(figure: Any, columns: Columns) -> None:
 def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
     """The small soft spheres of the paper's estimate; e of 0.9, which does not matter up to the largest overlap."""
     case, e = small_soft_case(), 0.9
-    pairs = [case.encounter(e, float(v)) for v in velocities]
+    pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
     return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT, backend)
 
 
-def spring_plate(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Plate:
+def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:
     """Eq. 19: the equivalent spring of both materials and of the paper's estimate."""
     case = small_soft_case()
     springs, count = case.springs(velocities), len(velocities)
-    together = {
+    combined = {
         "material": np.concatenate([columns["material"], np.repeat(case.name, count)]),
         "velocity": np.concatenate([columns["velocity"], velocities]),
         "spring_theory": np.concatenate([columns["spring_theory"], springs]),
@@ -173,7 +175,7 @@ def spring_plate(columns: Columns, estimate: Outcomes, velocities: np.ndarray = 
             "the spring of the estimate", spring_of(estimate), springs, lambda index: f"{velocities[index]:.3g} m/s"
         ),
     )
-    return Plate("equation19_spring", "Eq. 19: equivalent spring", caption, together, deviations, draw_spring, 3.0)
+    return FigureData("equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 3.0)
 
 
 def draw_spring(figure: Any, columns: Columns) -> None:

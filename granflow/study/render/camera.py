@@ -16,8 +16,8 @@ OPENING = np.radians(24.0)
 MARGIN = 1.05
 """Room around what is shown."""
 
-CENTRINGS = 6
-"""Steps that bring the middle of a perspective picture to its centre: each leaves a tenth of the error."""
+CENTERINGS = 6
+"""Steps that bring the middle of a perspective picture to its center: each leaves a tenth of the error."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Camera:
     half_height: float
 
 
-def view_of(words: str, gravity: np.ndarray | None = None) -> View:
+def view_of(text: str, gravity: np.ndarray | None = None) -> View:
     """The view that words name: iso, front, side, top, or the direction of the viewer as three numbers "1,-2,0.8".
 
     Up is the axis against `gravity` (z without); front, side and top show true lengths, the others perspective.
@@ -58,13 +58,13 @@ def view_of(words: str, gravity: np.ndarray | None = None) -> View:
     right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
     into = np.cross(up, right)
     flat = {"front": (-into, up), "side": (right, up), "top": (up, into)}
-    if words in flat:
-        toward, top = flat[words]
+    if text in flat:
+        toward, top = flat[text]
         return View(toward, top, perspective=False)
-    if words == "iso":
+    if text == "iso":
         toward = ISO[0] * right + ISO[1] * into + ISO[2] * up
     else:
-        toward = _direction(words)
+        toward = _direction(text)
     return _upright(toward, up, into)
 
 
@@ -78,14 +78,14 @@ def _upward(gravity: np.ndarray | None) -> np.ndarray:
     return up
 
 
-def _direction(words: str) -> np.ndarray:
+def _direction(text: str) -> np.ndarray:
     try:
-        numbers = np.array([float(word) for word in words.split(",")])
+        numbers = np.array([float(word) for word in text.split(",")])
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != 3 or not np.all(np.isfinite(numbers)) or not np.any(numbers):
         raise GranflowError(
-            f"--view {words}: give {', '.join(VIEWS)}, or where the viewer stands, such as --view=1,-2,0.8."
+            f"--view {text}: give {', '.join(VIEWS)}, or where the viewer stands, such as --view=1,-2,0.8."
         )
     return numbers
 
@@ -112,20 +112,20 @@ def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0)
     half_height = 0.5 * MARGIN * max(size[1], size[0] / aspect) / zoom
     tangent = np.tan(0.5 * OPENING) * np.array([aspect, 1.0]) / MARGIN
     distance = half_height / tangent[1] + size[2]
-    for _ in range(CENTRINGS if view.perspective else 0):
-        distance = _distance(seen - middle, tangent) / zoom
-        middle[:2] += _off_centre(seen - middle, distance)
+    for _ in range(CENTERINGS if view.perspective else 0):
+        distance = _camera_distance(seen - middle, tangent) / zoom
+        middle[:2] += _off_center(seen - middle, distance)
     focus = middle @ np.stack([view.right, view.up, view.toward])
     return Camera(view, focus + distance * view.toward, focus, half_height)
 
 
-def _distance(seen: np.ndarray, tangent: np.ndarray) -> float:
+def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
     """Least distance [m] of the eye from the origin at which everything is within the angles."""
     return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
 
 
-def _off_centre(seen: np.ndarray, distance: float) -> np.ndarray:
-    """How far (2,) [m] the middle of what is seen lies off the centre of the picture, in the plane of the focus."""
+def _off_center(seen: np.ndarray, distance: float) -> np.ndarray:
+    """How far (2,) [m] the middle of what is seen lies off the center of the picture, in the plane of the focus."""
     depth = np.maximum(distance - seen[:, 2:], 1e-3 * distance)
     shown = seen[:, :2] / depth
     return 0.5 * (shown.min(axis=0) + shown.max(axis=0)) * distance

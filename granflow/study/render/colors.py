@@ -1,4 +1,4 @@
-"""What the colours of a picture mean: values of one array, its name and unit, and a range."""
+"""What the colors of a picture mean: values of one array, its name and unit, and a range."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from granflow.scene.suggest import nearest
 
 AXES = ("x", "y", "z")
 PERCENTILES = (1.0, 99.0)
-"""Of all values in all frames: what lies beyond takes the colour of the end."""
+"""Of all values in all frames: what lies beyond takes the color of the end."""
 
 FROM_ZERO = 0.5
 """A range begins at 0 where its lower end is nearer to 0 than this share of the upper one."""
@@ -23,9 +23,9 @@ SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
 
 @dataclass(frozen=True)
 class Scale:
-    """What colours mean: the array, a title of one or two lines, `limits` [SI], and the unit shown, that many SI.
+    """What colors mean: the array, a title of one or two lines, `limits` [SI], and the unit shown, that many SI.
 
-    `names` by number: of materials or groups, which get a colour each; none for a scale without steps.
+    `names` by number: of materials or groups, which get a color each; none for a scale without steps.
     """
 
     color: str
@@ -34,18 +34,18 @@ class Scale:
     factor: float
     limits: tuple[float, float]
     names: Mapping[int, str] | None = None
-    beyond: tuple[bool, bool] = (False, False)
+    out_of_range: tuple[bool, bool] = (False, False)
 
     @property
     def map_name(self) -> str:
-        """The colour map: from blue over white to red where values have both signs, from pale to red for contacts."""
+        """The color map: from blue over white to red where values have both signs, from pale to red for contacts."""
         if self.color in CONTACT_QUANTITIES and self.color not in PARTICLE_QUANTITIES:
             return OF_CONTACTS
         return SIGNED if self.limits[0] < 0.0 < self.limits[1] else UNSIGNED
 
 
 def values_of(arrays: Mapping[str, np.ndarray], color: str) -> np.ndarray:
-    """The values (n,) that give the colour: of an array, the magnitude of a vector, or one component as velocity.z.
+    """The values (n,) that give the color: of an array, the magnitude of a vector, or one component as velocity.z.
 
     Raises GranflowError with the names there are for one that is not among them.
     """
@@ -71,17 +71,17 @@ def scale_for(
 
     `names`: of the materials and the groups of the scene, by the name of the array.
     """
-    there = np.concatenate([np.zeros(0), *values])
-    there = there[np.isfinite(there)]
+    finite = np.concatenate([np.zeros(0), *values])
+    finite = finite[np.isfinite(finite)]
     name, _, axis = color.partition(".")
     if name in CATEGORIES:
-        return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, there, names or {}))
-    low, high = limits or _range(there, signed=bool(axis))
+        return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, finite, names or {}))
+    low, high = limits or _range(finite, signed=bool(axis))
     quantity = PARTICLE_QUANTITIES.get(name) or CONTACT_QUANTITIES.get(name)
     factor, unit = prefixed("" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high)))
-    words = name.replace("_", " ") + (f", {axis}" if axis else "\nmagnitude" if is_vector else "")
-    beyond = (bool(np.any(there < low)), bool(np.any(there > high)))
-    return Scale(color, words, unit, factor, (low, high), beyond=beyond)
+    title = name.replace("_", " ") + (f", {axis}" if axis else "\nmagnitude" if is_vector else "")
+    out_of_range = (bool(np.any(finite < low)), bool(np.any(finite > high)))
+    return Scale(color, title, unit, factor, (low, high), out_of_range=out_of_range)
 
 
 def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]]) -> dict[int, str]:

@@ -16,7 +16,7 @@ from granflow.walls.vtu_file import read_vtu
 SAME_TIME = 1e-9
 """Largest difference of times, relative, at which frames of grains, walls and contacts belong together."""
 
-HEAD, EMPTY = 1000, b'NumberOfCells="0"'
+HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
 """What stands near the beginning of a VTU file that holds nothing."""
 
 
@@ -36,7 +36,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Grains:
+class FrameParticles:
     """Grains of one frame: `position` (n, 3) [m], `radius` (n,) [m], and every array of the file by name."""
 
     position: np.ndarray
@@ -45,14 +45,14 @@ class Grains:
 
 
 @dataclass(frozen=True)
-class Surface:
+class FrameWalls:
     """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and numbers of walls (k,)."""
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
 
-    def same_as(self, other: "Surface | None") -> bool:
+    def same_as(self, other: "FrameWalls | None") -> bool:
         """Whether both show the same walls at the same place."""
         if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
             return False
@@ -61,12 +61,12 @@ class Surface:
 
     def points_of(self, walls: Sequence[int]) -> np.ndarray:
         """Corners (m, 3) [m] of the walls with these numbers."""
-        chosen = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
-        return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in chosen)]))]
+        corners = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
+        return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in corners)]))]
 
 
 @dataclass(frozen=True)
-class Chains:
+class ForceChains:
     """Contacts of one frame: `ends` (k, 2, 3) [m] and `normal_force` (k,) [N]."""
 
     ends: np.ndarray
@@ -115,14 +115,14 @@ def _at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
     return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
 
 
-def chosen(frames: Sequence[Frame], words: str) -> list[Frame]:
+def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
     """The frames that words name: last, first, all, a number as in the file names, a time such as 0.4s; or several.
 
     Raises GranflowError for anything else and for a number that there is not.
     """
-    if words == "all":
+    if text == "all":
         return list(frames)
-    return [_one(frames, word.strip()) for word in words.split(",")]
+    return [_one(frames, word.strip()) for word in text.split(",")]
 
 
 def _one(frames: Sequence[Frame], word: str) -> Frame:
@@ -143,25 +143,25 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
     return min(frames, key=lambda frame: abs(frame.time - time))
 
 
-def read_grains(frame: Frame) -> Grains:
+def read_particles(frame: Frame) -> FrameParticles:
     """Grains of a frame. Raises GranflowError where the file cannot be read."""
     mesh = read_mesh(frame.particles)
     arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     radius = arrays.get("radius", np.zeros(len(mesh.points)))
-    return Grains(mesh.points.astype(np.float64), radius, arrays)
+    return FrameParticles(mesh.points.astype(np.float64), radius, arrays)
 
 
-def read_walls(frame: Frame) -> Surface | None:
+def read_walls(frame: Frame) -> FrameWalls | None:
     """Walls of a frame, none where it has no file of walls. Raises GranflowError where it cannot be read."""
     if frame.walls is None:
         return None
     mesh = read_mesh(frame.walls)
     numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
     blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
-    return Surface(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
+    return FrameWalls(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
 
 
-def read_chains(frame: Frame) -> Chains | None:
+def read_force_chains(frame: Frame) -> ForceChains | None:
     """Contacts of a frame, none where it has no file of them. Raises GranflowError where it cannot be read."""
     if frame.contacts is None:
         return None
@@ -169,13 +169,13 @@ def read_chains(frame: Frame) -> Chains | None:
     lines = [block.data for block in mesh.cells if block.type == "line"]
     ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
     forces = mesh.cell_data.get("normal_force", [])
-    return Chains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
+    return ForceChains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
 
 
 def is_empty(path: Path) -> bool:
     """Whether a VTU file holds nothing."""
     with open_regular(path) as file:
-        return EMPTY in file.read(HEAD)
+        return EMPTY in file.read(HEADER_SIZE)
 
 
 def read_mesh(path: Path) -> meshio.Mesh:

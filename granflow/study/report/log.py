@@ -13,33 +13,33 @@ ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*
 """Time, level, logger, and words of an entry, as granflow.observe.log writes them."""
 
 COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
-FROM_CHECKPOINT = "goes on from"
-EVENTS = ("stage ", "checkpoint at ", "done at ", FROM_CHECKPOINT)
-SERIOUS = ("WARNING", "ERROR", "CRITICAL")
+RESUMED_FROM = "goes on from"
+EVENTS = ("stage ", "checkpoint at ", "done at ", RESUMED_FROM)
+REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
 
 
 @dataclass(frozen=True)
-class Entry:
+class LogEntry:
     """One entry of a log; words may have several lines."""
 
     time: str
     level: str
-    words: str
+    text: str
 
 
 @dataclass(frozen=True)
-class Session:
+class RunSession:
     """One stretch of a run, from its start or a checkpoint on: when, with what, where, and from where."""
 
-    began: str
+    started: str
     versions: str
     arch: str
     precision: str
     compiled: str
-    goes_on: str
+    resumed_from: str
 
 
-def read_log(path: Path) -> list[Entry]:
+def read_log(path: Path) -> list[LogEntry]:
     """The entries of a log; none where there is no file. Raises GranflowError where it cannot be read."""
     try:
         lines = read_regular_text(path).splitlines()
@@ -47,45 +47,45 @@ def read_log(path: Path) -> list[Entry]:
         return []
     except OSError as error:
         raise GranflowError(f"{path}: {error.strerror}.") from None
-    entries: list[Entry] = []
+    entries: list[LogEntry] = []
     for line in lines:
         match = ENTRY.fullmatch(line)
         if match:
-            entries.append(Entry(match[1], match[2], match[4]))
+            entries.append(LogEntry(match[1], match[2], match[4]))
         elif entries:
             last = entries[-1]
-            entries[-1] = Entry(last.time, last.level, f"{last.words}\n{line}")
+            entries[-1] = LogEntry(last.time, last.level, f"{last.text}\n{line}")
     return entries
 
 
-def sessions(entries: list[Entry]) -> list[Session]:
+def sessions(entries: list[LogEntry]) -> list[RunSession]:
     """The stretches of a run, the first one first: each begins with the entry of versions."""
-    starts = [number for number, entry in enumerate(entries) if entry.words.startswith("granflow ")]
+    starts = [number for number, entry in enumerate(entries) if entry.text.startswith("granflow ")]
     ends = [*starts[1:], len(entries)]
     return [_session(entries[start:end]) for start, end in zip(starts, ends, strict=False)]
 
 
-def _session(entries: list[Entry]) -> Session:
-    compiled = next(filter(None, (COMPILED.fullmatch(entry.words) for entry in entries)), None)
-    goes_on = next((entry.words for entry in entries if entry.words.startswith(FROM_CHECKPOINT)), "")
+def _session(entries: list[LogEntry]) -> RunSession:
+    compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
+    resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
     arch, precision, seconds = compiled.groups() if compiled else ("", "", "")
-    return Session(entries[0].time, entries[0].words, arch, precision, seconds, goes_on)
+    return RunSession(entries[0].time, entries[0].text, arch, precision, seconds, resumed_from)
 
 
-def explanation(entries: list[Entry]) -> str:
+def explanation(entries: list[LogEntry]) -> str:
     """What `granflow explain` said of the last stretch of the run, as far as it is logged: up to the first event."""
-    starts = [number for number, entry in enumerate(entries) if COMPILED.fullmatch(entry.words)]
+    starts = [number for number, entry in enumerate(entries) if COMPILED.fullmatch(entry.text)]
     lines: list[str] = []
     for entry in entries[starts[-1] + 1 :] if starts else ():
-        if entry.level != "INFO" or entry.words.startswith(EVENTS):
+        if entry.level != "INFO" or entry.text.startswith(EVENTS):
             break
-        lines.append(entry.words)
+        lines.append(entry.text)
     return "\n".join(lines)
 
 
-def complaints(entries: list[Entry]) -> Iterator[tuple[str, str, str]]:
+def warnings_and_errors(entries: list[LogEntry]) -> Iterator[tuple[str, str, str]]:
     """Time, level and words of every warning and error; one that comes again is said once, with how often."""
-    count = Counter((entry.level, entry.words) for entry in entries if entry.level in SERIOUS)
-    first = {(entry.level, entry.words): entry.time for entry in reversed(entries)}
-    for (level, words), times in count.items():
-        yield first[level, words], level.lower(), words + (f" ({times} times)" if times > 1 else "")
+    count = Counter((entry.level, entry.text) for entry in entries if entry.level in REPORTED_LEVELS)
+    first = {(entry.level, entry.text): entry.time for entry in reversed(entries)}
+    for (level, text), times in count.items():
+        yield first[level, text], level.lower(), text + (f" ({times} times)" if times > 1 else "")

@@ -25,35 +25,35 @@ QUALITY = 85
 FILM_BYTES = 700_000
 """A film above this stays beside the page, so that the page can be mailed."""
 
-PATIENCE = 600.0
+TIMEOUT = 600.0
 """Seconds after which a picture that does not come is done without."""
 
 NAME = re.compile(rf"(?:picture|film)_(.+?)_({'|'.join(VIEWS)}|from_[-+.e\d_]+?)(_cut)?(?:_(\d+))?")
-"""Of a file that granflow render has named: colour, view, cut, number of the frame."""
+"""Of a file that granflow render has named: color, view, cut, number of the frame."""
 
-HOW = "They lie in pictures/; what else granflow render draws there stands here after the next granflow report."
+HOW_TO_ADD = "They lie in pictures/; what else granflow render draws there stands here after the next granflow report."
 
 
 def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
     """Pictures and films for the page, made small in `scratch`, and a sentence about them."""
     if not frames:
         return [], "The run has no frames to draw."
-    found = fresh(directory, frames)
+    found = recent_pictures(directory, frames)
     problem = ""
     if not any(path.suffix == ".png" for path in found):
         problem = render(directory, frames)
-        found = fresh(directory, frames)
+        found = recent_pictures(directory, frames)
     images = [path for path in found if path.suffix == ".png"][-MOST_PICTURES:]
     films = [path for path in found if path.suffix == ".mp4"]
     small = [path for path in films if path.stat().st_size <= FILM_BYTES][-1:]
     large = [path for path in films if path not in small]
-    shown = [Picture(smaller(path, scratch), _caption(path, frames)) for path in images]
+    shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
     beside = f" Films beside the page: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
-    return shown, (problem or HOW) + beside
+    return shown, (problem or HOW_TO_ADD) + beside
 
 
-def fresh(directory: Path, frames: Sequence[Frame]) -> list[Path]:
+def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
     """PNG and MP4 files in `pictures/` that are younger than the last frame, by name."""
     last = frames[-1].particles.stat().st_mtime
     found = [*(directory / "pictures").glob("*.png"), *(directory / "pictures").glob("*.mp4")]
@@ -68,24 +68,24 @@ def render(directory: Path, frames: Sequence[Frame]) -> str:
     places = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
     chosen = [filled[place] for place in places]
     numbers = ",".join(str(frame.number) for frame in chosen)
-    wanted = [["--frame", numbers]]
+    commands = [["--frame", numbers]]
     touching = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
     if touching:
         most = max(touching, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
-        wanted.append(["--frame", str(most.number), "--chains"])
-    for words in wanted:
-        command = [sys.executable, "-m", "granflow", "render", str(directory), *words]
+        commands.append(["--frame", str(most.number), "--chains"])
+    for text in commands:
+        command = [sys.executable, "-m", "granflow", "render", str(directory), *text]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
-            return f"There are no pictures: drawing took longer than {PATIENCE:.0f} s."
+            return f"There are no pictures: drawing took longer than {TIMEOUT:.0f} s."
         if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            return f"Pictures could not be drawn (granflow render ended with {done.returncode}): {said}"
+            statement = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
+            return f"Pictures could not be drawn (granflow render ended with {done.returncode}): {statement}"
     return ""
 
 
-def smaller(path: Path, scratch: Path) -> Path:
+def reduced(path: Path, scratch: Path) -> Path:
     """The picture as JPEG, HEIGHT pixels high; as it is where Pillow, which renders it, is not there any more."""
     try:
         from PIL import Image

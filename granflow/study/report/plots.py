@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow.study.figures import COLORS
 from granflow.study.page import Plot
-from granflow.study.report.series import Column, Group, Series, thinned
+from granflow.study.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 DIGITS = 6
@@ -29,7 +29,7 @@ def library() -> str:
     return get_plotlyjs()
 
 
-def plot_of(group: Group, series: Series) -> Plot:
+def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     """Curves of a group of columns over time, with the stages of the run."""
     curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
     unit = f" ({group.unit})" if group.unit else ""
@@ -49,13 +49,13 @@ def plot_of(group: Group, series: Series) -> Plot:
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
 
 
-def _curve(number: int, column: Column, series: Series) -> dict[str, Any]:
+def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
     time, values = thinned(series.time, column.values)
     rounds = number // len(COLORS)
     return {
         "type": "scatter",
         "mode": "lines" if len(time) > 1 else "markers",
-        "name": column.words,
+        "name": column.text,
         "x": _plain(time),
         "y": _plain(values),
         "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
@@ -67,7 +67,7 @@ def _plain(values: np.ndarray) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
 
 
-def _stage_marks(series: Series) -> dict[str, Any]:
+def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
     """A line and a name where each stage begins, if there are several."""
     stages = series.stages if len(series.stages) > 1 else ()
     line = {"color": "#999", "width": 1, "dash": "dot"}

@@ -9,30 +9,30 @@ from granflow.errors import GranflowError
 from granflow.observe import locked
 from granflow.regular_files import read_regular_text, resolved
 from granflow.scene import Scene, load
-from granflow.study.report.log import Entry, Session, read_log, sessions
-from granflow.study.report.series import Series, read_series
+from granflow.study.report.log import LogEntry, RunSession, read_log, sessions
+from granflow.study.report.series import TimeSeriesTable, read_series
 
 SCENE = "scene_as_run.yaml"
-TRACES = (SCENE, "run.log", "timeseries.csv", "result.json")
+RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json")
 """Files of which a run has at least one."""
 
 
 @dataclass(frozen=True)
-class Record:
+class RunRecord:
     """All that a run has left.
 
     `scene`: none where its file is gone or cannot be read, `scene_problem` says why. `result`: the sections of
-    `result.json`, empty for a run that did not come to its end. `at_work`: whether a run writes there now.
+    `result.json`, empty for a run that did not come to its end. `is_running`: whether a run writes there now.
     """
 
     directory: Path
     scene: Scene | None
     scene_problem: str
     text: str
-    entries: list[Entry]
-    series: Series | None
+    entries: list[LogEntry]
+    series: TimeSeriesTable | None
     result: dict[str, Any]
-    at_work: bool
+    is_running: bool
 
     @property
     def title(self) -> str:
@@ -40,7 +40,7 @@ class Record:
         return self.scene.title if self.scene is not None else resolved(self.directory).name
 
     @property
-    def sessions(self) -> list[Session]:
+    def sessions(self) -> list[RunSession]:
         """The stretches of the run: one, and one more for each time that it was gone on with."""
         return sessions(self.entries)
 
@@ -52,17 +52,17 @@ class Record:
         return float(self.series.time[-1]) if self.series is not None else None
 
 
-def read_record(directory: Path) -> Record:
+def read_record(directory: Path) -> RunRecord:
     """Read what a run has left. Raises GranflowError for a directory that is not that of a run."""
     if not directory.is_dir():
         raise GranflowError(
             f"{directory}: there is no such directory; name the directory of a run, such as out/hopper."
         )
-    if not any((directory / name).exists() for name in TRACES):
-        raise GranflowError(f"{directory} is not the directory of a run: it holds none of {', '.join(TRACES)}.")
+    if not any((directory / name).exists() for name in RUN_FILES):
+        raise GranflowError(f"{directory} is not the directory of a run: it holds none of {', '.join(RUN_FILES)}.")
     scene, problem = _scene(directory / SCENE)
     path = directory / SCENE
-    return Record(
+    return RunRecord(
         directory,
         scene,
         problem,
@@ -70,7 +70,7 @@ def read_record(directory: Path) -> Record:
         read_log(directory / "run.log"),
         read_series(directory / "timeseries.csv"),
         _result(directory / "result.json"),
-        _is_at_work(directory),
+        _is_running(directory),
     )
 
 
@@ -91,7 +91,7 @@ def _result(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _is_at_work(directory: Path) -> bool:
+def _is_running(directory: Path) -> bool:
     if not (directory / ".lock").exists():
         return False
     try:

@@ -6,29 +6,29 @@ from tempfile import TemporaryDirectory
 
 from granflow.errors import GranflowError
 from granflow.observe import replacing
-from granflow.study.page import Gallery, Page, Part, Section, write_page
+from granflow.study.page import Gallery, Page, PagePart, Section, write_page
 from granflow.study.render import Frame, frames_of
 from granflow.study.report import sections
 from granflow.study.report.pictures import pictures_for
 from granflow.study.report.plots import library
-from granflow.study.report.record import Record, read_record
+from granflow.study.report.record import RunRecord, read_record
 
 PAGE = "report.html"
 LEAD = "granflow simulated this."
 
 
 def write_report(
-    directory: Path, out: Path | None = None, pictures: bool = True, say: Callable[[str], None] = print
+    directory: Path, out: Path | None = None, pictures: bool = True, report: Callable[[str], None] = print
 ) -> Path:
     """Write the page about a run into its directory, or to `out`; return its path.
 
-    `pictures`: whether some are drawn where there are none. `say` gets what is missing for the page to be complete.
+    `pictures`: whether some are drawn where there are none. `report` gets what is missing for the page to be complete.
     Raises GranflowError for a directory that is not that of a run, and for files that cannot be read.
     """
     record = read_record(directory)
     script = library()
     if not script:
-        say(sections.NO_LIBRARY)
+        report(sections.NO_LIBRARY)
     path = out or directory / PAGE
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as scratch:
@@ -38,16 +38,16 @@ def write_report(
     return path
 
 
-def page_of(record: Record, script: str, pictures: Section | None) -> Page:
+def page_of(record: RunRecord, script: str, pictures: Section | None) -> Page:
     """The page: what came out first, then how it was computed. `script` is the library of plots, empty without."""
     found = [
         sections.summary(record),
         sections.warnings(record),
         pictures,
         sections.expectations(record),
-        *sections.course(record, bool(script)),
+        *sections.over_time(record, bool(script)),
         sections.profile(record),
-        sections.others(record),
+        sections.remaining_numbers(record),
         sections.plan(record),
         sections.machine(record),
         sections.scene(record),
@@ -56,10 +56,10 @@ def page_of(record: Record, script: str, pictures: Section | None) -> Page:
     return Page(record.title, description or LEAD, [section for section in found if section is not None], script)
 
 
-def _pictures(record: Record, scratch: Path) -> Section:
-    shown, said = pictures_for(record.directory, _frames(record.directory), scratch)
-    parts: list[Part] = [Gallery(shown)] if shown else []
-    return Section("Pictures", [*parts, said])
+def _pictures(record: RunRecord, scratch: Path) -> Section:
+    shown, statement = pictures_for(record.directory, _frames(record.directory), scratch)
+    parts: list[PagePart] = [Gallery(shown)] if shown else []
+    return Section("Pictures", [*parts, statement])
 
 
 def _frames(directory: Path) -> list[Frame]:

@@ -8,23 +8,23 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.observe.report import readable
 from granflow.plan import explain, plan_for
-from granflow.quantities import LOAD_QUANTITIES, METER_QUANTITIES, TOTAL_QUANTITIES, unit_of
-from granflow.study.page import Code, Part, Section, Table
-from granflow.study.report.log import complaints, explanation
+from granflow.quantities import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
+from granflow.study.page import Code, PagePart, PageTable, Section
+from granflow.study.report.log import explanation, warnings_and_errors
 from granflow.study.report.plots import plot_of
-from granflow.study.report.record import Record
-from granflow.study.report.series import Column, groups_of
+from granflow.study.report.record import RunRecord
+from granflow.study.report.series import SeriesColumn, groups_of
 
 NO_LIBRARY = "Plots need plotly, which is not installed: pip install granflow[plot], then granflow report again."
-TOPICS = {"Flow": METER_QUANTITIES, "Loads": LOAD_QUANTITIES}
-SECTIONS = {"Flow": "meters", "Loads": "loads"}
+TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Loads": WALL_FORCE_QUANTITIES}
+SECTIONS = {"Flow": "flow_meters", "Loads": "wall_forces"}
 """Of result.json."""
 
 CAPTIONS = {
     "Flow": "Flow meters at the end; the mass flow is that of the steady part.",
     "Loads": "What the grains press the walls with: means over the run, and the largest of a row.",
 }
-ENDED = "ended by "
+ENDED_BY = "ended by "
 """How the log says that an exception ended a run."""
 
 PLAN = "What was computed, and why"
@@ -32,7 +32,7 @@ BAR_STEPS = 30
 """Blocks of the bar that stands for the whole run."""
 
 
-def summary(record: Record) -> Section:
+def summary(record: RunRecord) -> Section:
     """How the run ended, how far it came, and what it cost."""
     numbers = record.result.get("run", {})
     rows = []
@@ -41,26 +41,26 @@ def summary(record: Record) -> Section:
     rows += [_row(name, number) for name, number in numbers.items()]
     rows += [_row(name, record.result.get("totals", {}).get(name)) for name in ("particle_count", "inserted_count")]
     rows = [row for row in rows if row[1]]
-    parts: list[Part] = [state_of(record)]
-    met = [entry.get("met") for entry in record.result.get("expect", ())]
-    if met:
-        parts.append(f"{sum(map(bool, met))} of {len(met)} expectations of the scene are met.")
+    parts: list[PagePart] = [state_of(record)]
+    is_met = [entry.get("met") for entry in record.result.get("expect", ())]
+    if is_met:
+        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are met.")
     elif record.result and record.scene is not None and record.scene.expect:
         parts.append("It was ended early, with --until: the expectations of the scene are not judged.")
     return Section(
-        "In short", [*parts, *([Table("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
+        "In short", [*parts, *([PageTable("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
     )
 
 
-def state_of(record: Record) -> str:
+def state_of(record: RunRecord) -> str:
     """One sentence on how the run ended."""
-    if record.at_work:
+    if record.is_running:
         return "The run is still going on: this page shows it as far as it has come."
     if record.result:
         parts = len(record.sessions)
         return f"The run is done, in {parts} parts: it was gone on with." if parts > 1 else "The run is done."
-    words = next((entry.words for entry in reversed(record.entries) if entry.words.startswith(ENDED)), "")
-    why = f" ({ENDED}{words.removeprefix(ENDED).partition(':')[0]}: see the warnings)" if words else ""
+    text = next((entry.text for entry in reversed(record.entries) if entry.text.startswith(ENDED_BY)), "")
+    why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
     resume = f"granflow resume {record.directory} goes on from its last checkpoint, if it has one."
     return f"The run did not come to its end{why}. {resume}"
 
@@ -69,47 +69,47 @@ def _row(name: str, number: Any) -> tuple[str, str, str]:
     return (name.replace("_", " "), "" if number is None else readable(number), unit_of(name))
 
 
-def expectations(record: Record) -> Section | None:
+def expectations(record: RunRecord) -> Section | None:
     """What the scene promises, and whether it came true."""
     found = record.result.get("expect", ())
     rows = [("\N{CHECK MARK} met" if entry["met"] else "\N{BALLOT X} not met", entry["sentence"]) for entry in found]
     if not rows:
         return None
-    return Section("Expectations", [Table("What the scene expects of itself.", ("", "what came out"), rows)])
+    return Section("Expectations", [PageTable("What the scene expects of itself.", ("", "what came out"), rows)])
 
 
-def warnings(record: Record) -> Section | None:
+def warnings(record: RunRecord) -> Section | None:
     """What the run warned of, and what ended it before its time."""
-    rows = list(complaints(record.entries))
+    rows = list(warnings_and_errors(record.entries))
     if not rows:
         return None
-    return Section("Warnings", [Table("From run.log.", ("time", "", "what it says"), rows)])
+    return Section("Warnings", [PageTable("From run.log.", ("time", "", "what it says"), rows)])
 
 
-def is_idle(column: Column) -> bool:
+def is_zero(column: SeriesColumn) -> bool:
     """Whether a column says nothing: zero, or no number, in every row."""
     return not np.nan_to_num(column.values).any()
 
 
-def topic_of(column: Column) -> str:
+def topic_of(column: SeriesColumn) -> str:
     """The section where a column is shown."""
     quantity, _, part = column.name.partition(".")
     topics = (name for name, quantities in TOPICS.items() if part and quantity in quantities)
     return next(topics, "Energies" if column.unit == "J" or quantity.startswith("energy") else "Over time")
 
 
-def course(record: Record, with_plots: bool) -> list[Section]:
+def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
     """Flow, energies, and all else over time."""
     series = record.series
     if series is None:
         return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
-    idle = [column.words for column in series.columns if is_idle(column)]
-    parts_of: dict[str, list[Part]] = {topic: _readings(record, topic) for topic in TOPICS}
-    parts_of["Energies"] = _ledger(record)
-    parts_of["Over time"] = [f"Zero throughout: {', '.join(idle)}."] if idle else []
+    zero_columns = [column.text for column in series.columns if is_zero(column)]
+    parts_of: dict[str, list[PagePart]] = {topic: _readings(record, topic) for topic in TOPICS}
+    parts_of["Energies"] = _energy_budget(record)
+    parts_of["Over time"] = [f"Zero throughout: {', '.join(zero_columns)}."] if zero_columns else []
     found = []
     for topic, parts in parts_of.items():
-        columns = [column for column in series.columns if topic_of(column) == topic and not is_idle(column)]
+        columns = [column for column in series.columns if topic_of(column) == topic and not is_zero(column)]
         if columns and not with_plots:
             parts = [*parts, NO_LIBRARY]
         plots = [plot_of(group, series) for group in groups_of(columns)] if with_plots else []
@@ -118,7 +118,7 @@ def course(record: Record, with_plots: bool) -> list[Section]:
     return found
 
 
-def _readings(record: Record, topic: str) -> list[Part]:
+def _readings(record: RunRecord, topic: str) -> list[PagePart]:
     """The readings of meters or walls at the end; from the last row where there is no result."""
     readings = record.result.get(SECTIONS[topic], {})
     if readings:
@@ -127,14 +127,16 @@ def _readings(record: Record, topic: str) -> list[Part]:
     return [table_of("The last row of timeseries.csv.", readings)] if readings else []
 
 
-def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
     """A row for each part, such as a meter or a wall, and a column for each of its numbers."""
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     heads = ["", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in names)]
-    return Table(caption, heads, [[part, *(_shown(each.get(name)) for name in names)] for part, each in parts.items()])
+    return PageTable(
+        caption, heads, [[part, *(_shown(each.get(name)) for name in names)] for part, each in parts.items()]
+    )
 
 
-def _last_readings(columns: Sequence[Column], topic: str) -> dict[str, dict[str, float]]:
+def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for column in columns:
         quantity, _, part = column.name.partition(".")
@@ -143,10 +145,10 @@ def _last_readings(columns: Sequence[Column], topic: str) -> dict[str, dict[str,
     return found
 
 
-def _ledger(record: Record) -> list[Part]:
+def _energy_budget(record: RunRecord) -> list[PagePart]:
     """Every energy at the start and at the end, and its largest amount."""
     assert record.series is not None
-    energies = [column for column in record.series.columns if column.unit == "J" and not is_idle(column)]
+    energies = [column for column in record.series.columns if column.unit == "J" and not is_zero(column)]
     if not energies:
         return []
     rows = []
@@ -154,32 +156,32 @@ def _ledger(record: Record) -> list[Part]:
         known = TOTAL_QUANTITIES.get(column.name)
         values = column.values[np.isfinite(column.values)]
         numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
-        rows.append([column.words, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
+        rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
     error = record.result.get("totals", {}).get("energy_error")
-    said = [] if error is None else [f"Energy error: {error:.3g} of the largest energy put in (docs/energy.md)."]
-    return [Table("Energies in J.", ("", "first", "last", "largest", "what it is"), rows), *said]
+    statement = [] if error is None else [f"Energy error: {error:.3g} of the largest energy put in (docs/energy.md)."]
+    return [PageTable("Energies in J.", ("", "first", "last", "largest", "what it is"), rows), *statement]
 
 
-def profile(record: Record) -> Section | None:
+def profile(record: RunRecord) -> Section | None:
     """Where the wall clock went."""
-    seconds = {name: number for name, number in record.result.get("seconds", {}).items() if number is not None}
-    whole = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
-    if not seconds or not whole > 0.0:
+    seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
+    total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
+    if not seconds or not total > 0.0:
         return None
-    seconds["other"] = whole - sum(seconds.values())
+    seconds["other"] = total - sum(seconds.values())
     rows = [
         (
             name.replace("_", " "),
             f"{number:.2f}",
-            f"{number / whole:.0%}",
-            "\N{FULL BLOCK}" * round(BAR_STEPS * number / whole),
+            f"{number / total:.0%}",
+            "\N{FULL BLOCK}" * round(BAR_STEPS * number / total),
         )
         for name, number in sorted(seconds.items(), key=lambda each: -each[1])
     ]
-    return Section("Where the time went", [Table(f"{whole:.4g} s of wall clock.", ("", "s", "share", ""), rows)])
+    return Section("Where the time went", [PageTable(f"{total:.4g} s of wall clock.", ("", "s", "share", ""), rows)])
 
 
-def plan(record: Record) -> Section | None:
+def plan(record: RunRecord) -> Section | None:
     """Every decision with its reason, as the log has it; made again from the scene as run where it has none."""
     text = explanation(record.entries)
     if not text and record.scene is not None:
@@ -190,7 +192,7 @@ def plan(record: Record) -> Section | None:
     return Section(PLAN, [Code(text, numbered=False)]) if text else None
 
 
-def scene(record: Record) -> Section:
+def scene(record: RunRecord) -> Section:
     """The scene as run, with every default."""
     if not record.text:
         return Section("The scene as run", ["scene_as_run.yaml is not there."])
@@ -198,37 +200,37 @@ def scene(record: Record) -> Section:
     return Section("The scene as run", [*problem, Code(record.text)])
 
 
-def machine(record: Record) -> Section | None:
+def machine(record: RunRecord) -> Section | None:
     """With what and on what it ran."""
     rows = [
         (
-            each.began,
+            each.started,
             each.arch,
             each.precision,
             f"{each.compiled} s" if each.compiled else "",
             each.versions,
-            each.goes_on,
+            each.resumed_from,
         )
         for each in record.sessions
     ]
     if not rows:
         return None
     heads = ("began", "on", "precision", "compiled in", "versions and system", "")
-    return Section("Machine and versions", [Table("From run.log.", heads, rows)])
+    return Section("Machine and versions", [PageTable("From run.log.", heads, rows)])
 
 
-def others(record: Record) -> Section | None:
+def remaining_numbers(record: RunRecord) -> Section | None:
     """Numbers of the result that have no section of their own."""
-    elsewhere = ("run", "seconds", "expect", *SECTIONS.values())
-    parts: list[Part] = []
+    other_sections = ("run", "timings", "expect", *SECTIONS.values())
+    parts: list[PagePart] = []
     for name, numbers in record.result.items():
-        if name in elsewhere or not isinstance(numbers, Mapping) or not numbers:
+        if name in other_sections or not isinstance(numbers, Mapping) or not numbers:
             continue
         if all(isinstance(each, Mapping) for each in numbers.values()):
             parts.append(table_of(f"{name} in result.json", numbers))
         else:
             rows = [(each.replace("_", " "), _shown(number), unit_of(each)) for each, number in numbers.items()]
-            parts.append(Table(f"{name} in result.json", ("", "", ""), rows))
+            parts.append(PageTable(f"{name} in result.json", ("", "", ""), rows))
     return Section("All numbers at the end", parts) if parts else None
 
 

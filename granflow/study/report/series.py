@@ -17,7 +17,7 @@ MOST_POINTS = 800
 
 
 @dataclass(frozen=True)
-class Column:
+class SeriesColumn:
     """One quantity over time: `name` in the file's words, a part of it behind a dot, unit ("" for a number), values."""
 
     name: str
@@ -25,31 +25,31 @@ class Column:
     values: np.ndarray
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The name as people say it: "flow mass, outlet"."""
         quantity, _, part = self.name.partition(".")
         return quantity.replace("_", " ") + (f", {part}" if part else "")
 
 
 @dataclass(frozen=True)
-class Series:
+class TimeSeriesTable:
     """All columns over `time` (n,) [s], and where stages begin: time [s] and name."""
 
     time: np.ndarray
-    columns: tuple[Column, ...]
+    columns: tuple[SeriesColumn, ...]
     stages: tuple[tuple[float, str], ...]
 
 
 @dataclass(frozen=True)
-class Group:
+class PlotGroup:
     """Columns of one unit that are shown together."""
 
     title: str
     unit: str
-    columns: tuple[Column, ...]
+    columns: tuple[SeriesColumn, ...]
 
 
-def read_series(path: Path) -> Series | None:
+def read_series(path: Path) -> TimeSeriesTable | None:
     """The columns of a time series, but for a last line that a killed run left unfinished; none without rows."""
     if not path.exists():
         return None
@@ -66,10 +66,10 @@ def read_series(path: Path) -> Series | None:
     numbers = {name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names) if name != STAGE}
     time = numbers.pop(TIME)
     units = dict(labels)
-    columns = tuple(Column(name, units[name], values) for name, values in numbers.items())
+    columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
     stage = [row[names.index(STAGE)] for row in rows] if STAGE in names else [""] * len(rows)
     begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
-    return Series(time, columns, tuple(begins))
+    return TimeSeriesTable(time, columns, tuple(begins))
 
 
 def _split(head: str) -> tuple[str, str]:
@@ -85,51 +85,51 @@ def _number(text: str) -> float:
         return np.nan
 
 
-def groups_of(columns: Sequence[Column]) -> list[Group]:
+def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
     """Columns that belong together: of one unit, and of one quantity, or with the same last or first word.
 
     `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
     `overlap_mean` and `overlap_largest` the first. Nothing but the names is asked.
     """
-    kinds: dict[tuple[str, str], list[Column]] = {}
+    kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
     for column in columns:
         kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
-    return [Group(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
+    return [PlotGroup(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
 
 
-def _kind(column: Column, columns: Sequence[Column]) -> str:
+def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
     """What a column shares with others of its unit: a quantity, a last or a first word; else its own name."""
     quantity = column.name.partition(".")[0]
-    others = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
-    words = quantity.split("_")
-    if any(other.split("_")[-1] == words[-1] for other in others):
-        return words[-1]
-    if any(other.split("_")[0] == words[0] for other in others):
-        return words[0]
+    remaining_numbers = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    text = quantity.split("_")
+    if any(other.split("_")[-1] == text[-1] for other in remaining_numbers):
+        return text[-1]
+    if any(other.split("_")[0] == text[0] for other in remaining_numbers):
+        return text[0]
     return quantity
 
 
-def _title(members: Sequence[Column]) -> str:
+def _title(members: Sequence[SeriesColumn]) -> str:
     """The words that the quantities begin with, or else end with."""
     if len(members) == 1:
-        return members[0].words
-    words = [column.name.partition(".")[0].split("_") for column in members]
-    begin = _shared(words)
-    end = _shared([list(reversed(each)) for each in words])
+        return members[0].text
+    text = [column.name.partition(".")[0].split("_") for column in members]
+    begin = _common_prefix(text)
+    end = _common_prefix([list(reversed(each)) for each in text])
     return " ".join(begin or reversed(end))
 
 
-def _shared(words: Sequence[Sequence[str]]) -> list[str]:
+def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
     """The words that all lists begin with."""
-    columns = takewhile(lambda each: len(set(each)) == 1, zip(*words, strict=False))
+    columns = takewhile(lambda each: len(set(each)) == 1, zip(*text, strict=False))
     return [each[0] for each in columns]
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """At most MOST_POINTS points of a curve that keep every peak: the least and the largest of each stretch."""
-    there = np.flatnonzero(np.isfinite(values))
-    if len(there) > MOST_POINTS:
-        parts = np.array_split(there[1:-1], MOST_POINTS // 2 - 1)
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) > MOST_POINTS:
+        parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)
         ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
-        there = np.unique([there[0], *ends, there[-1]])
-    return time[there], values[there]
+        finite = np.unique([finite[0], *ends, finite[-1]])
+    return time[finite], values[finite]

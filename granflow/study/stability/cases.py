@@ -11,14 +11,14 @@ from granflow.errors import GranflowError
 
 ACCURATE = 0.01
 """An error up to this is none."""
-SILENT = 0.1
+NOT_OWNED = 0.1
 """An error beyond this must have been warned of, or the case is a defect."""
 
 Kind = Literal["accurate", "error", "refused", "defect"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class CaseResult:
     """What a case came to: the number in question, what it should be, what it was, and the error as a fraction."""
 
     quantity: str
@@ -31,14 +31,14 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Case:
+class StabilityCase:
     """One stiff or extreme case: a place in the grid of its family, what it is held against, and the work."""
 
     family: str
     row: str
     column: str
-    against: str
-    work: Callable[[], Finding]
+    reference: str
+    run: Callable[[], CaseResult]
     precision: Precision = "f64"
 
     @property
@@ -48,14 +48,14 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CaseOutcome:
     """A case with its verdict; numbers are nan where it was refused."""
 
     family: str
     row: str
     column: str
     precision: str
-    against: str
+    reference: str
     quantity: str
     expected: float
     reached: float
@@ -66,40 +66,40 @@ class Outcome:
     verdict: str
 
 
-def attempt(case: Case) -> Outcome:
+def run_case(case: StabilityCase) -> CaseOutcome:
     """Run a case to its end, whatever that is, and judge it."""
     began = clock.perf_counter()
-    finding = Finding("", math.nan, math.nan, math.nan, math.nan)
+    case_result = CaseResult("", math.nan, math.nan, math.nan, math.nan)
     try:
-        finding = case.work()
-        kind, verdict = judged(finding)
+        case_result = case.run()
+        kind, verdict = verdict_on(case_result)
     except GranflowError as refusal:
         kind, verdict = "refused", f"refused: {' '.join(str(refusal).split())}"
     except Exception as failure:  # whatever it is, it is a defect to be shown and not the end of the study
         kind, verdict = "defect", f"defect: {type(failure).__name__}: {failure}"
-    return outcome(case, finding, clock.perf_counter() - began, kind, verdict)
+    return case_outcome(case, case_result, clock.perf_counter() - began, kind, verdict)
 
 
-def outcome(case: Case, finding: Finding, seconds: float, kind: Kind, verdict: str) -> Outcome:
+def case_outcome(case: StabilityCase, case_result: CaseResult, seconds: float, kind: Kind, verdict: str) -> CaseOutcome:
     """The case with a verdict."""
-    return Outcome(
-        case.family, case.row, case.column, case.precision, case.against, finding.quantity, finding.expected,
-        finding.reached, finding.error, finding.time_step, seconds, kind, verdict,
+    return CaseOutcome(
+        case.family, case.row, case.column, case.precision, case.reference, case_result.quantity, case_result.expected,
+        case_result.reached, case_result.error, case_result.time_step, seconds, kind, verdict,
     )  # fmt: skip
 
 
-def judged(finding: Finding) -> tuple[Kind, str]:
+def verdict_on(case_result: CaseResult) -> tuple[Kind, str]:
     """Verdict on what was found."""
-    if not (math.isfinite(finding.reached) and math.isfinite(finding.error)):
-        return "defect", f"defect: {finding.quantity} is not a number, and nothing stopped the run"
-    if finding.error <= ACCURATE:
+    if not (math.isfinite(case_result.reached) and math.isfinite(case_result.error)):
+        return "defect", f"defect: {case_result.quantity} is not a number, and nothing stopped the run"
+    if case_result.error <= ACCURATE:
         return "accurate", "stable and accurate"
-    said = f" ({finding.quantity} {finding.reached:.4g} for {finding.expected:.4g})"
-    if finding.warnings:
-        return "error", f"stable, error {percent(finding.error)}{said}, said: {finding.warnings[0]}"
-    if finding.error > SILENT:
-        return "defect", f"defect: silent error {percent(finding.error)}{said}"
-    return "error", f"stable, error {percent(finding.error)}{said}"
+    statement = f" ({case_result.quantity} {case_result.reached:.4g} for {case_result.expected:.4g})"
+    if case_result.warnings:
+        return "error", f"stable, error {percent(case_result.error)}{statement}, said: {case_result.warnings[0]}"
+    if case_result.error > NOT_OWNED:
+        return "defect", f"defect: silent error {percent(case_result.error)}{statement}"
+    return "error", f"stable, error {percent(case_result.error)}{statement}"
 
 
 def percent(share: float) -> str:

@@ -1,4 +1,4 @@
-"""The heat map: every family a grid, every case a cell coloured by its verdict and error. Needs the extra `plot`."""
+"""The heat map: every family a grid, every case a cell colored by its verdict and error. Needs the extra `plot`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from granflow.study.figures import draw_to
-from granflow.study.stability.cases import Outcome, percent
-from granflow.study.stability.families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL
+from granflow.study.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL
+from granflow.study.stability.cases import CaseOutcome, percent
 
 HEIGHT = 13.5
 SMALLEST, LARGEST = 1e-5, 1.0
-"""Errors between which the colours run."""
+"""Errors between which the colors run."""
 REFUSED, DEFECT = (0.85, 0.85, 0.87), (0.80, 0.05, 0.10)
 GREENS, OCHRES = "YlGn_r", "YlOrBr"
 
@@ -30,33 +30,33 @@ TITLES = {
 }
 
 
-def write_heatmap(path: Path, outcomes: Sequence[Outcome]) -> None:
+def write_heatmap(path: Path, outcomes: Sequence[CaseOutcome]) -> None:
     """Draw all families. Raises GranflowError where matplotlib is not installed."""
     draw_to(path, lambda figure: _draw(figure, outcomes), HEIGHT)
 
 
-def _draw(figure: Any, outcomes: Sequence[Outcome]) -> None:
+def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:
     from matplotlib.patches import Patch
 
     axes = figure.subplot_mosaic([list(row) for row in PANELS], height_ratios=HEIGHTS)
     for family, axis in axes.items():
         _panel(axis, [each for each in outcomes if each.family == family])
         axis.set_title(TITLES[family])
-    colours = [(_colour("accurate", 1e-4), "within 1 %"), (_colour("error", 0.1), "stable, with the error said")]
-    colours += [(REFUSED, "refused, with a message"), (DEFECT, "defect")]
-    patches = [Patch(facecolor=colour, edgecolor="0.4", linewidth=0.4, label=label) for colour, label in colours]
+    colors = [(_color("accurate", 1e-4), "within 1 %"), (_color("error", 0.1), "stable, with the error said")]
+    colors += [(REFUSED, "refused, with a message"), (DEFECT, "defect")]
+    patches = [Patch(facecolor=color, edgecolor="0.4", linewidth=0.4, label=label) for color, label in colors]
     figure.legend(handles=patches, loc="outside lower center", ncols=4)
 
 
-def _panel(axis: Any, outcomes: Sequence[Outcome]) -> None:
+def _panel(axis: Any, outcomes: Sequence[CaseOutcome]) -> None:
     rows = list(dict.fromkeys(each.row for each in outcomes))
     columns = list(dict.fromkeys(each.column for each in outcomes))
-    colours = np.ones((max(len(rows), 1), max(len(columns), 1), 3))
+    colors = np.ones((max(len(rows), 1), max(len(columns), 1), 3))
     for each in outcomes:
         place = rows.index(each.row), columns.index(each.column)
-        colours[place] = _colour(each.kind, each.error)
+        colors[place] = _color(each.kind, each.error)
         axis.text(place[1], place[0], _words(each), ha="center", va="center", fontsize=5.5)
-    axis.imshow(colours, aspect="auto", interpolation="nearest")
+    axis.imshow(colors, aspect="auto", interpolation="nearest")
     axis.set_xticks(range(len(columns)), [_broken(column) for column in columns], fontsize=5.5)
     axis.set_yticks(range(len(rows)), rows, fontsize=6.0)
     axis.minorticks_off()
@@ -73,13 +73,13 @@ def _broken(label: str) -> str:
     return " ".join(words[:cut]) + "\n" + " ".join(words[cut:])
 
 
-def _words(each: Outcome) -> str:
+def _words(each: CaseOutcome) -> str:
     if each.kind == "refused" or not np.isfinite(each.error):
         return each.kind
     return f"{each.reached:.2f}" if each.family == BOUNDS else percent(each.error)
 
 
-def _colour(kind: str, error: float) -> Any:
+def _color(kind: str, error: float) -> Any:
     from matplotlib import colormaps
 
     if kind in ("refused", "defect"):

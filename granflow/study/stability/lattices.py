@@ -15,44 +15,44 @@ HALF_CELLS = 6
 
 
 @dataclass(frozen=True)
-class Lattice:
-    """Centres (n, 3) over the distance of neighbours, and which of them are anchors (n,)."""
+class TestLattice:
+    """Centers (n, 3) over the distance of neighbors, and which of them are anchors (n,)."""
 
-    centres: np.ndarray
-    anchored: np.ndarray
+    centers: np.ndarray
+    is_anchor: np.ndarray
 
     @property
-    def contacts_possible(self) -> int:
+    def max_contacts(self) -> int:
         """Contacts that one of these grains can have at once, as far as `check` can tell."""
-        return len(self.centres) - 1
+        return len(self.centers) - 1
 
     @property
-    def even(self) -> bool:
+    def has_free_pairs(self) -> bool:
         """Whether free grains touch each other; else they touch anchors alone."""
-        return int(np.sum(~self.anchored)) > 1
+        return int(np.sum(~self.is_anchor)) > 1
 
 
-def _cage(directions: np.ndarray) -> Lattice:
+def _cage(directions: np.ndarray) -> TestLattice:
     """One free grain between anchors in these directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
-    return Lattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
+    return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
 
 
-def _chain() -> Lattice:
+def _chain() -> TestLattice:
     place = np.arange(CHAIN_LENGTH + 2)
-    return Lattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
+    return TestLattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
 
 
-def _block() -> Lattice:
-    """Densest packing, face-centred cubic, within anchors."""
+def _block() -> TestLattice:
+    """Densest packing, face-centered cubic, within anchors."""
     points = np.array([p for p in product(range(HALF_CELLS + 1), repeat=3) if sum(p) % 2 == 0])
-    return Lattice(points / np.sqrt(2.0), np.any((points == 0) | (points == HALF_CELLS), axis=1))
+    return TestLattice(points / np.sqrt(2.0), np.any((points == 0) | (points == HALF_CELLS), axis=1))
 
 
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 _DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
 
-LATTICES: Mapping[str, Lattice] = {
+LATTICES: Mapping[str, TestLattice] = {
     "between 2": _cage(_AXES[[2, 5]]),
     "between 6": _cage(_AXES),
     "between 12": _cage(_DIAGONALS),

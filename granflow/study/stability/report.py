@@ -9,11 +9,11 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.study.figures import write_columns
-from granflow.study.page import Page, Picture, Section, Table, write_page
-from granflow.study.stability.cases import ACCURATE, SILENT, Outcome, percent
-from granflow.study.stability.families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL, all_cases
+from granflow.study.page import Page, PageTable, Picture, Section, write_page
+from granflow.study.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL, all_cases
+from granflow.study.stability.cases import ACCURATE, NOT_OWNED, CaseOutcome, percent
 from granflow.study.stability.heatmap import write_heatmap
-from granflow.study.stability.lanes import Tell, run_cases
+from granflow.study.stability.worker_pool import Report, run_cases
 
 PAGE, CSV, HEATMAP = "stability.html", "stability.csv", "stability.png"
 HEADS = ("family", "cases", "accurate", "error said", "refused", "defects", "largest error")
@@ -25,7 +25,7 @@ EXPLANATIONS = {
     STIFFNESS: "A pair of stainless steel's e(v) (Eq. 12; limit velocity 340 m/s) with Young's moduli from rubber to "
     "beyond diamond, at the step that granflow chooses. Above the limit velocity Eq. 12 asks for e = 0. Soft spheres "
     "at high speed would pass through each other: a guard stops the run.",
-    SIZES: "Spheres from a micrometre to a metre (e 0.7, 1 m/s) in each precision.",
+    SIZES: "Spheres from a micrometer to a meter (e 0.7, 1 m/s) in each precision.",
     UNEQUAL: "A sphere against one up to 100 times as large and of up to a million times its density. Judged are the "
     "restitution and the momentum, which must not change.",
     MANY: "A grain under another of a million times its mass, and a column of 100: placed where their forces balance, "
@@ -41,16 +41,16 @@ EXPLANATIONS = {
 }
 
 
-def stability(out: Path, full: bool, tell: Tell) -> tuple[list[Outcome], str]:
+def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome], str]:
     """Run all cases and write everything; returns the outcomes and a sentence where a figure is missing, else ""."""
-    outcomes = run_cases(all_cases(full), tell)
+    outcomes = run_cases(all_cases(full), report)
     return outcomes, write_stability(out, outcomes)
 
 
-def write_stability(out: Path, outcomes: Sequence[Outcome]) -> str:
+def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
     """Write CSV, heat map and page; without matplotlib all but the heat map, and a sentence that says so."""
     out.mkdir(parents=True, exist_ok=True)
-    names = [field.name for field in fields(Outcome)]
+    names = [field.name for field in fields(CaseOutcome)]
     write_columns(out / CSV, {name: np.array([getattr(each, name) for each in outcomes]) for name in names})
     missing = ""
     try:
@@ -61,14 +61,14 @@ def write_stability(out: Path, outcomes: Sequence[Outcome]) -> str:
     return missing
 
 
-def summary_rows(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
+def summary_rows(outcomes: Sequence[CaseOutcome]) -> list[tuple[str, ...]]:
     """One row a family, cells as HEADS says, and one for all."""
     families = dict.fromkeys(each.family for each in outcomes)
     rows = [_summary(family, [each for each in outcomes if each.family == family]) for family in families]
     return [*rows, _summary("all", outcomes)]
 
 
-def _summary(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
     counts = Counter(each.kind for each in outcomes)
     errors = [each.error for each in outcomes if np.isfinite(each.error)]
     worst = percent(max(errors)) if errors else ""
@@ -76,12 +76,12 @@ def _summary(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     return (name, str(len(outcomes)), *kinds, worst)
 
 
-def defects(outcomes: Sequence[Outcome]) -> list[str]:
+def defects(outcomes: Sequence[CaseOutcome]) -> list[str]:
     """A line for each defect."""
     return [f"{each.family}: {each.row}, {each.column}: {each.verdict}" for each in outcomes if each.kind == "defect"]
 
 
-def headline(outcomes: Sequence[Outcome]) -> str:
+def headline(outcomes: Sequence[CaseOutcome]) -> str:
     """What came out, in two sentences."""
     counts = Counter(each.kind for each in outcomes)
     ratios = [each.reached for each in outcomes if each.family == BOUNDS and np.isfinite(each.reached)]
@@ -95,34 +95,34 @@ def headline(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def _page(out: Path, outcomes: Sequence[Outcome], drawn: bool) -> Page:
+def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
     how = (
         "Every case is run to its end, in processes of their own. Its verdict: stable and accurate, with an error of "
         f"up to {percent(ACCURATE)}; stable, with the error and the number that is in error; refused, with the "
         "message that a user sees. A number that is none, a crash, a case that does not end, or an error beyond "
-        f"{percent(SILENT)} of which nobody was warned, is a defect. Errors of restitution are over the velocity of "
+        f"{percent(NOT_OWNED)} of which nobody was warned, is a defect. Errors of restitution are over the velocity of "
         "approach: asked 0 and reached 0.015 is an error of 1.5 %."
     )
-    table = Table("Cases by verdict.", HEADS, summary_rows(outcomes))
-    parts: list[str | Table | Picture] = [how, table]
+    table = PageTable("Cases by verdict.", HEADS, summary_rows(outcomes))
+    parts: list[str | PageTable | Picture] = [how, table]
     if drawn:
         caption = "Every case: a row and a column of its family, the error, or the ratio of the bounds."
         parts.append(Picture(out / HEATMAP, caption, (HEATMAP, CSV)))
-    found = [Section("What came out", parts)]
+    sections = [Section("What came out", parts)]
     for family in dict.fromkeys(each.family for each in outcomes):
-        mine = [each for each in outcomes if each.family == family]
-        found.append(Section(family[0].upper() + family[1:], [EXPLANATIONS[family], _table(mine)]))
-    return Page("Stiff and extreme cases", headline(outcomes), found)
+        of_family = [each for each in outcomes if each.family == family]
+        sections.append(Section(family[0].upper() + family[1:], [EXPLANATIONS[family], _table(of_family)]))
+    return Page("Stiff and extreme cases", headline(outcomes), sections)
 
 
-def _table(outcomes: Sequence[Outcome]) -> Table:
+def _table(outcomes: Sequence[CaseOutcome]) -> PageTable:
     rows = [
         (each.row, each.column, _figure(each.expected), _figure(each.reached), _figure(each.time_step), each.verdict)
         for each in outcomes
     ]
-    against = outcomes[0].against if len({each.against for each in outcomes}) == 1 else "what each case names"
+    reference = outcomes[0].reference if len({each.reference for each in outcomes}) == 1 else "what each case names"
     heads = ("", "case", "expected", "reached", "time step (s)", "verdict")
-    return Table(f"Measured against {against}.", heads, rows)
+    return PageTable(f"Measured against {reference}.", heads, rows)
 
 
 def _figure(number: float) -> str:

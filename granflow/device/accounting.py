@@ -1,0 +1,108 @@
+"""What is counted on the host: who came, who left, and the energy they brought or took."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from granflow.device.frozen_masks import mobility_mask
+from granflow.device.state import LOSSES, State
+from granflow.device.wall_dynamics import controlled_work
+
+LARGEST_ERROR = 5e-3
+"""Magnitude of the energy error above which a run warns."""
+
+ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
+"""Rounding of the energy budget over the potential energies in it, by precision: of masses, in f32 of positions too."""
+
+
+@dataclass
+class Accounting:
+    """Counts since the start, and facts about every particle by its id."""
+
+    inserted_count: int = 0
+    deleted_count: int = 0
+    deleted_mass: float = 0.0
+    inserted_energy: float = 0.0
+    removed_energy: float = 0.0
+    removed_kinetic_energy: float = 0.0
+    energy_put_in: float = 0.0
+    """Largest energy [J] put in so far, of all snapshots; see `put_in`."""
+    outlets: dict[str, list[float]] = field(default_factory=dict)
+    """Count and mass [kg] of what every outlet took."""
+    queued_count: int | None = None
+    """Particles that wait for room to come in; None where none come in."""
+    material: list[np.ndarray] = field(default_factory=list)
+    group: list[np.ndarray] = field(default_factory=list)
+
+    def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
+        """`material` or `group` numbers of the scene for particle ids."""
+        parts = getattr(self, name)
+        if len(parts) > 1:
+            parts[:] = [np.concatenate(parts)]
+        return parts[0][ids] if parts else np.zeros(len(ids), np.int32)
+
+
+def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
+    """Kinetic, rotational and gravitational energy [J] of particles; fixed ones have none.
+
+    `arrays`: mass (n,), radius (n,), position (n, 3), velocity (n, 3) and, if they turn, spin (n, 3).
+    """
+    mass = arrays["mass"].astype(float) * mobility_mask(arrays)
+    kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
+    rotational = 0.0
+    if "angular_velocity" in arrays:
+        inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
+        rotational = 0.5 * float(inertia @ np.sum(arrays["angular_velocity"].astype(float) ** 2, axis=1))
+    return kinetic, rotational, -float(mass @ (arrays["position"] @ gravity))
+
+
+def put_in(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
+    """Energy [J] that gravity, initial motion, insertion, walls and images have put in.
+
+        E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
+
+    with the mechanical energy of inserted particles, the potential energies of particles now and of those deleted, and
+    the works of walls and of images of a sheared box. It does not depend on the origin of the potential.
+    """
+    given = accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
+    return max(given, 0.0) + sum(max(work, 0.0) for work in works)
+
+
+def energy_budget_totals(
+    state: State, accounting: Accounting, energies: tuple[float, float, float], measured: dict[str, float]
+) -> dict[str, float]:
+    """The energy budget [J], and its error: the residual over the largest energy put in so far.
+
+        residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
+        energy_error = residual / max(E_in over all snapshots so far, rounding / LARGEST_ERROR)
+
+    The largest E_in, not the present one: a bouncing sphere at its highest point has given all of it back. Where less
+    is put in than rounding of the potential energies blurs, that is the scale, so that rounding is no error.
+    """
+    assert state.control.losses is not None
+    losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
+    losses["plastic"] += measured["plastic_dissipation"]
+    losses["wall_work"] += controlled_work(state)
+    boundary = state.control.boundary_work
+    boundary_work = {} if boundary is None else {"boundary_work": float(boundary.to_numpy().sum())}
+    dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
+    energy_held = sum(energies) + measured["elastic_energy"]
+    removed = accounting.removed_energy - accounting.inserted_energy
+    works = (losses["wall_work"], *boundary_work.values())
+    residual = energy_held + dissipated + removed - sum(works)
+    accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2], works))
+    rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
+    scale = max(accounting.energy_put_in, rounding / LARGEST_ERROR)
+    return {
+        "gravitational_energy": energies[2],
+        "elastic_energy": measured["elastic_energy"],
+        "plastic_dissipation": losses["plastic"],
+        "friction_dissipation": losses["friction"],
+        "rolling_dissipation": losses["rolling"],
+        "damping_dissipation": losses["damping"],
+        "wall_work": losses["wall_work"],
+        **boundary_work,
+        "removed_energy": removed,
+        "energy_error": residual / scale if scale > 0.0 else 0.0,
+    }

@@ -1,0 +1,124 @@
+"""Search cells over the particles that are there.
+
+Cells lie in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is a compact lump and few pairs cross
+chunks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import State
+from granflow.plan.capacities import BOUNDS
+from granflow.plan.plan import BLOCK_CELLS
+
+BLOCK_SIDE = 8
+
+OUTLIER_SHARE = 1 / 16
+"""Share of the parts of the particles whose farthest may stand off the grid at each end, where it has to."""
+
+VOLUME_RATIO = 1 / 2
+"""Share of their volume that cells must shrink to for stragglers to be left out."""
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """Cells along each axis, their sides (3,) [m] and the low corner (3,) [m] of all of them."""
+
+    low: np.ndarray
+    side: np.ndarray
+    cells: tuple[int, int, int]
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Blocks along each axis."""
+        return tuple(-(-cells // BLOCK_SIDE) for cells in self.cells)
+
+    @property
+    def cell_count(self) -> int:
+        """Cells in all blocks."""
+        return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
+
+    @classmethod
+    def over(
+        cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int, periodic: Sequence[int] = ()
+    ) -> "CellGrid":
+        """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells.
+
+        Along periodic axes cells are as wide as fill the box exactly, elsewhere as wide as asked, in whole blocks.
+        """
+        is_periodic = np.isin(np.arange(3), periodic)
+        while True:
+            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1.0)
+            cells = np.where(is_periodic, np.maximum(np.floor((high - low) / side), 1.0), BLOCK_SIDE * blocks)
+            sides = np.where(is_periodic, (high - low) / cells, side)
+            blocks = np.ceil(cells / BLOCK_SIDE)
+            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
+                return cls(low, sides, (int(cells[0]), int(cells[1]), int(cells[2])))
+            side *= 1.25
+
+
+def update_cell_grids(state: State) -> list[CellGrid]:
+    """Write the grid to sort by, or where sizes differ widely one for each class, of which the first is to sort by.
+
+    Reads:   low, high (see `build_bounds`)
+    Writes:  grid_low, cell_side, cells, first_cell, radius
+    """
+    plan, sorting = state.plan, state.cell_sort
+    lows, highs = (
+        np.sort(field.to_numpy()[: min(state.count, BOUNDS)].astype(float), axis=0)
+        for field in (sorting.low, sorting.high)
+    )
+    grids: list[CellGrid] = []
+    for class_index, radius in enumerate(plan.size_classes):
+        side, limit = (2.0 * radius + plan.skin) * (1.0 + 1e-6), sorting.cell_capacity >> class_index
+        grid = _grid_for_particles(state, lows, highs, side, limit)
+        if sorting.class_order is not None:
+            sorting.radius[class_index], sorting.first_cell[class_index] = (
+                radius,
+                sum(each.cell_count for each in grids),
+            )
+        sorting.grid_low[class_index], sorting.cell_side[class_index] = list(grid.low), list(grid.side)
+        sorting.cells[class_index] = list(grid.cells)
+        grids.append(grid)
+    return grids
+
+
+def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side: float, limit: int) -> CellGrid:
+    """A grid over the particles there are, whose parts reach from `lows` to `highs` (parts, 3) [m], both sorted.
+
+    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
+    count as in the cell at its edge that is nearest to where they are.
+    """
+    grid = _grid_over(state, lows[0], highs[-1], side, limit)
+    if np.any(np.delete(grid.side, state.plan.periodic_box.axes) > side):
+        outliers = int(OUTLIER_SHARE * len(lows))
+        finer = _grid_over(state, lows[outliers], highs[-1 - outliers], side, limit)
+        grid = finer if np.prod(finer.side) < VOLUME_RATIO * np.prod(grid.side) else grid
+    return grid
+
+
+def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, limit: int) -> CellGrid:
+    """The grid over a box and in the domain, if that does not grow; over all of the domain along periodic axes."""
+    plan, periodic_axes = state.plan, list(state.plan.periodic_box.axes)
+    if plan.scene.domain.on_exit != "expand":
+        low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
+    low, high = low.copy(), np.maximum(high, low)
+    low[periodic_axes], high[periodic_axes] = plan.domain_low[periodic_axes], plan.domain_high[periodic_axes]
+    return CellGrid.over(low, high, side, limit, periodic_axes)
+
+
+def build_cell_number() -> Any:
+    """Device function: cell coordinates, and cells along each axis, to the number of the cell in block order."""
+
+    @ti.func
+    def cell_number(x, y, z, cells):
+        blocks_x, blocks_y = (cells[0] + BLOCK_SIDE - 1) // BLOCK_SIDE, (cells[1] + BLOCK_SIDE - 1) // BLOCK_SIDE
+        block = ((z // BLOCK_SIDE) * blocks_y + y // BLOCK_SIDE) * blocks_x + x // BLOCK_SIDE
+        inside = ((z % BLOCK_SIDE) * BLOCK_SIDE + y % BLOCK_SIDE) * BLOCK_SIDE + x % BLOCK_SIDE
+        return block * BLOCK_CELLS + inside
+
+    return cell_number

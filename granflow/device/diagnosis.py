@@ -1,0 +1,187 @@
+"""Who is behind a guard that tripped: found on the host from what stands on the device, after the run has stopped."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.device.contact_output import candidate_pairs
+from granflow.device.frozen_masks import mobility_mask
+from granflow.device.host_copy import HostCopy
+from granflow.device.limits import (
+    ABORT_DISPLACEMENT,
+    ABORT_NOT_FINITE,
+    ABORT_OVERLAP,
+    ABORT_WALL,
+    ContactPair,
+    Diagnosis,
+    Participant,
+    diagnosis_of,
+)
+from granflow.device.state import State
+from granflow.device.wall_dynamics import controlled_displacements, controlled_velocities
+from granflow.device.walls import walls_of
+from granflow.laws import theory
+from granflow.plan import Plan
+from granflow.plan.plan import pair_material, solid
+from granflow.plan.time_step import PairCase, stable_step
+from granflow.walls.mesh import Mesh
+from granflow.walls.mesh_contact import reference_contact
+from granflow.walls.motion import pose
+
+FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")
+
+TINY_MASS = 1e-300
+"""Mass [kg] of places that hold no particle yet."""
+
+
+@dataclass(frozen=True)
+class CandidatePairs:
+    """Near pairs, n of them, where they stand.
+
+    Indices of owner and partner (-1 - wall), overlap over the smaller radius, approach and velocity of the partner's
+    surface (n, 3) [m/s].
+    """
+
+    owner: np.ndarray
+    partner: np.ndarray
+    overlap: np.ndarray
+    approach: np.ndarray
+    surface: np.ndarray
+
+
+def diagnose(
+    code: int, particle: int, state: State, host_copy: HostCopy, time: float, prepared_simulation: bool
+) -> Diagnosis:
+    """The trip of a guard at `time` [s], with the pair most at fault if those that tripped it touch anything.
+
+    `prepared_simulation`: whether any step was taken, not only forces found where the particles begin.
+    """
+    if code == ABORT_WALL:
+        return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, prepared_simulation)
+    arrays = host_copy.copy_to_host(FIELDS, 0, state.particles.capacity)
+    arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
+    if (
+        code == ABORT_OVERLAP and prepared_simulation
+    ):  # forces are of where the particles stand: a step ahead of the time
+        mass = np.maximum(arrays["mass"], TINY_MASS)
+        arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
+        time += state.clock.time_step
+    found = np.flatnonzero(arrays["id"] == particle)
+    index = int(found[0])  # one that left the domain stands right behind the others
+    participant = _participant(state.plan, arrays, index)
+    candidates = _candidate_pairs(code, state, arrays, time)
+    involved = (candidates.owner == index) | (candidates.partner == index)
+    considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT) else np.ones_like(involved)
+    share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
+    pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
+    return diagnosis_of(code, participant, pair, state.clock.time_step, prepared_simulation)
+
+
+def _fastest_wall(state: State) -> Participant:
+    """The driven wall that moves fastest."""
+    velocities = controlled_velocities(state)
+    index = int(np.nan_to_num(np.linalg.norm(velocities, axis=1), nan=np.inf).argmax())
+    wall = state.plan.walls[index]
+    return Participant(f"wall {wall.name}", state.plan.materials[wall.material], _vector(velocities[index]), None)
+
+
+def _participant(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Participant:
+    """One particle as messages name it."""
+    velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
+    return Participant(
+        f"particle {arrays['id'][index]}",
+        plan.materials[material],
+        _vector(velocity),
+        _vector(arrays["position"][index]),
+    )
+
+
+def _vector(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], time: float) -> CandidatePairs:
+    """All listed pairs where they stand; after a jump, where they stood before it."""
+    owner, _list_index, partner = candidate_pairs(state)
+    position, velocity = arrays["position"], arrays["velocity"]
+    if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT):
+        position = position - state.clock.time_step * velocity
+        position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
+    partner_index = np.maximum(partner, 0)
+    branch = position[owner] - state.plan.periodic_box.at(time).nearest_images(position[partner_index], position[owner])
+    distance = np.linalg.norm(branch, axis=1)
+    overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
+    normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
+    moving, smaller = velocity[partner_index], np.minimum(arrays["radius"][owner], arrays["radius"][partner_index])
+    face = -1 - partner
+    partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
+    for index in range(len(state.plan.walls)):
+        of_wall = partner == -1 - index
+        points = state.plan.periodic_box.wrap(position[owner[of_wall]])
+        gap, normal[of_wall], moving[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
+        smaller[of_wall] = arrays["radius"][owner[of_wall]]
+        overlap[of_wall] = smaller[of_wall] - gap
+    approach = -np.sum((velocity[owner] - moving) * normal, axis=1)
+    return CandidatePairs(owner, partner, overlap / smaller, approach, moving)
+
+
+def _wall_gaps(
+    state: State, index: int, face: np.ndarray, points: np.ndarray, time: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gap (n,), normal (n, 3) and surface velocity (n, 3) of a wall, or of its faces (n,), at points (n, 3)."""
+    shape, wall_pose = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
+    rotation, center = (
+        wall_pose.rotation[0],
+        wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index],
+    )
+    velocity = wall_pose.velocity[0] + controlled_velocities(state)[index]
+    local = (points - center) @ rotation + wall_pose.pivot
+    if isinstance(shape, Mesh):
+        first = len(state.plan.walls) + state.plan.first_triangle(index)
+        gap, normal = reference_contact(shape.adjacency, face - first, local)
+    else:
+        gap, normal = shape.kind.reference_closest(local, shape.parameters)
+    return gap, normal @ rotation.T, velocity + np.cross(wall_pose.angular_velocity[0], points - center)
+
+
+def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int) -> ContactPair:
+    """The worst of the near pairs, and the longest step that is stable for it as it is now.
+
+    impact^2 = approach^2 + (4/5) k d^2.5 / M        (elastic energy of a Hertz contact)
+    """
+    owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
+    first = _participant(plan, arrays, owner)
+    radius, mass = arrays["radius"][owner], arrays["mass"][owner]
+    radius_eff, mass_eff, smaller = radius, mass, radius
+    if partner >= 0:
+        second = _participant(plan, arrays, partner)
+        radius_eff = radius * arrays["radius"][partner] / (radius + arrays["radius"][partner])
+        both = {name: values[[owner, partner]] for name, values in arrays.items()}
+        mass_eff = float(1.0 / (mobility_mask(both) / both["mass"]).sum())
+        smaller = min(radius, arrays["radius"][partner])
+    else:
+        wall = plan.walls[-1 - partner]
+        second = Participant(
+            f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None
+        )
+    overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
+    material = pair_material(plan.scene, first.material, second.material)
+    stiffness = theory.hertz_stiffness(material.modulus_eff, radius_eff)
+    impact_velocity = float(np.hypot(approach, np.sqrt(0.8 * stiffness / mass_eff) * (overlap * smaller) ** 1.25))
+    material_solid = solid(plan.scene, first.material)
+    pair_case = PairCase(
+        "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
+    )
+    return ContactPair(
+        first, second, overlap, approach, impact_velocity, stable_step(pair_case, plan.law, impact_velocity)
+    )
+
+
+def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
+    """How many others the busier of the two touches."""
+    touching = candidates.overlap > 0.0
+    pairs = {
+        (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)
+    }
+    return max(sum(end in pair for pair in pairs) for end in ends if end >= 0)

@@ -1,0 +1,62 @@
+"""Fixed grains on the device: they stay where they are, and others meet them as something infinitely heavy."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import State
+
+FROZEN_MASS_FACTOR = 2.0**60
+"""Times heavier than it is a fixed grain counts in contacts: its partner's share is lost in rounding, in f64 too."""
+
+
+def build_mobility(state: State) -> Any:
+    """Device function (i): 1, or 0 for a grain that is fixed."""
+    particles, real = state.particles, state.backend.real
+
+    @ti.func
+    def mobility(i):
+        share = ti.cast(1.0, real)
+        if ti.static(state.plan.features.fixed_particles):
+            share = ti.cast(1 - particles.fixed[i], real)
+        return share
+
+    return mobility
+
+
+def build_contact_mass(state: State) -> Any:
+    """Device function (i): mass of a grain as its contacts feel it [kg]."""
+    particles, real = state.particles, state.backend.real
+
+    @ti.func
+    def contact_mass(i):
+        mass = particles.mass[i]
+        if ti.static(state.plan.features.fixed_particles):
+            mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
+        return mass
+
+    return contact_mass
+
+
+def build_can_touch(state: State) -> Any:
+    """Device function (i, j): whether the two can touch; fixed grains meet neither each other nor walls (j < 0)."""
+    particles = state.particles
+
+    @ti.func
+    def can_touch(i, j):
+        can = True
+        if ti.static(state.plan.features.fixed_particles):
+            if particles.fixed[i] == 1:
+                can = j >= 0
+                if j >= 0:
+                    can = particles.fixed[j] == 0
+        return can
+
+    return can_touch
+
+
+def mobility_mask(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """1 (n,), or 0 for grains that are fixed; `arrays` are particle fields, `fixed` only where a scene has such."""
+    fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
+    return 1.0 - np.asarray(fixed, float)

@@ -1,0 +1,94 @@
+"""What a contact remembers goes along when it slides from one triangle of a mesh to the next.
+
+The walls of a particle are gone through in three turns: contacts that there were before; then those that begin, which
+may take over what a contact of the first turn has left; then what nobody took is forgotten.
+"""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.device.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
+from granflow.device.mesh import build_mesh_geometry
+from granflow.device.state import State
+from granflow.device.walls import build_triangle_of, build_wall_geometry
+from granflow.walls.shape import FAR_AWAY
+
+CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
+"""Which slots have their turn one after the other."""
+
+
+def transfers_history(state: State) -> bool:
+    """Whether contacts with walls can go on in another slot, and have something to bring there."""
+    return state.plan.features.mesh_walls and bool(state.neighbors.history)
+
+
+def build_release_history(state: State) -> Any:
+    """Device function (i, slot, j, pose): leave a slot's memory for an heir; 1 if that is done.
+
+    Done where a triangle no longer answers though the sphere still reaches it: another one does, then.
+
+    Reads:   position, radius, mesh
+    Writes:  touching
+    """
+    particles, neighbors = state.particles, state.neighbors
+    separation, triangle_of = _build_separation(state), build_triangle_of(state)
+
+    @ti.func
+    def release_history(i, list_index, j, pose):
+        released, t = 0, triangle_of(j)
+        if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
+            if separation(i, t, pose).norm() < particles.radius[i]:
+                neighbors.in_contact[list_index] = RELEASED
+                released = 1
+        return released
+
+    return release_history
+
+
+def build_claim_history(state: State) -> Any:
+    """Device function (i, slot, j, pose): a contact that begins takes over the memory left nearest to it on its wall.
+
+    Reads:   position, contact rows, mesh
+    Writes:  history, touching
+    """
+    neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
+    separation, triangle_of, names = _build_separation(state), build_triangle_of(state), list(neighbors.history)
+
+    @ti.func
+    def released_near(i, t, pose):
+        found, nearest = -1, ti.cast(FAR_AWAY, real)
+        for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
+            if neighbors.in_contact[list_index] == RELEASED:
+                other = triangle_of(neighbors.partner[list_index])
+                if mesh.wall[other] == mesh.wall[t]:
+                    distance = (separation(i, other, pose) - separation(i, t, pose)).norm()
+                    if distance < nearest:
+                        found, nearest = list_index, distance
+        return found
+
+    @ti.func
+    def claim_history(i, list_index, j, pose):
+        t = triangle_of(j)
+        if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
+            source = released_near(i, t, pose)
+            if source >= 0:
+                for name in ti.static(names):
+                    neighbors.history[name][list_index] = neighbors.history[name][source]
+                    neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
+                neighbors.in_contact[source] = NO_CONTACT
+
+    return claim_history
+
+
+def _build_separation(state: State) -> Any:
+    """Device function (i, triangle, pose): from the nearest point of the triangle to the particle, the wall at rest."""
+    geometry, wall_geometry = build_mesh_geometry(state), build_wall_geometry(state)
+
+    @ti.func
+    def separation(i, t, pose):
+        return geometry.from_nearest(
+            t, wall_geometry.to_wall_frame(state.mesh.wall[t], pose, state.particles.position[i])
+        )
+
+    return separation

@@ -1,0 +1,106 @@
+"""Warnings while a run goes on, from numbers that a snapshot has fetched anyway: nothing is added to a step."""
+
+import logging
+
+import numpy as np
+
+from granflow.device.accounting import LARGEST_ERROR, ROUNDING, Accounting, put_in
+from granflow.plan import Plan
+from granflow.plan.plan import pair_cases_of
+from granflow.plan.time_step import stable_step
+
+SPEED_INCREASE = 1.1
+"""By how much the fastest particle must outdo the fastest so far to be looked at again."""
+
+
+class StabilityMonitor:
+    """Checks every snapshot: is the step still stable for the speeds there are, is energy conserved?
+
+    With the energy budget, the magnitude of its error must stay below LARGEST_ERROR. Without, kinetic and potential
+    energy must not exceed those at the start and of particles inserted since; what is above is taken over the same
+    scale, the largest energy put in so far. That requires a start without contacts, walls at rest and no cohesion.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.warnings: dict[str, str] = {}
+        self._fastest = plan.velocity_max
+        self._rounding = ROUNDING[plan.scene.run.precision]
+        self._initial_energy = 0.0
+        self._enabled = not plan.features.energy_budget and _conserves_energy(plan)
+        self._started = False
+
+    def check(
+        self,
+        time: float,
+        energies: tuple[float, float, float],
+        accounting: Accounting,
+        totals: dict[str, float],
+        speed: float,
+    ) -> None:
+        """See what stands at `time` [s]: kinetic, rotational, potential energy [J], totals, largest speed [m/s]."""
+        self._check_speed(time, speed)
+        share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
+        if abs(share) > LARGEST_ERROR:
+            self._enabled = False
+            self._warn_once(
+                "energy",
+                f"At {time:.6g} s the energy error is {share:.2%} of the energy put in, more than {LARGEST_ERROR:.1%}: "
+                f"the contacts are integrated too coarsely. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
+                "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
+                "budget.",
+            )
+
+    def _gained_share(
+        self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
+    ) -> float:
+        """Energy above what there can be, over the largest energy put in so far."""
+        energy_gain = self._energy_gain(energies, accounting, contact_count)
+        accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2]))
+        return energy_gain / accounting.energy_put_in if energy_gain else 0.0
+
+    def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
+        """Energy above what there can be [J]; 0 where that cannot be told."""
+        if not self._enabled:
+            return 0.0
+        energy_inserted = accounting.inserted_energy - accounting.removed_energy
+        energy_held = sum(energies) - energy_inserted
+        if not self._started:
+            self._started = True
+            self._enabled = contact_count == 0
+            self._initial_energy = energy_held
+        return max(energy_held - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0)
+
+    def _check_speed(self, time: float, speed: float) -> None:
+        """Hold a step that does not follow the scene against the stable one at the speed of the fastest particle."""
+        if self.plan.adaptive_time_step is not None or not speed > SPEED_INCREASE * self._fastest:
+            return
+        self._fastest = speed
+        stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in pair_cases_of(self.plan.scene))
+        if self.plan.time_step > stable:
+            self._warn_once(
+                "speed",
+                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, faster than the "
+                f"{self.plan.velocity_max:.3g} m/s planned for: an impact at that speed needs a time step below "
+                f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} m/s.",
+            )
+
+    def _warn_once(self, kind: str, sentence: str) -> None:
+        """Once for each kind."""
+        if kind not in self.warnings:
+            self.warnings[kind] = sentence
+            logging.getLogger("granflow").warning("%s", sentence)
+
+
+def _conserves_energy(plan: Plan) -> bool:
+    """Whether nothing but arriving particles can bring energy."""
+    walls = plan.scene.walls.values()
+    walls_stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
+    has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)  # who passes a border may fall for ever
+    has_image_work = has_image_work or plan.features.lees_edwards
+    return walls_stay and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
+
+
+def largest_speed(velocity: np.ndarray) -> float:
+    """Largest speed [m/s] of velocities (n, 3)."""
+    return float(np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max(initial=0.0)))

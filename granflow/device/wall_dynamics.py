@@ -1,0 +1,230 @@
+"""Driven walls on the device: the forces of the grains on a wall, and where they move it.
+
+    servo   v(t + dt/2) = gain [F - f(t)], at most velocity_max either way
+    free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
+    both    x(t + dt) = x(t) + dt v(t + dt/2)
+
+with f the force of the wall on the grains along its direction, F what a servo holds, or the weight and the own
+force of a free wall. As grains do in the leapfrog, a wall has its velocity half a step behind its place, and moves when
+they do.
+"""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.limits import ABORT_WALL
+from granflow.device.state import State
+from granflow.walls.motion import is_running
+
+SAVED_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
+"""What of it goes into checkpoints."""
+
+
+def build_add_wall_force(state: State) -> tuple[Any, Any]:
+    """Device functions (chunk) and (chunk, wall, force on a grain): forget, and add up, the forces on driven walls."""
+    controlled_motions, fields = state.plan.controlled_motions, state.wall_dynamics
+
+    @ti.func
+    def clear_wall_forces(chunk):
+        for r in ti.static(range(len(controlled_motions))):
+            fields.wall_force[chunk, r] = 0.0
+
+    @ti.func
+    def add_wall_force(chunk, w, force):
+        for r in ti.static(range(len(controlled_motions))):
+            if w == controlled_motions[r].wall:
+                force_along = ti.cast(force, ti.f64).dot(ti.Vector(controlled_motions[r].direction, dt=ti.f64))
+                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - force_along
+
+    return clear_wall_forces, add_wall_force
+
+
+def build_wall_dynamics(state: State) -> Any:
+    """Device function (chunks, pose, time_step): move all driven walls by one step, on one thread.
+
+    Reads:   push, was_on, on
+    Writes:  velocity, offset, was_on, given, work, search_wanted, guard
+    """
+    controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
+    rebuild_limit, farthest = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
+
+    @ti.func
+    def controlled_velocity(r: ti.template(), force_on_wall, dt):
+        velocity = fields.velocity[r]
+        if ti.static(controlled_motions[r].kind == "servo"):
+            velocity = controlled_motions[r].gain * (controlled_motions[r].force + force_on_wall)
+            velocity = ti.max(ti.min(velocity, controlled_motions[r].velocity_max), -controlled_motions[r].velocity_max)
+        else:
+            kick = dt / controlled_motions[r].mass * (controlled_motions[r].force + force_on_wall)
+            if fields.was_active[r] == 0:
+                kick = 0.5 * kick
+            drag = 0.5 * controlled_motions[r].damping * dt / controlled_motions[r].mass
+            velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
+        return velocity
+
+    @ti.func
+    def add_work(r: ti.template(), force_on_wall, velocity, dt):
+        """Of the wall on the grains, and of all else on a free wall, with the mean of the velocities: exact for it."""
+        velocity_mean = 0.5 * (fields.velocity[r] + velocity)
+        displacement = dt * velocity_mean
+        if fields.was_active[r] == 0:
+            displacement = 0.5 * displacement
+        fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
+        if ti.static(controlled_motions[r].kind == "free"):
+            fields.work[r] = (
+                fields.work[r]
+                + (controlled_motions[r].force - controlled_motions[r].damping * velocity_mean) * displacement
+            )
+
+    @ti.func
+    def ways_of(wall: ti.template(), dt):
+        """Largest distance since the search, and in this step [m]."""
+        displacement, step_way = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for r in ti.static(range(len(controlled_motions))):
+            if ti.static(controlled_motions[r].wall == wall):
+                displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
+                step_way += ti.abs(dt * fields.velocity[r])
+        return displacement, step_way
+
+    @ti.func
+    def move_walls(chunks, pose, dt_real):
+        dt = ti.cast(dt_real, ti.f64)
+        for r in ti.static(range(len(controlled_motions))):
+            force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+            for chunk in range(chunks):
+                force_on_wall += fields.wall_force[chunk, r]
+            if fields.active[pose, r] == 1:
+                velocity = controlled_velocity(r, force_on_wall, dt)
+                add_work(r, force_on_wall, velocity, dt)
+            fields.velocity[r] = velocity
+            fields.was_active[r] = fields.active[pose, r]
+            fields.offset[r] = fields.offset[r] + dt * velocity
+        for r in ti.static(range(len(controlled_motions))):
+            displacement, step_way = ways_of(controlled_motions[r].wall, dt)
+            if not displacement <= rebuild_limit:
+                control.rebuild_requested[0] = 1
+            if not step_way <= farthest:
+                ti.atomic_max(control.abort[0], ABORT_WALL)
+
+    return move_walls
+
+
+def build_wall_displacement(state: State) -> tuple[Any, Any]:
+    """Device functions (wall): displacement [m] and velocity [m/s] of a wall by its drives, zero without."""
+    controlled_motions, fields, real = state.plan.controlled_motions, state.wall_dynamics, state.backend.position_real
+
+    def sum_per_wall(values: Any) -> Any:
+        @ti.func
+        def total_of(w):
+            total = ti.Vector.zero(real, 3)
+            for r in ti.static(range(len(controlled_motions))):
+                if w == controlled_motions[r].wall:
+                    total += ti.cast(values[r] * ti.Vector(controlled_motions[r].direction, dt=ti.f64), real)
+            return total
+
+        return total_of
+
+    return sum_per_wall(fields.offset), sum_per_wall(fields.velocity)
+
+
+def upload_running(state: State, times: np.ndarray) -> None:
+    """Say which drives run in the steps that end at each pose; `times` (WALL_BATCH,) [s] from the middle of the steps.
+
+    A wall that is not there stands still.
+    """
+    if state.wall_dynamics is None:
+        return
+    running = [
+        is_running(state.wall_motions[controlled.wall][controlled.motion], times)
+        & bool(state.walls.present[controlled.wall])
+        for controlled in state.plan.controlled_motions
+    ]
+    state.wall_dynamics.active.from_numpy(np.stack(running, axis=1).astype(np.int32))
+
+
+def mark_rebuild(state: State) -> None:
+    """Count the way of driven walls from here."""
+    if state.wall_dynamics is not None:
+        state.wall_dynamics.offset_at_rebuild.copy_from(state.wall_dynamics.offset)
+
+
+def controlled_displacements(state: State) -> np.ndarray:
+    """Displacement (walls, 3) [m] of every wall by its drives."""
+    return _per_wall(state, "offset")
+
+
+def controlled_velocities(state: State) -> np.ndarray:
+    """Velocity (walls, 3) [m/s] of every wall by its drives, half a step behind its place."""
+    return _per_wall(state, "velocity")
+
+
+def _per_wall(state: State, name: str) -> np.ndarray:
+    found = np.zeros((len(state.plan.walls), 3))
+    if state.wall_dynamics is not None:
+        values = getattr(state.wall_dynamics, name).to_numpy()
+        for controlled, value in zip(state.plan.controlled_motions, values, strict=True):
+            found[controlled.wall] += value * np.array(controlled.direction)
+    return found
+
+
+def controlled_totals(state: State) -> dict[str, float]:
+    """Travel [m] and velocity [m/s] of every driven wall along its direction; with the ledger what free walls hold."""
+    if state.wall_dynamics is None:
+        return {}
+    controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
+    offset = state.wall_dynamics.offset.to_numpy()
+    found: dict[str, float] = {}
+    for r, controlled in enumerate(controlled_motions):
+        for quantity, values in (("wall_displacement", offset), ("wall_velocity", velocity)):
+            name = f"{quantity}.{controlled.name}"
+            found[name] = found.get(name, 0.0) + float(values[r])
+    if state.plan.features.energy_budget:
+        free = [r for r, controlled in enumerate(controlled_motions) if controlled.kind == "free"]
+        found["free_wall_energy"] = sum(0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free)
+        found["free_wall_work"] = float(work[free].sum())
+    return found
+
+
+def controlled_work(state: State) -> float:
+    """Work of all driven walls on the grains since the start [J]."""
+    return 0.0 if state.wall_dynamics is None else float(_synchronized(state)[1].sum())
+
+
+def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Velocity [m/s], work on grains and own work [J] of every drive at the time of the places: half a step on."""
+    fields, half = state.wall_dynamics, 0.5 * state.clock.time_step
+    velocity_half, work_on_particles, work = (
+        field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
+    )
+    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    velocity = velocity_half.copy()
+    for r in np.flatnonzero(fields.was_active.to_numpy()):
+        controlled = state.plan.controlled_motions[r]
+        if controlled.kind == "free":
+            drag = 0.5 * controlled.damping * half / controlled.mass
+            velocity[r] = (
+                (1.0 - drag) * velocity_half[r] + half / controlled.mass * (controlled.force + force_on_wall[r])
+            ) / (1.0 + drag)
+        velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
+        work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
+        work[r] += (
+            half * velocity_mean * (controlled.force - controlled.damping * velocity_mean) * (controlled.kind == "free")
+        )
+    return velocity, work_on_particles, work
+
+
+def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
+    """All that decides how driven walls go on, by name."""
+    return (
+        {}
+        if state.wall_dynamics is None
+        else {name: getattr(state.wall_dynamics, name).to_numpy() for name in SAVED_FIELDS}
+    )
+
+
+def load_wall_dynamics_state(state: State, saved: dict[str, np.ndarray]) -> None:
+    """Put what was kept back."""
+    for name, values in saved.items():
+        getattr(state.wall_dynamics, name).from_numpy(values)

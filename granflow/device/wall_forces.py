@@ -1,0 +1,44 @@
+"""What the grains do to the walls, added up over time: every chunk on its own, all of them in order on the host."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.device.state import State
+
+
+def build_add_impulse(state: State) -> Any:
+    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): book one contact of one step.
+
+        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
+
+    with p the point of the wall's rotation as the scene gives it, the origin where it has none. Sums are in f64 at
+    any precision: a load is the difference of two of them.
+    """
+    particles, walls, impulses = state.particles, state.walls, state.control.impulses
+
+    @ti.func
+    def add_impulse(chunk, w, i, normal, force, torque, dt):
+        row = walls.impulse_row[w]
+        if row >= 0:
+            time = ti.cast(dt, ti.f64)
+            impulse, angular_impulse = -time * ti.cast(force, ti.f64), -time * ti.cast(torque, ti.f64)
+            arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
+            angular_impulse += arm.cross(impulse)
+            sums = impulses[chunk, row]
+            for axis in ti.static(range(3)):
+                sums[axis] += impulse[axis]
+                sums[3 + axis] += angular_impulse[axis]
+            sums[6] -= impulse.dot(ti.cast(normal, ti.f64))
+            impulses[chunk, row] = sums
+
+    return add_impulse
+
+
+def wall_impulses(state: State) -> dict[str, np.ndarray]:
+    """Impulse [N s], angular impulse [N m s] and normal impulse [N s] of every measured wall since the start (7,)."""
+    if state.control.impulses is None:
+        return {}
+    sums = state.control.impulses.to_numpy().sum(axis=0)
+    return dict(zip(state.plan.scene.measured_walls, sums, strict=True))

@@ -1,0 +1,100 @@
+"""How many CPU workers take part in a launch. Results do not depend on it, so it is chosen during the run.
+
+Workers wait for each other after every phase of a step. Where other processes use the cores, fewer workers can be
+faster. Trials of twice or half the workers measure that; contention makes a trial of half the workers due at once.
+"""
+
+WINDOW = 0.02
+"""Seconds of launches over which a rate is measured, and that a trial takes."""
+
+UP_INTERVAL = 0.7
+"""Seconds of launches between two trials of more workers."""
+
+FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
+"""Seconds of launches until a trial of fewer workers; twice as long after each trial that was not faster."""
+
+CONTENDED_DOWN_INTERVAL = 0.25
+"""Seconds of launches between two trials of fewer workers that contention makes due."""
+
+MIN_SPEEDUP = 1.05
+"""A trial is faster if its rate is at least this many times the rate before."""
+
+CONTENTION_LIMIT = 3
+"""A launch with contention adds 2 to a score, one without subtracts 1. Above this limit half the workers are tried."""
+
+
+class WorkerTuner:
+    """Proposes the number of workers of each launch, from the rate and the contention of the launches before."""
+
+    def __init__(self, max_size: int) -> None:
+        self.size = max_size
+        self._max_size = max_size
+        self._candidate = 0
+        self._rate = 0.0
+        self._contention = 0
+        self._down_interval = FIRST_DOWN_INTERVAL
+        self._since_up = self._since_down = 0.0
+        self._since_contended_down = CONTENDED_DOWN_INTERVAL
+        self._start_window()
+
+    @property
+    def next_size(self) -> int:
+        """Workers for the next launch."""
+        return self._candidate or self.size
+
+    @property
+    def in_trial(self) -> bool:
+        """Whether the next launch is part of a trial."""
+        return bool(self._candidate)
+
+    def record(self, work: float, seconds: float, contended: bool) -> None:
+        """Record a launch: its work in any constant unit, its wall seconds, whether a worker waited too long."""
+        self._work += work
+        self._seconds += seconds
+        self._since_up += seconds
+        self._since_down += seconds
+        self._since_contended_down += seconds
+        if not self._candidate:
+            self._contention = max(self._contention + (2 if contended else -1), 0)
+        if self._seconds < WINDOW:
+            return
+        rate = self._work / self._seconds
+        self._start_window()
+        if self._candidate:
+            self._evaluate(rate)
+        else:
+            self._rate = rate
+            self._candidate = self._next_trial()
+
+    def _start_window(self) -> None:
+        self._work = self._seconds = 0.0
+
+    def _evaluate(self, rate: float) -> None:
+        """Keep the number of workers of the trial if it is faster."""
+        faster, down, self._candidate, candidate = (
+            rate > MIN_SPEEDUP * self._rate,
+            self._candidate < self.size,
+            0,
+            self._candidate,
+        )
+        self._contention = 0
+        if faster:
+            self.size, self._rate = candidate, rate
+        if faster or not down:
+            self._down_interval = FIRST_DOWN_INTERVAL if faster else self._down_interval
+        else:
+            self._down_interval = min(2 * self._down_interval, LAST_DOWN_INTERVAL)
+
+    def _next_trial(self) -> int:
+        """Number of workers to try now; 0 if no trial is due."""
+        if self.size > 1 and self._down_is_due():
+            self._since_down = self._since_contended_down = 0.0
+            return self.size // 2
+        if self.size < self._max_size and self._since_up >= UP_INTERVAL:
+            self._since_up = 0.0
+            return min(2 * self.size, self._max_size)
+        return 0
+
+    def _down_is_due(self) -> bool:
+        contended = self._contention > CONTENTION_LIMIT and self._since_contended_down >= CONTENDED_DOWN_INTERVAL
+        return contended or self._since_down >= self._down_interval

@@ -1,0 +1,73 @@
+"""Adhesion slot: an attraction that any normal law can have added.
+
+Simplified Johnson-Kendall-Roberts (SJKR): a cohesion energy density times the area in which the undeformed spheres
+cross, while they touch. It presses nothing together, so friction is capped with the force of the law without it, as
+Luding (2008) caps it with f_n + k_c d.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import taichi as ti
+
+from granflow.laws.law import ContactState, NormalLaw
+from granflow.laws.material import PairMaterial
+
+
+def with_sjkr(law: NormalLaw) -> NormalLaw:
+    """The law with SJKR adhesion; its closed forms stay those of the law itself.
+
+    F = F_law - w A,   A = 2 pi R d   to first order in d / R,   w the pair's cohesion energy density [J/m3]
+    """
+    index = len(law.constant_names)
+
+    @ti.func
+    def cohesive_force(constants, radius_eff, overlap):
+        return 2.0 * math.pi * constants[index] * radius_eff * overlap
+
+    @ti.func
+    def attraction(constants, radius_eff, overlap, history):
+        total = cohesive_force(constants, radius_eff, overlap)
+        if ti.static(law.attracts):
+            total += law.attraction(constants, radius_eff, overlap, history)
+        return total
+
+    @ti.func
+    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """Force of the law less the pull; what is viscous and what is remembered are the law's."""
+        normal_force, viscous, history_new = law.force(
+            constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history
+        )
+        return normal_force - cohesive_force(constants, radius_eff, overlap), viscous, history_new
+
+    @ti.func
+    def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """The law's, less what the surfaces gained by meeting: pi w R d^2."""
+        surface_energy = 0.5 * cohesive_force(constants, radius_eff, overlap) * overlap
+        return law.stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history) - surface_energy
+
+    def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
+        return *law.pair_constants(pair), pair.cohesion_energy_density
+
+    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
+        force, history_new = law.reference(replace(contact, constants=contact.constants[:index]))
+        area = 2.0 * math.pi * contact.radius_eff * contact.overlap
+        return force - contact.constants[index] * area, history_new
+
+    return replace(
+        law,
+        source=f"{law.source}; adhesion: SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971",
+        constant_names=(*law.constant_names, "cohesion_energy_density"),
+        pair_constants=pair_constants,
+        force=force,
+        stored_energy=stored_energy,
+        attraction=attraction,
+        reference=reference,
+    )
+
+
+COHESIONS: Mapping[str, Callable[[NormalLaw], NormalLaw]] = MappingProxyType({"sjkr": with_sjkr})
+"""What `contact.cohesion` may say besides none."""

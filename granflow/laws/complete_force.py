@@ -1,0 +1,24 @@
+"""A law's force in one function, for those who look at one contact at a time."""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.laws.law import NormalLaw
+
+
+def complete_force(law: NormalLaw) -> Any:
+    """Device function with the arguments of `force`: `prepare` and `force` of one contact."""
+    prepare = law.prepare or _unchanged
+
+    @ti.func
+    def complete_force_of(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        history_new = prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history)
+        return law.force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history_new)
+
+    return complete_force_of
+
+
+@ti.func
+def _unchanged(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    return history

@@ -1,0 +1,150 @@
+"""A box cut into equal cells, over which points are spread with a kernel."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import meshio
+import numpy as np
+
+from granflow.observe.coarse_graining.kernel import GaussianKernel
+from granflow.observe.frames import mesh_of_cells
+from granflow.scene.analysis import GridSpec
+from granflow.scene.periodic_box import AXES
+from granflow.scene.schema import Domain
+
+CHUNK_POINTS = 2**17
+"""Points that are spread at a time, which bounds the memory in work."""
+
+LARGEST_PRODUCT = 2**18
+"""Multiplications in one product of matrices: OpenBLAS starts threads above that, which fight for busy cores."""
+
+BLOCK = 16
+"""Cells along x whose points go into one product of matrices."""
+
+CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+"""Corners of a hexahedron in the order of VTK."""
+
+
+@dataclass(frozen=True)
+class CoarseGrid:
+    """A box from `low` to `high` (3,) [m] with `counts` cells along x, y and z.
+
+    Cells are numbered with x fastest, as in VTK. Along a `periodic` axis the box is one period.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    counts: tuple[int, int, int]
+    periodic: tuple[bool, bool, bool] = (False, False, False)
+
+    @cached_property
+    def cell_size(self) -> np.ndarray:
+        """Edges of a cell (3,) [m]."""
+        return (np.array(self.high) - self.low) / self.counts
+
+    @property
+    def cell_volume(self) -> float:
+        """Volume of a cell [m3]."""
+        return float(np.prod(self.cell_size))
+
+    @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.counts))
+
+    def centers(self) -> np.ndarray:
+        """Middle of every cell (cells, 3) [m]."""
+        x, y, z = (
+            low + (np.arange(n) + 0.5) * h for low, n, h in zip(self.low, self.counts, self.cell_size, strict=True)
+        )
+        grid = np.meshgrid(z, y, x, indexing="ij")
+        return np.stack([axis.ravel() for axis in grid[::-1]], axis=1)
+
+    def deposit(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Integral over every cell of what points (n, 3) [m] carry, values (n, k): (cells, k).
+
+        What falls outside the grid is left out, or wraps around along periodic axes; the rest is exact, so that the
+        cells add up to all that the points carry where the grid holds the whole reach of the kernel about them.
+        """
+        low, width = np.array(self.low), np.array(self.high) - self.low
+        points = np.where(self.periodic, low + np.mod(points - low, width), points)
+        first = np.floor((points - kernel.reach - self.low) / self.cell_size).astype(np.int64)
+        reached_cells = np.ceil(2.0 * kernel.reach / self.cell_size).astype(np.int64) + 1
+        near = np.flatnonzero(((first + reached_cells > 0) & (first < self.counts)).all(axis=1))
+        padded_grid = _Padded(self, reached_cells, values.shape[1])
+        for begin in range(0, len(near), CHUNK_POINTS):
+            piece = near[begin : begin + CHUNK_POINTS]
+            padded_grid.add(kernel, points[piece], values[piece], first[piece])
+        return padded_grid.fold()
+
+    def cells_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the cell that each of the points (n, 3) [m] lies in, and whether it is one of the grid."""
+        metric = np.floor((points - np.array(self.low)) / self.cell_size).astype(np.int64)
+        inside = ((metric >= 0) & (metric < self.counts)).all(axis=1)
+        return metric @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
+
+    def mesh(self, arrays: dict[str, np.ndarray]) -> meshio.Mesh:
+        """Hexahedra with arrays (cells,) or (cells, k) on them."""
+        nx, ny, nz = self.counts
+        axes = [np.linspace(low, high, n + 1) for low, high, n in zip(self.low, self.high, self.counts, strict=True)]
+        z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
+        points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+        k, j, i = (part.ravel() for part in np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij"))
+        corners = [(i + a) + (nx + 1) * ((j + b) + (ny + 1) * (k + c)) for a, b, c in CORNERS]
+        return mesh_of_cells("hexahedron", points, np.stack(corners, axis=1), arrays)
+
+
+def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
+    """The grid that a scene asks for in its domain."""
+    box = spec.region or domain
+    x, y, z = (axis in domain.periodic for axis in AXES)
+    return CoarseGrid(box.min, box.max, spec.cell_counts(domain), (x, y, z))
+
+
+class _Padded:
+    """The cells of a grid and as many around them as kernels reach: (z, y, x, k).
+
+    Points whose kernels begin in the same cells along y and z, and in the same block of cells along x, are added with
+    one product of matrices.
+    """
+
+    def __init__(self, grid: CoarseGrid, reached_cells: np.ndarray, width: int) -> None:
+        self.grid, self.reached_cells, self.width = grid, reached_cells, width
+        self.window = reached_cells + np.array([BLOCK - 1, 0, 0])
+        self.total = np.zeros((*(reached_cells + grid.counts + self.window)[::-1], width))
+
+    def add(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray, first: np.ndarray) -> None:
+        """Add points, given the `first` cell (n, 3) that each one reaches."""
+        base = first + self.reached_cells
+        base[:, 0] -= base[:, 0] % BLOCK
+        order = np.lexsort(base.T)
+        base, points, values = base[order], points[order], values[order]
+        x, y, z = (self._shares(kernel, points[:, axis], base[:, axis], axis) for axis in range(3))
+        max_points = max(LARGEST_PRODUCT // (y.shape[1] * x.shape[1] * self.width), 1)
+        changes = (np.diff(base, axis=0) != 0).any(axis=1)
+        starts = np.flatnonzero(np.append(True, changes) | (np.arange(len(base)) % max_points == 0))
+        for begin, end in zip(starts, [*starts[1:], len(base)], strict=True):
+            along = (x[begin:end, :, None] * values[begin:end, None, :]).reshape(end - begin, -1)
+            i, j, k = base[begin]
+            for layer, weight in enumerate(z[begin:end].T):
+                target = self.total[k + layer, j : j + y.shape[1], i : i + x.shape[1]]
+                target += ((weight[:, None] * y[begin:end]).T @ along).reshape(target.shape)
+
+    def _shares(self, kernel: GaussianKernel, position: np.ndarray, base: np.ndarray, axis: int) -> np.ndarray:
+        """Share of each point along one axis in the cells of its window, (n, cells)."""
+        edges = base[:, None] - self.reached_cells[axis] + np.arange(self.window[axis] + 1)
+        return np.diff(
+            kernel.cumulative(self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]), axis=1
+        )
+
+    def fold(self) -> np.ndarray:
+        """The cells of the grid alone (cells, k), those around it added to them along periodic axes."""
+        total = self.total
+        for axis, (count, pad) in enumerate(zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)):
+            total = np.moveaxis(total, axis, 0)
+            inner = total[pad : pad + count].copy()
+            if self.grid.periodic[2 - axis]:
+                inner[:] = 0.0
+                np.add.at(inner, (np.arange(len(total)) - pad) % count, total)
+            total = np.moveaxis(inner, 0, axis)
+        return np.ascontiguousarray(total).reshape(-1, self.width)

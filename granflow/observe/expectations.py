@@ -1,0 +1,90 @@
+"""What a scene promises about its finished run, held against the numbers."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple, Protocol
+
+from granflow.quantities import unit_of
+
+
+class Expectation(Protocol):
+    """One entry of a scene's `expect:` block; one of the four bounds is set, the others are None.
+
+    `tolerance`: relative, for `equals`; None asks for the very number.
+    """
+
+    @property
+    def quantity(self) -> str:
+        """Name of the number, as in `Result.numbers`."""
+
+    @property
+    def between(self) -> tuple[float, float] | None:
+        """Smallest and largest allowed number."""
+
+    @property
+    def below(self) -> float | None:
+        """Number to stay under."""
+
+    @property
+    def above(self) -> float | None:
+        """Number to exceed."""
+
+    @property
+    def equals(self) -> float | None:
+        """Number to reach, within the tolerance."""
+
+    @property
+    def tolerance(self) -> float | None:
+        """Largest relative difference for `equals`."""
+
+
+class ExpectationResult(NamedTuple):
+    """One expectation after the run: a sentence for people, and whether it was met."""
+
+    sentence: str
+    met: bool
+
+
+def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
+    """Hold every expectation against the numbers of the finished run (`Result.numbers`).
+
+    A quantity that the run does not have is not met, with the nearest names in the sentence; so is one that
+    is not a number (nan).
+    """
+    return [_evaluate_one(expectation, numbers) for expectation in expectations]
+
+
+def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> ExpectationResult:
+    name = expectation.quantity
+    if name not in numbers:
+        return ExpectationResult(_unknown(name, numbers), False)
+    number = numbers[name]
+    met, requirement = _compare(expectation, number)
+    unit = f" {unit_of(name)}".rstrip()
+    verdict = "as expected" if met else "but should be"
+    return ExpectationResult(f"{name} is {number:.6g}{unit}, {verdict} {requirement}{unit}.", met)
+
+
+def _compare(expectation: Expectation, number: float) -> tuple[bool, str]:
+    if expectation.between is not None:
+        low, high = expectation.between
+        return low <= number <= high, f"between {low:g} and {high:g}"
+    if expectation.below is not None:
+        return number < expectation.below, f"below {expectation.below:g}"
+    if expectation.above is not None:
+        return number > expectation.above, f"above {expectation.above:g}"
+    if expectation.equals is None:
+        raise ValueError(f"The expectation on {expectation.quantity} has no bound.")
+    return _compare_equal(number, expectation.equals, expectation.tolerance or 0.0)
+
+
+def _compare_equal(number: float, target: float, tolerance: float) -> tuple[bool, str]:
+    within = f" within {tolerance:.3%}" if tolerance else ""
+    return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{within}"
+
+
+def _unknown(name: str, numbers: Mapping[str, float]) -> str:
+    suggestions = difflib.get_close_matches(name, numbers, n=3)
+    if suggestions:
+        return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"
+    return f"{name} is not a number of this run. It has {', '.join(sorted(numbers))}."

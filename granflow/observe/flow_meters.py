@@ -1,0 +1,229 @@
+"""Flow meters: the mass that passes a plane, followed particle by particle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from granflow.scene.periodic_box import PeriodicBox
+from granflow.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """What a meter remembers of its last look; `distance` [m] beyond the plane, `part`: number of the part."""
+
+    id: np.ndarray
+    mass: np.ndarray
+    position: np.ndarray
+    distance: np.ndarray
+    part: np.ndarray
+
+
+_SAMPLE_FIELDS = ("id", "mass", "position", "distance", "kind")
+
+
+class FlowCount:
+    """Net mass [kg] and number of particles so far, and how the mass came to be: (time [s], stage, mass [kg])."""
+
+    def __init__(self) -> None:
+        self.mass, self.count = 0.0, 0
+        self.history: list[tuple[float, str, float]] = []
+
+    def add(self, mass: np.ndarray, direction: np.ndarray) -> None:
+        """Count particles of masses (n,), each 1 forward or -1 back (n,)."""
+        self.mass += float((mass * direction).sum())
+        self.count += int(direction.sum())
+
+    def mass_flow(self) -> float:
+        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        if len(self.history) < 2:
+            return 0.0
+        (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
+        return (mass_now - mass_before) / (time_now - time_before)
+
+    def readings(self) -> list[float]:
+        """Mass, number, and mass flow since the look before, in the order of METER_QUANTITIES."""
+        return [self.mass, self.count, self.mass_flow()]
+
+    def result(self) -> dict[str, float]:
+        """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
+        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it."""
+        return {"mass": self.mass, "count": self.count, "history": self.history}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        self.mass, self.count = saved["mass"], saved["count"]
+        self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
+
+
+class FlowMeter:
+    """Net mass and number of particles through a plane, or through a disc or a rectangle in it.
+
+    `point` (3,) [m] on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
+    `sides` (2, 3) [m]; `normal` (3,) the direction that counts as forward; `periodic_box` of a periodic box;
+    `group_by`:
+    "material" or "group", each of which, by the names `parts`, gets a tally of its own. Particles are followed by id
+    from look to look:
+
+    - a center that changed sides crossed where the straight line between the two looks cuts the plane; it
+      counts if that is within the disc or rectangle, forward as plus and back as minus;
+    - a particle deleted since the last look counts as crossed if it was then on the near side and straight
+      before the disc or rectangle: it left the domain too fast to be seen on the far side;
+    - in a periodic box the line goes to the nearest image: who comes in again on the other side has not gone back;
+    - what stood on the far side at the first look, or was put in there, never counts.
+    """
+
+    def __init__(
+        self,
+        point: Sequence[float],
+        normal: Sequence[float],
+        radius: float | None = None,
+        periodic_box: PeriodicBox | None = None,
+        sides: Sequence[Sequence[float]] | None = None,
+        group_by: str | None = None,
+        parts: Sequence[str] = (),
+    ) -> None:
+        self.point = np.asarray(point, dtype=np.float64)
+        self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+        self.radius = np.inf if radius is None else radius
+        self.sides = None if sides is None else np.asarray(sides, dtype=np.float64)
+        self._periodic_box, self._group_by = periodic_box, group_by
+        self.total = FlowCount()
+        self.parts = {name: FlowCount() for name in parts}
+        self._last: _Sample | None = None
+
+    @property
+    def mass(self) -> float:
+        """Net mass [kg] so far."""
+        return self.total.mass
+
+    @property
+    def count(self) -> int:
+        """Net number of particles so far."""
+        return self.total.count
+
+    @property
+    def history(self) -> list[tuple[float, str, float]]:
+        """Time [s], stage and mass [kg] at every look."""
+        return self.total.history
+
+    def flow_counts(self) -> dict[str, FlowCount]:
+        """The tally of everything under "", and those of the parts by name."""
+        return {"": self.total, **self.parts}
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Count what passed since the last look; needs id, mass and position of the particles, and `group_by`."""
+        now = self._sample(snapshot)
+        if self._last is not None:
+            self._count_crossed(self._last, now)
+            self._count_deleted(self._last, now)
+        self._last = now
+        for flow_count in self.flow_counts().values():
+            flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
+
+    def mass_flow(self) -> float:
+        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        return self.total.mass_flow()
+
+    def result(self) -> dict[str, float]:
+        """Numbers of everything at the end, see Tally."""
+        return self.total.result()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Counts, histories and the last look."""
+        last = {} if self._last is None else {name: getattr(self._last, name) for name in _SAMPLE_FIELDS}
+        return {
+            "tallies": {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()},
+            "last": last,
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        for name, flow_count in self.flow_counts().items():
+            flow_count.load_state_dict(saved["tallies"][name])
+        self._last = _Sample(**saved["last"]) if saved["last"] else None
+
+    def _sample(self, snapshot: Snapshot) -> _Sample:
+        particles = snapshot.particles
+        distance = (particles["position"] - self.point) @ self.normal
+        part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
+        return _Sample(particles["id"], particles["mass"], particles["position"], distance, part)
+
+    def _count_crossed(self, last: _Sample, now: _Sample) -> None:
+        _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
+        start, end = last.position[before], now.position[after]
+        direction = self._crossing(
+            start, end if self._periodic_box is None else self._periodic_box.nearest_images(end, start)
+        )
+        if self._periodic_box is not None:
+            crossed_from_image = self._crossing(self._periodic_box.nearest_images(start, end), end)
+            direction = np.where(direction == 0, crossed_from_image, direction)
+        crossed = direction != 0
+        self._add(now.mass[after][crossed], direction[crossed], now.part[after][crossed])
+
+    def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """1, -1 or 0 (n,) for ways (n, 3) [m] through the meter forward, back or not at all."""
+        first, last = ((points - self.point) @ self.normal for points in (start, end))
+        direction = (last > 0).astype(int) - (first > 0).astype(int)
+        fraction = first / np.where(direction == 0, 1.0, first - last)
+        point = start + fraction[:, None] * (end - start)
+        return np.where(self._within(point), direction, 0)
+
+    def _within(self, point: np.ndarray) -> np.ndarray:
+        """Whether points (n, 3) of the plane lie in the disc or rectangle."""
+        offset = point - self.point
+        if self.sides is None:
+            return np.asarray(np.linalg.norm(offset, axis=1) <= self.radius)
+        share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
+        return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
+
+    def _count_deleted(self, last: _Sample, now: _Sample) -> None:
+        foot = last.position - last.distance[:, None] * self.normal
+        near = (last.distance <= 0) & self._within(foot)
+        deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
+        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int), last.part[deleted])
+
+    def _add(self, mass: np.ndarray, direction: np.ndarray, part: np.ndarray) -> None:
+        self.total.add(mass, direction)
+        for number, flow_count in enumerate(self.parts.values()):
+            flow_count.add(mass[part == number], direction[part == number])
+
+
+def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
+    """Mass flow [kg/s] while the middle half of the mass of the last flowing stage passed.
+
+        0.5 M / (t(3/4 M) - t(1/4 M))
+
+    `history`: (time [s], stage, cumulative mass [kg]) in the order of time. M is the mass that passed in
+    the last stage that ends with another mass than it began; the stage begins with the last moment of the
+    one before. t(m) is when m had passed for the first time, linear between moments. The start of the flow
+    and the last stragglers have no say. 0 if nothing flowed.
+    """
+    times = np.array([time for time, _, _ in history])
+    masses = np.array([mass for _, _, mass in history])
+    for first, last in reversed(_stages(history)):
+        passed = masses[last] - masses[first]
+        if passed != 0:
+            share = (masses[first : last + 1] - masses[first]) / passed
+            quarters = [_first_reached(times[first : last + 1], share, share_reached) for share_reached in (0.25, 0.75)]
+            return float(0.5 * passed / (quarters[1] - quarters[0]))
+    return 0.0
+
+
+def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
+    """First and last index of every stage, the first being the last of the stage before."""
+    names = [stage for _, stage, _ in history]
+    ends = [metric for metric in range(len(names)) if metric + 1 == len(names) or names[metric] != names[metric + 1]]
+    return list(pairwise([0, *ends]))
+
+
+def _first_reached(times: np.ndarray, share: np.ndarray, share_reached: float) -> float:
+    after = int(np.argmax(share >= share_reached))
+    fraction = (share_reached - share[after - 1]) / (share[after] - share[after - 1])
+    return float(times[after - 1] + fraction * (times[after] - times[after - 1]))

@@ -1,0 +1,94 @@
+"""Particles for a new run from the last state of an earlier one: a scene's `start_from:`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.observe.checkpoint import Checkpoint, newest_checkpoint
+from granflow.observe.checkpoint_validation import check_particles_alone
+from granflow.plan.size_classes import diameter_range
+from granflow.scene import Scene
+from granflow.scene.generate import ParticleData
+from granflow.scene.reader import scene_of
+
+ROUNDING = 1e-6
+"""Relative room around a group's diameters for those of an earlier run, which may have been computed in float32."""
+
+
+def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
+    """The particles of every group that the earlier run has too, as they were in its newest checkpoint, by group.
+
+    Positions, velocities, spins and sizes are those of the run; materials those of the scene. What contacts
+    remembered is not taken over. Empty without `start_from`. Raises SceneError where there is no such run, or its
+    particles are more, or of other sizes, than the scene says of their group.
+    """
+    if scene.start_from is None:
+        return {}
+    location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
+    checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
+    if checkpoint is None:
+        reason = f": {skipped[0]}" if skipped else "; name the directory of a run that has ended."
+        raise SceneError(f"{location} it holds no checkpoint that can be used{reason}")
+    before = scene_of(checkpoint.scene, str(checkpoint.path))
+    check_particles_alone(checkpoint, before)
+    names = list(before.particles)
+    shared = [name for name in scene.particles if name in names]
+    if not shared:
+        raise SceneError(
+            f"{location} its groups are {', '.join(names)}; name those to go on with alike under particles."
+        )
+    found = {name: _particles_of_group(scene, name, checkpoint, names.index(name)) for name in shared}
+    problems = [problem for name in shared for problem in _inconsistencies(scene, name, found[name])]
+    if problems:
+        raise SceneError(problems)
+    return found
+
+
+def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number: int) -> ParticleData:
+    """Grains of the group with that number in the earlier scene, ordered by id."""
+    saved = checkpoint.saved["engine"]
+    particles = saved["particles"]
+    order = np.argsort(particles["id"], kind="stable")
+    in_group = order[saved["accounting"]["group"][particles["id"][order]] == number]
+    arrays = {key: values[in_group].astype(np.float64) for key, values in particles.items()}
+    velocity, angular_velocity = _at_the_time_of_positions(arrays, saved["clock"]["time_step"])
+    if scene.particles[name].fixed:
+        velocity, angular_velocity = np.zeros_like(velocity), np.zeros_like(angular_velocity)
+    count, material = len(in_group), list(scene.materials).index(scene.particles[name].material)
+    return ParticleData(
+        position=arrays["position"],
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        radius=arrays["radius"],
+        material=np.full(count, material, np.int32),
+        group=np.full(count, list(scene.particles).index(name), np.int32),
+    )
+
+
+def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities and spins (n, 3), which a checkpoint holds half a step earlier."""
+    mass, radius, half = arrays["mass"][:, None], arrays["radius"][:, None], 0.5 * time_step
+    velocity = arrays["velocity"] + half * arrays["force"] / mass
+    if "angular_velocity" not in arrays:
+        return velocity, np.zeros_like(velocity)
+    return velocity, arrays["angular_velocity"] + half * arrays["torque"] / (0.4 * mass * radius**2)
+
+
+def _inconsistencies(scene: Scene, name: str, particles: ParticleData) -> list[str]:
+    """What the scene says of a group and the earlier run does not keep to."""
+    group, found = scene.particles[name], []
+    if len(particles) > group.count:
+        location = scene.locate("particles", name, "count")
+        found.append(
+            f"{location}: particles.{name}.count is {group.count}, but start_from has {len(particles)} of them."
+        )
+    smallest, largest = diameter_range(group)
+    sizes = 2.0 * particles.radius
+    if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
+        found.append(
+            f"{scene.locate('particles', name, 'diameter')}: particles.{name}.diameter lies in [{smallest:.6g}, "
+            f"{largest:.6g}] m, but start_from has diameters in [{sizes.min():.6g}, {sizes.max():.6g}] m."
+        )
+    return found

@@ -1,0 +1,17 @@
+"""Numbers that sum up a bed: mixing, angle of repose, fabric, coordination. Formulas and sources: docs/fields.md."""
+
+from granflow.observe.metrics.meter import MetricMeter
+from granflow.observe.metrics.mixing import lacey_index
+from granflow.observe.metrics.repose import Slope, slope_of_cone, slope_of_plane
+from granflow.observe.metrics.structure import anisotropy, coordination, fabric_tensor
+
+__all__ = [
+    "MetricMeter",
+    "Slope",
+    "anisotropy",
+    "coordination",
+    "fabric_tensor",
+    "lacey_index",
+    "slope_of_cone",
+    "slope_of_plane",
+]

@@ -1,0 +1,110 @@
+"""From a scene's `output.metrics` to meters."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from granflow.observe.coarse_graining.field_grid import CoarseGrid, grid_for
+from granflow.observe.metrics.meter import MetricMeter
+from granflow.observe.metrics.mixing import lacey_index
+from granflow.observe.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observe.metrics.structure import anisotropy, coordination, fabric_tensor
+from granflow.observe.observer import CONTACTS, PARTICLES
+from granflow.observe.particle_selection import mobile_particles, selected
+from granflow.plan.size_classes import diameter_range
+from granflow.scene import Scene
+from granflow.scene.analysis import ContentMetric, CoordinationMetric, FabricMetric, LaceyMetric, ReposeMetric
+from granflow.scene.insertion_schema import Box
+from granflow.scene.regions import frame_along
+from granflow.snapshot import Snapshot
+
+MIN_HEAP_CONTACTS = 2
+"""Contacts from which on a grain belongs to a heap: one that rolls away on the floor has one."""
+
+COLUMN_WIDTH = 2.0
+"""Edge of the columns in which the surface of a heap is looked for, in largest diameters."""
+
+NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
+
+
+def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
+    """A meter for every index of the scene, by its name."""
+    return {name: _metric_meter(scene, spec) for name, spec in scene.output.metrics.items()}
+
+
+def _metric_meter(
+    scene: Scene, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
+) -> MetricMeter:
+    if isinstance(spec, LaceyMetric):
+        return _lacey_metric_meter(scene, spec)
+    if isinstance(spec, ReposeMetric):
+        return _repose_meter(scene, spec)
+    if isinstance(spec, FabricMetric):
+        return MetricMeter(lambda snapshot: _fabric(snapshot, spec.region), NEEDS_CONTACTS)
+    if isinstance(spec, ContentMetric):
+        return MetricMeter(lambda snapshot: _content(snapshot, spec.region), NEEDS_PARTICLES)
+    return MetricMeter(lambda snapshot: _coordination(snapshot, spec.region), NEEDS_PARTICLES)
+
+
+def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
+    grid: CoarseGrid = grid_for(scene.domain, spec)
+    groups = [list(scene.particles).index(name) for name in spec.groups or ()]
+    materials = [list(scene.materials).index(name) for name in spec.materials or ()]
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        is_kind_a = np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
+        if spec.smaller_than is not None:
+            is_kind_a = 2.0 * particles["radius"] < spec.smaller_than
+        return {"lacey_index": lacey_index(particles["position"], is_kind_a, grid, spec.at_least)}
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _repose_meter(scene: Scene, spec: ReposeMetric) -> MetricMeter:
+    upwards = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
+    frame = frame_along(upwards)
+    edge = COLUMN_WIDTH * max(diameter_range(group)[1] for group in scene.particles.values())
+    axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        in_heap = (particles["coordination_number"] >= MIN_HEAP_CONTACTS) & _inside(particles["position"], spec.region)
+        heap = selected(particles, in_heap)
+        points = heap["position"].astype(float) @ frame.T
+        if spec.surface == "cone":
+            slope = slope_of_cone(points, heap["radius"], edge, axis)
+        else:
+            slope = slope_of_plane(points, heap["radius"], edge)
+        return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    contacts = snapshot.contacts or {}
+    middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
+    tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
+    parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
+    return {"fabric_anisotropy": anisotropy(tensor)} | parts
+
+
+def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    particles = mobile_particles(snapshot.particles)
+    return coordination(particles["coordination_number"][_inside(particles["position"], region)])
+
+
+def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
+    particles = mobile_particles(snapshot.particles)
+    selected_particles = selected(particles, _inside(particles["position"], region))
+    volume = 4.0 / 3.0 * np.pi * float((selected_particles["radius"].astype(float) ** 3).sum())
+    mass = float(selected_particles["mass"].astype(float).sum())
+    return {"content_count": float(len(selected_particles["mass"])), "content_mass": mass, "content_volume": volume}
+
+
+def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
+    """Whether points (n, 3) lie in the region, or in none."""
+    if region is None:
+        return np.ones(len(points), bool)
+    above, below = points >= np.array(region.min), points <= np.array(region.max)
+    return np.asarray(np.logical_and(above, below).all(axis=1))

@@ -1,0 +1,48 @@
+"""Indices as meters of the time series: read at every row, with a mean over the last stage."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from granflow.snapshot import Snapshot
+
+
+class MetricMeter:
+    """What `measure` finds in snapshots that have the parts `wants`; numbers by name in INDEX_QUANTITIES."""
+
+    def __init__(self, measure: Callable[[Snapshot], Mapping[str, float]], wants: frozenset[str]) -> None:
+        self.wants = wants
+        self._measure = measure
+        self._stage = ""
+        self._last: dict[str, float] = {}
+        self._sums: dict[str, float] = {}
+        self._counts: dict[str, int] = {}
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Take one reading."""
+        if snapshot.stage != self._stage:
+            self._stage, self._sums, self._counts = snapshot.stage, {}, {}
+        self._last = dict(self._measure(snapshot))
+        for name, number in self._last.items():
+            known = number == number
+            self._sums[name] = self._sums.get(name, 0.0) + (number if known else 0.0)
+            self._counts[name] = self._counts.get(name, 0) + known
+
+    def readings(self) -> dict[str, float]:
+        """Numbers at the last look."""
+        return self._last
+
+    def result(self) -> dict[str, float]:
+        """Numbers at the last look, and as `NAME_mean` the means of the looks of the last stage that gave one."""
+        means = {
+            f"{name}_mean": self._sums[name] / count if count else float("nan") for name, count in self._counts.items()
+        }
+        return self._last | means
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that it remembers."""
+        return {"stage": self._stage, "last": self._last, "sums": self._sums, "counts": self._counts}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on from there."""
+        self._stage, self._last = saved["stage"], saved["last"]
+        self._sums, self._counts = saved["sums"], saved["counts"]

@@ -1,0 +1,92 @@
+"""Angle of repose: the slope of the free surface of a heap, or of a bed in a drum.
+
+The surface is the set of the highest grains, one for each square column: the tops of these spheres are fitted.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FLANK = (0.8, 0.2)
+"""Of the height of a cone: the flank is fitted between them, without the rounded top and the foot."""
+
+FEWEST = 4
+"""Points of a surface to which a slope is fitted."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Angle to the horizontal and its standard error from the scatter about the fit [rad]."""
+
+    angle: float
+    error: float
+
+
+NO_SLOPE = Slope(float("nan"), float("nan"))
+
+
+def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None) -> Slope:
+    """Slope of the flank of a conical heap of spheres, centers (n, 3) with z upwards and radii (n,) [m].
+
+    `edge` [m] of the columns, about two diameters; `axis` (2,) [m] of the cone, the mean of all centers if None. The
+    flank is where the mean height over a ring about the axis lies between 0.8 and 0.2 of the highest; there a straight
+    line is fitted to height against distance from the axis.
+    """
+    if not len(points):
+        return NO_SLOPE
+    middle = points[:, :2].mean(axis=0) if axis is None else axis
+    surface = surface_points(points, radius, edge)
+    distance = np.linalg.norm(surface[:, :2] - middle, axis=1)
+    height = surface[:, 2] - (points[:, 2] - radius).min()
+    ring = (distance / edge).astype(int)
+    number = np.bincount(ring)
+    mean = np.divide(np.bincount(ring, height), number, out=np.zeros(len(number)), where=number > 0)
+    flank = (mean <= FLANK[0] * mean.max()) & (mean >= FLANK[1] * mean.max())
+    flank[: int(mean.argmax())] = False
+    selected = flank[ring]
+    return _slope(distance[selected, None], height[selected])
+
+
+def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope:
+    """Slope of the plane fitted to the surface of spheres, centers (n, 3) with z upwards and radii (n,) [m].
+
+    `edge` [m] of the columns. For one side of a wedge, or the bed of a drum away from its walls.
+    """
+    if not len(points):
+        return NO_SLOPE
+    surface = surface_points(points, radius, edge)
+    return _slope(surface[:, :2], surface[:, 2])
+
+
+def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
+    """Tops (m, 3) of the highest spheres, one for each column of the grid that has any.
+
+    The columns are about `edge` wide and share the room of the points evenly: in a sliver of a column at its border,
+    the highest sphere would lie deep inside the heap.
+    """
+    low = points[:, :2].min(axis=0)
+    room = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
+    number = np.maximum(np.round(room / edge), 1)
+    column = np.minimum((points[:, :2] - low) / room * number, number - 1).astype(np.int64)
+    top = points[:, 2] + radius
+    order = np.lexsort((-top, column[:, 1], column[:, 0]))
+    changes = (np.diff(column[order], axis=0) != 0).any(axis=1)
+    first = order[np.flatnonzero(np.append(True, changes))]
+    return np.column_stack([points[first, :2], top[first]])
+
+
+def _slope(place: np.ndarray, height: np.ndarray) -> Slope:
+    """Angle of the straight line or plane fitted to heights (n,) over places (n, 1 or 2)."""
+    if len(height) < FEWEST:
+        return NO_SLOPE
+    offsets = place - place.mean(axis=0)
+    matrix = np.column_stack([np.ones(len(height)), offsets])
+    found, _, rank, _ = np.linalg.lstsq(matrix, height, rcond=None)
+    if rank < matrix.shape[1]:
+        return NO_SLOPE
+    gradient = found[1:]
+    steepness = float(np.linalg.norm(gradient))
+    residual = height - matrix @ found
+    spread = np.linalg.inv(matrix.T @ matrix)[1:, 1:] * (residual @ residual) / (len(height) - matrix.shape[1])
+    along = gradient / steepness if steepness > 0.0 else gradient
+    return Slope(float(np.arctan(steepness)), float(np.sqrt(along @ spread @ along)) / (1.0 + steepness**2))

@@ -1,0 +1,43 @@
+"""What contacts do to a bed: how many there are for each grain, and which way they point."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+def coordination(contacts_of_each: np.ndarray) -> dict[str, float]:
+    """Mean number of contacts of grains that have `contacts_of_each` (n,), with and without rattlers, and their share.
+
+        Zm = (sum Z_i - N1) / (N - N0 - N1)
+
+    A rattler carries nothing: it has no contact or one; there are N0 and N1 of them, whose N1 contacts do not count.
+    (C. Thornton, Geotechnique 50 (2000) 43.)
+    """
+    count = len(contacts_of_each)
+    none, one = (int((contacts_of_each == number).sum()) for number in (0, 1))
+    carrying = count - none - one
+    total = float(contacts_of_each.sum())
+    return {
+        "coordination_number": total / count if count else float("nan"),
+        "mechanical_coordination_number": (total - one) / carrying if carrying else float("nan"),
+        "rattler_share": (none + one) / count if count else float("nan"),
+    }
+
+
+def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Mean of n n over the contacts between grains, n their direction: (3, 3), symmetric, with trace 1.
+
+    Not a number where there are none. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    """
+    between = contacts["wall"] < 0
+    branch = contacts["position_j"][between] - contacts["position_i"][between]
+    normal = branch / np.linalg.norm(branch, axis=1)[:, None]
+    if not len(normal):
+        return np.full((3, 3), np.nan)
+    return np.einsum("na,nb->ab", normal, normal) / len(normal)
+
+
+def anisotropy(fabric: np.ndarray) -> float:
+    """Size of the deviator of a fabric tensor, sqrt(3/2 D:D) with D = F - 1/3: 0 isotropic, 1 all in one direction."""
+    deviator = fabric - np.eye(3) / 3.0
+    return float(np.sqrt(1.5 * (deviator**2).sum()))

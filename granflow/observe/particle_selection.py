@@ -1,0 +1,15 @@
+"""Some of the particles of a snapshot."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """All but fixed grains, which are walls."""
+    return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
+
+
+def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
+    """The entries of all arrays for which `mask` (n,) is True."""
+    return {name: values[mask] for name, values in arrays.items()}

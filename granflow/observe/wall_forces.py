@@ -1,0 +1,67 @@
+"""Wall loads: impulses that a run adds up, as means over time between the rows of the time series."""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.snapshot import Snapshot
+
+NO_IMPULSE: np.ndarray = np.zeros(7)
+"""Impulse (3), angular impulse (3) and normal impulse before the first step."""
+
+
+class WallForceMeter:
+    """Force, torque and pressure of the grains on one wall, each a mean over the time between two looks.
+
+    `wall`: its name; `area` [m2], None where it has no end: then there is no pressure.
+    """
+
+    def __init__(self, wall: str, area: float | None) -> None:
+        self.wall, self.area = wall, area
+        self._time, self._impulse = 0.0, NO_IMPULSE
+        self._stage, self._stage_time, self._stage_impulse = "", 0.0, NO_IMPULSE
+        self._mean = NO_IMPULSE
+        self._max_force, self._max_normal_force = 0.0, 0.0
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Take the means since the last look, or since the start."""
+        time, impulse = snapshot.time, snapshot.impulses[self.wall]
+        if snapshot.stage != self._stage:
+            self._stage, self._stage_time, self._stage_impulse = snapshot.stage, self._time, self._impulse
+        if time > self._time:
+            self._mean = (impulse - self._impulse) / (time - self._time)
+            self._max_force = max(self._max_force, _length(self._mean[:3]))
+            self._max_normal_force = max(self._max_normal_force, float(self._mean[6]))
+        self._time, self._impulse = time, impulse
+
+    def readings(self) -> dict[str, float]:
+        """Means between the last two looks: force [N], torque [N m] and, with an area, pressure [Pa]."""
+        return self._named(self._mean)
+
+    def result(self) -> dict[str, float]:
+        """Means over the last stage, which begins with the last look before it, and the largest readings so far."""
+        duration = self._time - self._stage_time
+        mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
+        found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
+        found["wall_force_largest"] = self._max_force
+        if self.area is not None:
+            found["wall_pressure_largest"] = self._max_normal_force / self.area
+        return found
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that it remembers."""
+        return {name: value for name, value in vars(self).items() if name.startswith("_")}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on from there."""
+        vars(self).update(saved)
+
+    def _named(self, mean: np.ndarray) -> dict[str, float]:
+        quantities = ("force", "torque")
+        names = [f"wall_{quantity}_{axis}" for quantity in quantities for axis in "xyz"]
+        pressure = {} if self.area is None else {"wall_pressure": float(mean[6]) / self.area}
+        return dict(zip(names, mean[:6].tolist(), strict=True)) | pressure
+
+
+def _length(vector: np.ndarray) -> float:
+    return float(np.sqrt(vector @ vector))

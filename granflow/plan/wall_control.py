@@ -1,0 +1,155 @@
+"""Walls that the grains' forces move: servos that hold a force, and free walls with mass."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any, Literal
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.laws.law import NormalLaw
+from granflow.plan.time_step import PairCase
+from granflow.plan.walls import PlannedWall
+from granflow.scene import Scene
+from granflow.scene import schema as scene_schema
+from granflow.walls.catalog import area_of
+from granflow.walls.shape import unit
+
+GAIN_SHARE = 0.2
+"""Share of the force that is missing which a servo makes good in one step, if all grains it can touch do touch it."""
+
+MAX_GAIN = 2.0
+"""That share from which on a servo overshoots by more than it was short, step after step."""
+
+
+@dataclass(frozen=True)
+class ControlledMotion:
+    """One driven motion: number of the wall, of the motion among those of the wall, and its law.
+
+    `force` [N] along the unit `direction`: what a servo holds on the grains; of a free wall its own and its weight.
+    """
+
+    wall: int
+    motion: int
+    name: str
+    kind: Literal["servo", "free"]
+    direction: tuple[float, float, float]
+    force: float
+    gain: float
+    """Of a servo: speed for every newton that is missing [m/(s N)]."""
+    velocity_max: float
+    """Of a servo [m/s]."""
+    mass: float
+    """Of a free wall [kg]."""
+    damping: float
+    """Of a free wall [kg/s]."""
+
+    @property
+    def key(self) -> str:
+        """As messages and checkpoints name it."""
+        return f"walls.{self.name}.motion.{self.motion}"
+
+
+def controlled_motions_of(
+    scene: Scene,
+    walls: Sequence[PlannedWall],
+    law: NormalLaw,
+    pair_cases: Sequence[PairCase],
+    velocity: float,
+    step: float,
+) -> tuple[ControlledMotion, ...]:
+    """All driven motions in the order of walls and motions. Raises SceneError for one that the step [s] cannot carry.
+
+    `velocity`: the fastest approach expected [m/s].
+    """
+    controlled_motions = []
+    for index, wall in enumerate(walls):
+        for number, given in enumerate(scene.walls[wall.name].motion):
+            if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
+                stiffness = _stiffness(scene, wall, given, law, pair_cases, velocity)
+                build = _servo if isinstance(given, scene_schema.ServoSpec) else _free
+                controlled_motions.append(build(scene, index, wall, number, given, stiffness, step))
+    return tuple(controlled_motions)
+
+
+def _servo(
+    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
+) -> ControlledMotion:
+    """A servo moves at v = gain (F - f), at most velocity_max.
+
+    Contacts of stiffness K then change their force by K dt v = gain K dt (F - f) in a step: below 2 of them the
+    wall comes nearer to F in every step. It is a dashpot of 1/gain: it takes energy from the grains, and gives none.
+    """
+    single, all_contacts = stiffness
+    max_gain = MAX_GAIN / (single * step)
+    if given.gain is not None and given.gain > max_gain:
+        location = scene.locate("walls", wall.name, "motion", number, "gain")
+        raise SceneError(
+            f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} on "
+            f"the wall "
+            f"overshoots at every step of {step:.3g} s. Leave it out for {GAIN_SHARE / (all_contacts * step):.2g}."
+        )
+    force = given.force
+    if force is None:
+        force = given.pressure * (area_of(wall.shape) or 0.0)
+    gain = given.gain if given.gain is not None else GAIN_SHARE / (all_contacts * step)
+    return ControlledMotion(
+        index, number, wall.name, "servo", _unit(given), force, gain, given.velocity_max, mass=1.0, damping=0.0
+    )
+
+
+def _free(
+    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
+) -> ControlledMotion:
+    """A free wall of mass M on contacts of stiffness K swings with w^2 = K/M; w dt must stay below 1."""
+    min_mass = stiffness[1] * step**2
+    if given.mass < min_mass:
+        location = scene.locate("walls", wall.name, "motion", number, "mass")
+        raise SceneError(
+            f"{location}: walls.{wall.name}.motion.mass is {given.mass:.3g} kg, but with all grains it can touch "
+            f"the wall "
+            f"swings too fast for a step of {step:.3g} s: give it {min_mass:.2g} kg or more, or lower run.time_step."
+        )
+    direction = _unit(given)
+    force = given.force + given.mass * float(np.dot(scene.gravity, direction))
+    return ControlledMotion(
+        index, number, wall.name, "free", direction, force, 0.0, 0.0, mass=given.mass, damping=given.damping
+    )
+
+
+def _stiffness(
+    scene: Scene, wall: PlannedWall, given: Any, law: NormalLaw, pair_cases: Sequence[PairCase], velocity: float
+) -> tuple[float, float]:
+    """Stiffness [N/m] of one contact at the fastest approach, and of as many as can be at the wall side by side.
+
+    A layer of spheres of radius r in closest packing has one of them on every 2 sqrt(3) r^2 of the wall.
+    """
+    single = max(law.loading_stiffness(m.pair, m.radius_eff, m.mass_eff, velocity) for m in pair_cases)
+    radius = min(pair_case.radius for pair_case in pair_cases)
+    area = area_of(wall.shape) or _section(scene, _unit(given))
+    particle_count = sum(group.count for group in scene.particles.values())
+    return single, single * max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0)
+
+
+def _section(scene: Scene, direction: tuple[float, float, float]) -> float:
+    """Area [m2] of the domain seen along a direction."""
+    size = np.subtract(scene.domain.max, scene.domain.min)
+    return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])
+
+
+def _unit(given: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in unit(given.direction))
+    return x, y, z
+
+
+def describe(controlled: ControlledMotion) -> Iterator[tuple[str, str]]:
+    """What a drive was decided to be: names and values for people."""
+    if controlled.kind == "servo":
+        yield "holds", f"{controlled.force:.4g} N"
+        yield "gain", f"{controlled.gain:.3g} m/(s N)"
+        yield "at most", f"{controlled.velocity_max:.3g} m/s"
+    else:
+        yield "mass", f"{controlled.mass:.4g} kg"
+        yield "force, with its weight", f"{controlled.force:.4g} N"
+        yield "damping", f"{controlled.damping:.3g} kg/s"

@@ -1,0 +1,106 @@
+"""Which spheres are near each other, by sorting them into cells. numpy only."""
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+
+def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once.
+
+    Spheres are taken by size, each class twice as large as the next, so that a few large ones among many small
+    ones do not make every cell large.
+    """
+    classes = list(size_classes(radius))
+    found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
+    for class_index, larger in enumerate(classes):
+        for smaller in classes[class_index:]:
+            first, second = cross_pairs(position[smaller], radius[smaller], position[larger], radius[larger], reach)
+            pairs = np.stack([smaller[first], larger[second]])
+            found.append(pairs[:, pairs[0] < pairs[1]] if smaller is larger else pairs)
+    first, second = np.concatenate(found, axis=1)
+    return first, second
+
+
+def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
+    """Indices of the spheres of each class, largest first; within a class radii differ by a factor of 2 at most."""
+    if len(radius) == 0:
+        return
+    level = np.floor(np.log2(radius.max() / radius)).astype(int)
+    for each in np.unique(level):
+        yield np.flatnonzero(level == each)
+
+
+def cross_pairs(
+    first: np.ndarray, first_radius: np.ndarray, second: np.ndarray, second_radius: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Indices into the first and into the second set of all pairs across them with a gap below `reach`."""
+    if len(first) == 0 or len(second) == 0:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    cell = first_radius.max() + second_radius.max() + reach
+    low = np.minimum(first.min(axis=0), second.min(axis=0))
+    key_of = CellKeys(low, np.maximum(first.max(axis=0), second.max(axis=0)), cell)
+    keys = key_of(second)
+    order = np.argsort(keys, kind="stable")
+    found = [
+        close_pairs(first, first_radius, second, second_radius, reach, *members)
+        for members in cell_neighbors(key_of, key_of(first), keys[order], order)
+    ]
+    return np.concatenate([i for i, _ in found]), np.concatenate([j for _, j in found])
+
+
+class CellKeys:
+    """Numbers the cells of a grid row by row along x, with a margin, so that a cell's neighbors are key +- a few."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray, cell: float) -> None:
+        self.low = low
+        self.cell = cell
+        self.shape = np.floor((high - low) / cell).astype(np.int64) + 3
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """The key (n,) of the cell of each point (n, 3)."""
+        x, y, z = np.floor((points - self.low) / self.cell).astype(np.int64).T + 1
+        return x + self.shape[0] * (y + self.shape[1] * z)
+
+    def adjacent_rows(self) -> list[int]:
+        """What to add to a key to come to the middle of each of the nine rows around it."""
+        return [int(self.shape[0] * (y + self.shape[1] * z)) for y, z in product((-1, 0, 1), repeat=2)]
+
+
+def cell_neighbors(
+    key_of: CellKeys, query: np.ndarray, keys: np.ndarray, order: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """For each of the nine rows: indices of those asking and of all members of the three cells there."""
+    for shift in key_of.adjacent_rows():
+        start = np.searchsorted(keys, query + (shift - 1), side="left")
+        count = np.searchsorted(keys, query + (shift + 1), side="right") - start
+        querying = np.repeat(np.arange(len(query)), count)
+        within = np.arange(len(querying)) - np.repeat(np.cumsum(count) - count, count)
+        yield querying, order[np.repeat(start, count) + within]
+
+
+def close_pairs(
+    first: np.ndarray,
+    first_radius: np.ndarray,
+    second: np.ndarray,
+    second_radius: np.ndarray,
+    reach: float,
+    i: np.ndarray,
+    j: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those of the pairs (i, j) whose gap is below `reach`."""
+    branch = first[i] - second[j]
+    limit = first_radius[i] + second_radius[j] + reach
+    close = np.einsum("ij,ij->i", branch, branch) < limit * limit
+    return i[close], j[close]
+
+
+def overlaps_any(
+    points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray, reach: float = 0.0
+) -> np.ndarray:
+    """Whether each sphere (n,) overlaps, or comes within `reach` of, any of the others."""
+    overlaps = np.zeros(len(points), dtype=bool)
+    first, _ = cross_pairs(points, radius, others, other_radius, reach)
+    overlaps[first] = True
+    return overlaps

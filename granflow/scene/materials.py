@@ -1,0 +1,136 @@
+"""Schema of materials, pairs of materials, and the contact laws."""
+
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, Tag, model_validator
+
+from granflow.scene.fields import (
+    Density,
+    Model,
+    Number,
+    Positive,
+    Speed,
+    Text,
+    choose_by,
+    pair_list,
+    required_unless,
+    value_error,
+)
+from granflow.scene.normal import Normal, known_laws
+from granflow.scene.presets import PRESETS
+from granflow.scene.suggest import suggestion_or_list
+
+YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
+PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
+RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
+FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
+
+
+def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
+    """Name of the preset that is asked for, None if none is; refuses one that is not known."""
+    name = given.get("preset") if isinstance(given, dict) else None
+    if name is None or name in list(known):
+        return name
+    raise value_error(f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset")
+
+
+_OPTIONAL = ("yield_strength", "restitution_fit")  # of a material: nothing written after the key leaves it out
+
+
+class Material(Model):
+    """What a particle or a wall is made of. A preset fills in what is not given here."""
+
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
+
+    preset: Text | None = Field(None, description="name of a known material that fills in what is not given")
+    young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
+    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
+    density: Density = Field(description="density of the solid [kg/m3], such as 2500")
+    yield_strength: YieldStrength | None = Field(
+        None, description="yield strength [Pa]; only needed for the limit velocity of Eq. 11"
+    )
+    restitution_fit: Annotated[tuple[Positive, Positive], pair_list("[sigma, psi]")] | None = Field(
+        None, description="sigma and psi of Eq. 12 for this material against itself; known for some presets"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        name = _preset_name(given, PRESETS, "presets")
+        if name is None:
+            return given
+        preset = {key: getattr(PRESETS[name], key) for key in cls.model_fields if key != "preset"}
+        left_out = {key for key, value in given.items() if value is None and key in _OPTIONAL}
+        return preset | {key: value for key, value in given.items() if key not in left_out}
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus [Pa], G = E / (2 (1 + nu))."""
+        return self.young_modulus / (2 * (1 + self.poisson_ratio))
+
+
+class RestitutionFit(Model):
+    """Restitution that falls with the approach velocity: e(v) = exp(-sigma (v / (vlim - v))^psi) (Eq. 12)."""
+
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
+
+    sigma: Positive = Field(description="sigma of Eq. 12")
+    psi: Positive = Field(description="psi of Eq. 12")
+    limit_velocity: Speed | None = Field(
+        None, description="velocity from which e is 0 [m/s]; left out: Eq. 11 from the yield strengths"
+    )
+    preset: Text | None = Field(None, description="name of a known material that fills in sigma and psi")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        fits = {name: preset.restitution_fit for name, preset in PRESETS.items() if preset.restitution_fit}
+        name = _preset_name(given, fits, "presets with a restitution fit")
+        return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
+
+
+def _restitution_tag(value: Any) -> str:
+    if value is None:
+        return "<none>"
+    return "<fit>" if isinstance(value, dict | RestitutionFit) else "<number>"
+
+
+Restitution = Annotated[
+    Annotated[RestitutionNumber, Tag("<number>")]
+    | Annotated[RestitutionFit, Tag("<fit>")]
+    | Annotated[None, Tag("<none>")],
+    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is asked here"),
+]
+
+
+class MaterialPair(Model):
+    """What happens where two materials touch."""
+
+    restitution: Restitution = Field(
+        None,
+        description="restitution coefficient, a number in [0, 1], or sigma and psi of Eq. 12; "
+        "needed unless the normal law has it from the materials",
+    )
+    friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 states that there is none")
+    rolling_friction: FrictionNumber | None = Field(
+        None, description="rolling friction coefficient; needed unless contact.rolling is none"
+    )
+    cohesion_energy_density: CohesionEnergyDensity | None = Field(
+        None, description="cohesion energy density [J/m3]; needed with contact.cohesion sjkr"
+    )
+
+
+class Contact(Model):
+    """The laws of contact, the same for every pair."""
+
+    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its settings")
+    tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb cap) or none")
+    rolling: Literal["none", "epsd", "cdt"] = Field(
+        description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
+    )
+    cohesion: Literal["none", "sjkr"] = Field(
+        "none", description="none or sjkr (cohesion energy density times contact area, while in contact), with any law"
+    )

@@ -1,0 +1,217 @@
+"""Centers for spheres in a room: on a lattice, or at random without overlap."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.scene.close_pairs import near_pairs, overlaps_any
+from granflow.scene.regions import BoxSampler, CylinderSampler, RegionSampler
+
+MAX_PACKING_FRACTION = 0.57
+"""Solid fraction above which a random pack is not tried: the sweeps it takes grow without bound towards 0.6."""
+
+SWELLING = 0.02
+"""How much larger than they are spheres are pushed apart, so that they end clear of each other."""
+
+MAX_SWEEPS = 2000
+
+OVERSHOOT = 1.4
+"""How far overlapping pairs are moved apart, over their overlap: halves the sweeps (tried: 1, 1.2, 1.4)."""
+
+
+Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
+
+
+class RegionFullError(Exception):
+    """Fewer fit than were asked for: `shortfall` says how many ("only 12 fit"), `remedy` what to change."""
+
+    def __init__(self, shortfall: str, remedy: str) -> None:
+        super().__init__(f"{shortfall}: {remedy}")
+        self.shortfall = shortfall
+        self.remedy = remedy
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Spheres that are there: position (n, 3) [m], radius (n,) [m]."""
+
+    position: np.ndarray
+    radius: np.ndarray
+
+    @classmethod
+    def none(cls) -> "Spheres":
+        """No spheres."""
+        return cls(np.empty((0, 3)), np.empty(0))
+
+    def near(self, region: RegionSampler) -> "Spheres":
+        """Those that reach into the room."""
+        inside = region.reaches(self.position, self.radius)
+        return Spheres(self.position[inside], self.radius[inside])
+
+    def joined(self, other: "Spheres") -> "Spheres":
+        """These and those."""
+        return Spheres(np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius]))
+
+
+def fill_lattice(
+    region: BoxSampler | CylinderSampler,
+    radius: np.ndarray,
+    jitter: float,
+    existing: Spheres,
+    random: np.random.Generator,
+) -> np.ndarray:
+    """Centers (n, 3) on the widest square lattice with a site for each, filled layer by layer from the bottom.
+
+    `jitter` shifts each center along each axis by up to that fraction of the gap the largest sphere has in its cell.
+    Sites that meet spheres already present are left out. Raises NoRoomError.
+    """
+    margin = radius.max()
+    check_width(region, margin)
+    obstacles = existing.near(region)
+
+    def free_sites(spacing: float) -> tuple[np.ndarray, np.ndarray]:
+        sites, shift = region.sites(spacing, margin, jitter)
+        reach = np.full(len(sites), margin + np.linalg.norm(shift))
+        return sites[~overlaps_any(sites, reach, obstacles.position, obstacles.radius)], shift
+
+    spacing = widest_spacing(free_sites, len(radius), 2 * margin, (region.volume / len(radius)) ** (1 / 3))
+    sites, shift = free_sites(spacing)
+    if len(sites) < len(radius):
+        raise RegionFullError(only_fit(len(sites)), "Lower it, enlarge the region, or pack them at random.")
+    return sites[: len(radius)] + random.uniform(-1, 1, (len(radius), 3)) @ shift
+
+
+def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) -> float:
+    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if there is none."""
+    spacing = max(guess, least)
+    while spacing > least and len(free_sites(spacing)[0]) < count:
+        spacing = max(0.9 * spacing, least)
+    low, high = spacing, spacing / 0.9
+    for _ in range(7):
+        middle = (low + high) / 2
+        if len(free_sites(middle)[0]) >= count:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def pack_at_random(
+    region: BoxSampler | CylinderSampler, radius: np.ndarray, existing: Spheres, random: np.random.Generator
+) -> np.ndarray:
+    """Centers (n, 3) of a random pack without overlap: thrown in anywhere, then pushed apart until none overlap.
+
+    Works to a solid fraction of about 0.55 (0.5 and less in rooms only a few spheres wide). Raises NoRoomError.
+    """
+    check_width(region, radius.max())
+    obstacles = existing.near(region)
+    solid_fraction = np.sum(4 / 3 * np.pi * radius**3) / region.volume
+    if solid_fraction > MAX_PACKING_FRACTION:
+        estimate = len(radius) * MAX_PACKING_FRACTION / solid_fraction
+        raise RegionFullError(f"about {float(f'{estimate:.2g}'):.0f} fit", packing_remedy(solid_fraction))
+    start = region.sample(radius, random)
+    spheres = Spheres(start, radius).joined(obstacles)
+    swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
+    position = push_apart(spheres, len(radius), region, swelling)
+    overlapping = overlapping_pairs(Spheres(position, spheres.radius), len(radius))
+    if len(overlapping):
+        left_out = greedy_cover(overlapping, len(radius))
+        raise RegionFullError(only_fit(len(radius) - left_out), packing_remedy(solid_fraction))
+    return position[: len(radius)]
+
+
+def only_fit(count: int) -> str:
+    """That so many were placed and no more."""
+    return {0: "none fits", 1: "only 1 fits"}.get(count, f"only {count} fit")
+
+
+def packing_remedy(solid_fraction: float) -> str:
+    """What to do about a pack that is too dense."""
+    return (
+        f"They would fill {solid_fraction:.0%} of it, and a random pack reaches about 50%. "
+        "Lower it or enlarge the region."
+    )
+
+
+def check_width(region: RegionSampler, radius: float) -> None:
+    """Raise NoRoomError if the largest sphere alone does not fit."""
+    if radius > region.radius_max * (1 + 1e-9):
+        raise RegionFullError(
+            only_fit(0), f"The largest, {2 * radius:g} m, is wider than the region, {2 * region.radius_max:g} m."
+        )
+
+
+def push_apart(
+    spheres: Spheres, mobile_count: int, region: BoxSampler | CylinderSampler, swelling: float
+) -> np.ndarray:
+    """Positions after sweeps that move the first `mobile_count` spheres out of each other.
+
+    Until none overlap or in vain.
+
+    Every overlapping pair is moved apart by its overlap, the smaller one further (by the inverse square of its
+    radius); the rest stands still. Pairs near each other are listed once in a while.
+    """
+    position, radius = spheres.position.copy(), spheres.radius * swelling
+    mobility = np.where(np.arange(len(radius)) < mobile_count, radius**-2.0, 0.0)
+    skin = 0.6 * float(np.median(radius))
+    listed_position, pairs = position, mobile_pairs(position, radius, skin, mobile_count)
+    for _ in range(MAX_SWEEPS):
+        shift, worst = separation(position, radius, mobility, pairs)
+        if worst < 1 - 1 / swelling:
+            break
+        position = position + OVERSHOOT * shift
+        position[:mobile_count] = region.confine(position[:mobile_count], spheres.radius[:mobile_count])
+        if 2 * np.linalg.norm(position - listed_position, axis=1).max() > skin:
+            listed_position, pairs = position, mobile_pairs(position, radius, skin, mobile_count)
+    return position
+
+
+def mobile_pairs(
+    position: np.ndarray, radius: np.ndarray, reach: float, mobile_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs with a gap below `reach` of which at least one is among the first `mobile_count`."""
+    first, second = near_pairs(position, radius, reach)
+    matters = np.minimum(first, second) < mobile_count
+    return first[matters], second[matters]
+
+
+def separation(
+    position: np.ndarray, radius: np.ndarray, mobility: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, float]:
+    """Shift (n, 3) that moves each overlapping pair apart by its overlap, and the worst overlap over its distance."""
+    first, second = pairs
+    branch = position[first] - position[second]
+    contact_distance = radius[first] + radius[second]
+    squared = np.einsum("ij,ij->i", branch, branch)
+    overlapping = squared < contact_distance * contact_distance
+    first, second, branch, contact_distance = (
+        first[overlapping],
+        second[overlapping],
+        branch[overlapping],
+        contact_distance[overlapping],
+    )
+    distance = np.maximum(np.sqrt(squared[overlapping]), 1e-12 * contact_distance)
+    displacement = branch * ((contact_distance - distance) / distance / (mobility[first] + mobility[second]))[:, None]
+    shift = np.empty_like(position)
+    for axis in range(3):
+        shift[:, axis] = np.bincount(first, displacement[:, axis], len(position))
+        shift[:, axis] -= np.bincount(second, displacement[:, axis], len(position))
+    worst = float((1 - distance / contact_distance).max()) if len(first) else 0.0
+    return shift * mobility[:, None], worst
+
+
+def overlapping_pairs(spheres: Spheres, mobile_count: int) -> np.ndarray:
+    """Pairs (p, 2) that overlap with at least one among the first `mobile_count`."""
+    first, second = mobile_pairs(spheres.position, spheres.radius, 0.0, mobile_count)
+    return np.stack([first, second], axis=1)
+
+
+def greedy_cover(pairs: np.ndarray, mobile_count: int) -> int:
+    """How many of the first `mobile_count` spheres to take out, the most entangled first, until no pair is left."""
+    removed = 0
+    while len(pairs):
+        worst = np.bincount(pairs.ravel())[:mobile_count].argmax()
+        pairs = pairs[np.all(pairs != worst, axis=1)]
+        removed += 1
+    return removed

@@ -1,0 +1,81 @@
+"""Groups of particles from files: which rows are whose, and the grains they make."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.regular_files import resolved
+from granflow.scene.insertion_schema import FileInsertion
+from granflow.scene.particle_data import ParticleData, particles_of
+from granflow.scene.particle_table import ParticleTable, read_table
+from granflow.scene.schema import Scene
+
+
+def table_of(scene: Scene, name: str) -> ParticleTable:
+    """All rows of the file of a group. Raises SceneError."""
+    insertion = scene.particles[name].insert
+    if not isinstance(insertion, FileInsertion):
+        raise ValueError(f"{name} is not read from a file.")
+    try:
+        folder = resolved(scene.folder)
+        path = resolved(folder / insertion.file)
+    except OSError as error:
+        raise SceneError(f"{scene.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
+    if not path.is_relative_to(folder):
+        location = scene.locate("particles", name, "insert", "file")
+        raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
+    return read_table(scene.folder / insertion.file)
+
+
+def rows_of(scene: Scene, name: str) -> ParticleTable:
+    """The rows of a group: those of its material where the file names materials, by name or number, else all.
+
+    Raises SceneError.
+    """
+    table = table_of(scene, name)
+    if table.material is None:
+        return table
+    is_own = np.isin(table.material, _names_of(scene, scene.particles[name].material))
+    if not is_own.any():
+        location, material = scene.locate("particles", name, "material"), scene.particles[name].material
+        others = ", ".join(sorted(set(table.material.tolist()))[:5])
+        raise SceneError(f"{location}: no row of {table.path} is of {material}; its materials are {others}.")
+    return table.subset(is_own)
+
+
+def unassigned_rows(scene: Scene) -> list[str]:
+    """A sentence for each file with rows of a material that no group takes from it."""
+    files: dict[str, list[str]] = {}
+    for name, group in scene.particles.items():
+        if isinstance(group.insert, FileInsertion) and (scene.folder / group.insert.file).exists():
+            files.setdefault(group.insert.file, []).append(name)
+    problems = []
+    for names in files.values():
+        table = table_of(scene, names[0])
+        if table.material is not None:
+            used_materials = [known for name in names for known in _names_of(scene, scene.particles[name].material)]
+            unassigned = ~np.isin(table.material, used_materials)
+            if unassigned.any():
+                row, material = table.line[unassigned][0], table.material[unassigned][0]
+                problems.append(
+                    f"{table.path}:{row}: this particle is of {material}, but no group takes those; add one."
+                )
+    return problems
+
+
+def particles_from_file(scene: Scene, name: str) -> ParticleData:
+    """The grains of a group from a file, as the file has them. Raises SceneError where it is another by now."""
+    rows, group = rows_of(scene, name), scene.particles[name]
+    if len(rows) != group.count:
+        raise SceneError(f"{rows.path}: this file has changed: {group.count} particles were in it, now {len(rows)}.")
+    particles = particles_of(scene, name, rows.position, rows.radius)
+    if group.fixed:
+        return particles
+    moving = {key: getattr(rows, key) for key in ("velocity", "angular_velocity") if getattr(rows, key) is not None}
+    return replace(particles, **moving)
+
+
+def _names_of(scene: Scene, material: str) -> list[str]:
+    """How a file may call a material: its name, or its number in the scene, from 0."""
+    return [material, str(list(scene.materials).index(material))]

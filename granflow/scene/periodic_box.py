@@ -1,0 +1,123 @@
+"""Periodic faces of the domain, for numpy: what goes out through one comes in through the one opposite."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from granflow.scene.schema import Domain
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class ImageMotion:
+    """Axes of velocity and gradient, velocity of an image over what it is one of [m/s], time when it begins [s]."""
+
+    flow: int
+    gradient: int
+    speed: float
+    start: float
+
+
+@dataclass(frozen=True)
+class PeriodicBox:
+    """Which axes of a box are periodic, its low corner (3,) [m] and its widths (3,) [m].
+
+    `offset` [m]: how far the images above have moved, where the box is sheared; see `at`.
+    """
+
+    axes: tuple[int, ...]
+    low: np.ndarray
+    width: np.ndarray
+    image_motion: ImageMotion | None = None
+    offset: float = 0.0
+
+    @classmethod
+    def of(cls, domain: Domain) -> "PeriodicBox":
+        """The border of a scene's domain at its start."""
+        low, width, given = np.array(domain.min), np.subtract(domain.max, domain.min), domain.lees_edwards
+        image_motion = None
+        if given is not None:
+            flow, gradient = AXES.index(given.flow), AXES.index(given.gradient)
+            image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
+        return cls(tuple(AXES.index(axis) for axis in domain.periodic), low, width, image_motion)
+
+    def at(self, time: float) -> "PeriodicBox":
+        """The border at a time [s]."""
+        return self if self.image_motion is None else replace(self, offset=float(self.offsets(np.array([time]))[0]))
+
+    def offsets(self, times: np.ndarray) -> np.ndarray:
+        """How far the images above have moved at times (n,) [s], less whole widths of the box (n,) [m]."""
+        if self.image_motion is None:
+            return np.zeros(len(times))
+        width = self.width[self.image_motion.flow]
+        moved = self.image_motion.speed * np.maximum(times - self.image_motion.start, 0.0)
+        return np.asarray(moved - width * np.round(moved / width))
+
+    def speeds(self, times: np.ndarray) -> np.ndarray:
+        """Velocity of the images above at times (n,) [s], (n,) [m/s]."""
+        return (
+            np.zeros(len(times))
+            if self.image_motion is None
+            else np.where(times > self.image_motion.start, self.image_motion.speed, 0.0)
+        )
+
+    def strain(self, time: float) -> float:
+        """Shear strain since the start."""
+        return (
+            0.0
+            if self.image_motion is None
+            else self.image_motion.speed * max(time - self.image_motion.start, 0.0) / self._height
+        )
+
+    @property
+    def _height(self) -> float:
+        assert self.image_motion is not None
+        return float(self.width[self.image_motion.gradient])
+
+    def wrap(self, points: np.ndarray) -> np.ndarray:
+        """Points (n, 3) [m] moved by whole widths of the box into it, and by the offset through sheared faces."""
+        return self._shifted(points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis]))[0]
+
+    def wrap_with_velocity(
+        self, points: np.ndarray, velocity: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 3) [m] in the box, and the velocities (n, 3) [m/s] that they have there at a time [s]."""
+        shifted, image_counts = self.at(time)._shifted(
+            points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
+        )
+        if self.image_motion is None:
+            return shifted, velocity
+        shifted_velocity = np.array(velocity)
+        shifted_velocity[:, self.image_motion.flow] -= image_counts * self.speeds(np.array([time]))[0]
+        return shifted, shifted_velocity
+
+    def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
+        """Images of points (n, 3) [m] that are nearest to the others (n, 3)."""
+        return self._shifted(
+            points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
+        )[0]
+
+    def _shifted(
+        self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points moved by whole turns along every axis, the sheared one first, and the turns along that."""
+        shifted, gradient_counts = np.array(points), np.zeros(len(points))
+        for axis in sorted(self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient):
+            image_counts = image_counts_of(axis, shifted[:, axis])
+            shifted[:, axis] -= image_counts * self.width[axis]
+            if self.image_motion is not None and axis == self.image_motion.gradient:
+                shifted[:, self.image_motion.flow] -= image_counts * self.offset
+                gradient_counts = image_counts
+        return shifted, gradient_counts
+
+    def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Spheres, centers (n, 3) and radii (n,) [m], and the images of those that reach out of the box."""
+        for axis in self.axes:
+            place = position[:, axis] - self.low[axis]
+            below, above = place < radius, place > self.width[axis] - radius
+            shift = self.width[axis] * np.eye(3)[axis]
+            position = np.concatenate([position, position[below] + shift, position[above] - shift])
+            radius = np.concatenate([radius, radius[below], radius[above]])
+        return position, radius

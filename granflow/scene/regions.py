@@ -1,0 +1,161 @@
+"""The regions particles are put into: where a whole sphere has room in a box or a cylinder."""
+
+from typing import Protocol
+
+import numpy as np
+
+from granflow.scene.insertion_schema import BoxRegion, CylinderRegion
+
+SLACK = 1e-9
+"""Relative tolerance for things that fit exactly, such as ten 1 mm beads across 10 mm."""
+
+
+class RegionSampler(Protocol):
+    """A space into which spheres come, asked about points (n, 3) [m] and radii (n,) [m]."""
+
+    volume: float
+    radius_max: float  # of the largest sphere that fits
+
+    def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Centers (n, 3) drawn evenly from where each sphere is wholly inside."""
+
+    def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Whether spheres of radius `reach` (n,) about the points may meet it; never a false no."""
+
+
+class PackingRegion(RegionSampler, Protocol):
+    """A region that is filled."""
+
+    def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """The nearest centers (n, 3) at which the spheres are wholly inside."""
+
+    def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
+        """Centers (n, 3) of a lattice with cells no smaller than `spacing` and how far each may shift (3, 3).
+
+        Spheres of radius `margin` stay inside when shifted by any sum of the rows of the second array times numbers
+        in [-1, 1]. From the bottom (of the box, of the cylinder's axis) layer by layer.
+        """
+
+
+class BoxSampler:
+    """A box along the axes."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
+        self.low = np.asarray(low, dtype=np.float64)
+        self.high = np.asarray(high, dtype=np.float64)
+        self.volume = float(np.prod(self.high - self.low))
+        self.radius_max = float((self.high - self.low).min()) / 2
+
+    def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """See Room."""
+        margin = radius[:, None]
+        return self.low + margin + random.random((len(radius), 3)) * (self.high - self.low - 2 * margin)
+
+    def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """See Room."""
+        return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
+
+    def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
+        """See Room; the cells are stretched to fill the box."""
+        size = self.high - self.low
+        cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
+        cell = size / np.maximum(cells, 1)
+        z, y, x = np.meshgrid(*(np.arange(n) + 0.5 for n in cells[::-1]), indexing="ij")
+        centers = self.low + np.stack([x, y, z], axis=-1).reshape(-1, 3) * cell
+        return centers, np.diag(jitter * np.maximum(cell / 2 - margin, 0.0))
+
+    def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """See Room."""
+        margin = reach[:, None]
+        return np.all((points > self.low - margin) & (points < self.high + margin), axis=1)
+
+
+class CylinderSampler:
+    """A cylinder from one end of its axis to the other."""
+
+    def __init__(self, start: np.ndarray, end: np.ndarray, radius: float) -> None:
+        self.start = np.asarray(start, dtype=np.float64)
+        along = np.asarray(end, dtype=np.float64) - self.start
+        self.length = float(np.linalg.norm(along))
+        self.radius = radius
+        self.volume = float(np.pi * radius**2 * self.length)
+        self.radius_max = min(radius, self.length / 2)
+        self.frame = frame_along(along / self.length)
+
+    def to_local(self, points: np.ndarray) -> np.ndarray:
+        """Coordinates (n, 3) across, across and along the axis."""
+        return (points - self.start) @ self.frame.T
+
+    def from_local(self, local: np.ndarray) -> np.ndarray:
+        """The inverse of `to_local`."""
+        return self.start + local @ self.frame
+
+    def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """See Room."""
+        share, turn, height = random.random((3, len(radius)))
+        r = (self.radius - radius) * np.sqrt(share)
+        angle = 2 * np.pi * turn
+        z = radius + height * (self.length - 2 * radius)
+        return self.from_local(np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1))
+
+    def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """See Room."""
+        local = self.to_local(points)
+        r = np.linalg.norm(local[:, :2], axis=1)
+        clearance = self.radius - radius
+        outside = r > clearance
+        local[outside, :2] *= (clearance[outside] / r[outside])[:, None]
+        local[:, 2] = np.clip(local[:, 2], radius, self.length - radius)
+        return self.from_local(local)
+
+    def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
+        """See Room; the layers are stretched to fill the length, a layer is a square lattice about the axis."""
+        axes = int(2 * self.radius / spacing * (1 + SLACK))
+        layers = int(self.length / spacing * (1 + SLACK))
+        height = self.length / max(layers, 1)
+        shift = jitter * np.maximum(np.array([spacing, spacing, height]) / 2 - margin, 0.0)
+        step = (np.arange(axes) - (axes - 1) / 2) * spacing
+        z, y, x = np.meshgrid((np.arange(layers) + 0.5) * height, step, step, indexing="ij")
+        farthest = np.hypot(np.abs(x) + shift[0], np.abs(y) + shift[1])
+        box = farthest + margin <= self.radius * (1 + SLACK)
+        return self.from_local(np.stack([x, y, z], axis=-1)[box]), shift[:, None] * self.frame
+
+    def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """See Room."""
+        local = self.to_local(points)
+        beside = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
+        return beside & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
+
+
+class SlabSampler:
+    """A box on a rectangle, any way round: `depth` [m] along the first side times the second."""
+
+    def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
+        lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
+        axes = first / lengths[0], second / lengths[1]
+        self.corner, self.frame = corner, np.array([*axes, np.cross(*axes)])
+        self.box = BoxSampler(np.zeros(3), np.array([*lengths, depth]))
+        self.volume, self.radius_max = self.box.volume, self.box.radius_max
+
+    def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """See Opening."""
+        return np.asarray(self.corner + self.box.sample(radius, random) @ self.frame)
+
+    def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """See Opening."""
+        return self.box.reaches((points - self.corner) @ self.frame.T, reach)
+
+
+def frame_along(axis: np.ndarray) -> np.ndarray:
+    """Three perpendicular unit vectors as rows, the last one the given axis, right-handed."""
+    first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first), axis])
+
+
+def sampler_of(region: BoxRegion | CylinderRegion) -> BoxSampler | CylinderSampler:
+    """The room of a region in the scene."""
+    if isinstance(region, BoxRegion):
+        return BoxSampler(np.array(region.box.min), np.array(region.box.max))
+    tube = region.cylinder
+    return CylinderSampler(np.array(tube.from_), np.array(tube.to), tube.radius)

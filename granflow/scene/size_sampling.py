@@ -1,0 +1,95 @@
+"""Diameters drawn from the size distributions of the scene."""
+
+import math
+from collections.abc import Callable
+from statistics import NormalDist
+
+import numpy as np
+
+from granflow.scene.groups import ClassSizes, LogNormalSizes, NormalSizes, SizeSpec, UniformSizes
+
+MAX_COUNTED = 10_000_000
+"""Particles up to which a mass is counted out one by one; of more, it is the mean of some that says how many."""
+
+SAMPLE = 10_000
+
+
+def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
+    """Exactly `count` diameters (count,) [m] in random order; a list is taken as it stands.
+
+    Cut-offs are those of the truncated distribution: what lies beyond is never drawn, nothing is moved onto them.
+    """
+    if isinstance(sizes, ClassSizes):
+        diameter = np.array([each.diameter for each in sizes.classes])
+        return random.permutation(np.repeat(diameter, class_counts(sizes, count)))
+    if isinstance(sizes, UniformSizes):
+        return random.uniform(sizes.min, sizes.max, count)
+    if isinstance(sizes, NormalSizes):
+        return truncated_normal(NormalDist(sizes.mean, sizes.deviation), sizes.min, sizes.max, count, random)
+    if isinstance(sizes, LogNormalSizes):
+        logarithm = NormalDist(math.log(sizes.median), sizes.sigma)
+        low, high = math.log(sizes.min), math.log(sizes.max)
+        drawn = np.exp(truncated_normal(logarithm, low, high, count, random))
+        return np.clip(drawn, sizes.min, sizes.max)  # exp(log(max)) may round to beyond max
+    return np.broadcast_to(np.asarray(sizes, dtype=np.float64), (count,)).copy()
+
+
+def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.random.Generator]) -> int:
+    """How many diameters, as `draw_diameters` gives them, have the sum of cubes nearest to `cubes` [m^3]; 1 at least.
+
+    `random` makes the generator that they will be drawn with, anew at every call.
+    """
+    if isinstance(sizes, ClassSizes):
+        return max(round(min(cubes / mean_cube(sizes), 1e18)), 1)
+    sample = draw_diameters(sizes, SAMPLE, random())
+    guess = min(cubes / float(np.mean(sample**3)), 1e18)
+    if guess > MAX_COUNTED or isinstance(sizes, float):
+        return max(round(guess), 1)
+    total = np.cumsum(draw_diameters(sizes, int(1.5 * guess) + SAMPLE, random()) ** 3)
+    return int(np.abs(total - cubes).argmin()) + 1
+
+
+def mean_cube(sizes: ClassSizes) -> float:
+    """Mean of the cubes of the diameters of classes [m^3]."""
+    share = number_shares(sizes)
+    return float(share @ np.array([each.diameter for each in sizes.classes]) ** 3)
+
+
+def number_shares(sizes: ClassSizes) -> np.ndarray:
+    """Shares of the classes by number (k,), with the sum 1: those by mass go through the volume, n ~ share / d^3."""
+    share = np.array([each.fraction for each in sizes.classes])
+    if sizes.by == "mass":
+        share = share / np.array([each.diameter for each in sizes.classes]) ** 3
+    return np.asarray(share / share.sum())
+
+
+def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
+    """Diameters (count,) [m] in the order of arrival, classes in turn: each keeps its share all along.
+
+    The j-th of n of a class comes at the share (j + 1/2) / n of the stream.
+    """
+    if not isinstance(sizes, ClassSizes):
+        return draw_diameters(sizes, count, random)
+    counts = class_counts(sizes, count)
+    rank = np.concatenate([(np.arange(n) + 0.5) / n for n in counts if n])
+    diameter = np.repeat([each.diameter for each in sizes.classes], counts)
+    return diameter[np.argsort(rank, kind="stable")]
+
+
+def truncated_normal(
+    normal: NormalDist, low: float, high: float, count: int, random: np.random.Generator
+) -> np.ndarray:
+    """Values (count,) of a normal law given that they lie in [low, high], by the inverse of its distribution."""
+    share = random.uniform(normal.cdf(low), normal.cdf(high), count)
+    inside = np.clip(share, np.finfo(float).tiny, 1 - np.finfo(float).epsneg)  # inv_cdf is undefined at 0 and 1
+    drawn = np.fromiter(map(normal.inv_cdf, inside.tolist()), dtype=np.float64, count=count)
+    return np.clip(drawn, low, high)
+
+
+def class_counts(sizes: ClassSizes, count: int) -> np.ndarray:
+    """How many particles (k,) of each class: whole numbers with the sum `count`, by the largest remainders."""
+    exact = count * number_shares(sizes)
+    whole = np.floor(exact).astype(np.int64)
+    largest_remainders = np.argsort(whole - exact, kind="stable")
+    whole[largest_remainders[: count - whole.sum()]] += 1
+    return whole

@@ -1,0 +1,110 @@
+"""The parts of a scene that are right by themselves, for the checks between parts while others are still wrong."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
+
+from granflow.scene.document import Document, KeyPath
+from granflow.scene.fields import Fault, Model
+from granflow.scene.schema import Scene
+
+
+@dataclass(frozen=True)
+class PartialScene:
+    """A scene, perhaps with parts missing.
+
+    `scene` has the sections named in `complete`, and of the sections with names the entries that are right.
+    """
+
+    document: Document
+    scene: Scene
+    complete: frozenset[str]
+    parts: Mapping[KeyPath, Any]
+
+    @classmethod
+    def of(cls, document: Document, scene: Scene) -> "PartialScene":
+        """The draft of a scene that passed its schema."""
+        sections: dict[KeyPath, Any] = {(name,): getattr(scene, name) for name in Scene.model_fields}
+        return cls(document, scene, frozenset(Scene.model_fields), sections)
+
+    def names(self, section: str) -> tuple[str, ...]:
+        """All names in a section of the file, also of entries that are wrong; of bad names also the good form."""
+        node = self.document.root.child(section)
+        names = tuple(node.entries) if node is not None and node.entries else ()
+        return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
+
+    def faults(self) -> Iterator[tuple[KeyPath, Fault]]:
+        """What is wrong between the fields of each part that is right otherwise."""
+        for path, part in self.parts.items():
+            yield from _faults(part, path)
+
+
+def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScene:
+    """Validate each section by itself, entry by entry where it has entries, and keep what is right."""
+    parts: dict[KeyPath, Any] = {}
+    sections: dict[str, Any] = {}
+    complete = set()
+    for name, field in Scene.model_fields.items():
+        if name not in data:
+            if not field.is_required():
+                sections[name] = field.get_default(call_default_factory=True)
+                complete.add(name)
+            elif get_origin(field.annotation) is dict:
+                sections[name] = {}
+            continue
+        valid, is_complete = _section(name, data[name])
+        parts |= {(name, *key): part for key, part in valid.items()}
+        if is_complete:
+            complete.add(name)
+        if get_origin(field.annotation) is dict:
+            sections[name] = {key[0]: part for key, part in valid.items()}
+        elif is_complete:
+            sections[name] = valid[()] if () in valid else tuple(valid.values())
+    return PartialScene(document, Scene.model_construct(**sections), frozenset(complete), parts)
+
+
+def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
+    """The valid parts of a section by their keys, and whether that is all of it."""
+    origin = get_origin(Scene.model_fields[name].annotation)
+    entries: list[tuple[KeyPath, Any]] = [((), value)]
+    if origin is dict:
+        entries = [((key,), each) for key, each in value.items()] if isinstance(value, dict) else []
+    if origin is tuple and name != "gravity":
+        entries = [((index,), each) for index, each in enumerate(value)] if isinstance(value, list) else []
+    valid: dict[KeyPath, Any] = {}
+    for key, each in entries:
+        try:
+            valid[key] = _adapter(name, bool(key)).validate_python(each)
+        except ValidationError:
+            continue
+    return valid, len(valid) == len(entries) and isinstance(value, list | dict)
+
+
+@cache
+def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
+    field = Scene.model_fields[section]
+    if not is_entry:
+        kind: Any = field.annotation
+        for meta in field.metadata:
+            kind = Annotated[kind, meta]
+        return TypeAdapter(kind)
+    arguments = get_args(field.annotation)
+    return TypeAdapter(arguments[1] if get_origin(field.annotation) is dict else arguments[0])
+
+
+def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
+    """Faults of a value and of all models within."""
+    if isinstance(value, Model):
+        for fault in value.faults():
+            yield (*path, *fault.path), fault
+        for name, field in type(value).model_fields.items():
+            yield from _faults(getattr(value, name), (*path, field.alias or name))
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            yield from _faults(each, (*path, key))
+    elif isinstance(value, tuple):
+        for index, each in enumerate(value):
+            yield from _faults(each, (*path, index))

@@ -1,0 +1,21 @@
+"""What checks between the parts of a scene find."""
+
+from collections.abc import Callable, Iterable, Iterator
+
+from granflow.scene.document import KeyPath
+from granflow.scene.fields import Fault
+from granflow.scene.suggest import nearest
+from granflow.scene.validation import PartialScene
+
+Violation = tuple[KeyPath, Fault]
+Check = Callable[[PartialScene], Iterator[Violation]]
+
+
+def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Violation:
+    """A name that is not among the known ones, with the one that was probably meant."""
+    names = list(known)
+    suggestion = nearest(name, names)
+    if suggestion:
+        return path, Fault((), f"there is no such {kind}. Did you mean {suggestion}?")
+    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    return path, Fault((), f"there is no such {kind}; {known_names}")

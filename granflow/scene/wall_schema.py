@@ -1,0 +1,311 @@
+"""Schema of walls and of how they move."""
+
+import math
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Annotated, Literal
+
+from pydantic import Field, Tag
+
+from granflow.scene.fields import (
+    Angle,
+    AngularVelocity,
+    Damping,
+    Direction,
+    Fault,
+    FileName,
+    Force,
+    Frequency,
+    Mass,
+    Model,
+    Names,
+    NotNegativeLength,
+    Number,
+    Point,
+    Positive,
+    PositiveAngularVelocity,
+    PositiveForce,
+    PositiveLength,
+    Pressure,
+    ShortForm,
+    Speed,
+    Text,
+    Time,
+    UnscaledLength,
+    Vector3,
+    VelocityVector,
+    choose_by_key,
+    list_of,
+    pair_list,
+)
+
+MeshScale = Annotated[float, Number(above=0, scaling=1)]
+_PERPENDICULAR = 1e-9  # largest cosine between two sides called perpendicular
+
+
+def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
+    """What is wrong with the two `sides` of a rectangle: they have lengths, and stand at a right angle."""
+    a, b = sides
+    lengths = math.hypot(*a), math.hypot(*b)
+    for i, length in enumerate(lengths):
+        if length == 0:
+            yield Fault(("sides", i), "a side must have a length above 0")
+    if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+        angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
+        yield Fault(("sides",), f"the two sides must be perpendicular and these stand at {angle:.4g} degrees")
+
+
+def _dot(a: Vector3, b: Vector3) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+class TimedMotion(Model):
+    """A motion that lasts from `start` to `end`, or through stages; left out: all the time."""
+
+    kind: str = Field(description="kind of motion")
+    start: Time | None = Field(None, description="time at which the motion begins [s]; left out: the beginning")
+    end: Time | None = Field(None, description="time at which the motion ends [s]; left out: never")
+    stages: Names | None = Field(
+        None, description="stages during which it moves; its clock starts with the first of them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Times or stages, not both; the end after the start."""
+        if self.stages is not None and (self.start is not None or self.end is not None):
+            yield Fault(("stages",), "start or end is given too: keep either the times or the stages")
+        elif self.end is not None and self.end <= (self.start or 0.0):
+            yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
+
+
+class VibrationSpec(TimedMotion):
+    """Sinusoidal motion along a direction, from the position that the scene gives, t seconds after the start.
+
+        displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
+        velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
+
+    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
+    oscillation is -amplitude * sin(phase) from the given position. At the end the wall stops where it is.
+    """
+
+    kind: Literal["vibration"] = Field(description="kind of motion")
+    direction: Direction = Field(description="direction of the motion; its length does not matter")
+    amplitude: UnscaledLength | None = Field(None, description="amplitude, half of peak to peak [m]")
+    frequency: Frequency | None = Field(None, description="frequency [Hz]")
+    angular_frequency: PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
+    gamma: Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
+    phase: Angle = Field(
+        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the middle of its stroke"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Exactly two of amplitude, frequency (of either kind) and gamma."""
+        yield from super().faults()
+        if self.frequency is not None and self.angular_frequency is not None:
+            yield Fault(("angular_frequency",), "frequency is given too: keep one of them")
+            return
+        rate = self.frequency if self.frequency is not None else self.angular_frequency
+        given = sum(value is not None for value in (self.amplitude, rate, self.gamma))
+        if given != 2:
+            count = ("none", "one", "two", "all three")[given]
+            yield Fault((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them", whole=True)
+
+    def amplitude_and_angular_frequency(self, gravity: Vector3) -> tuple[float, float]:
+        """Amplitude [m] and angular frequency [rad/s], from gamma = amplitude angular_frequency^2 / |gravity|."""
+        omega = self.angular_frequency
+        if omega is None and self.frequency is not None:
+            omega = 2 * math.pi * self.frequency
+        peak = (self.gamma or 0.0) * math.hypot(*gravity)
+        if omega is None:
+            assert self.amplitude is not None
+            return self.amplitude, math.sqrt(peak / self.amplitude)
+        return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
+
+
+class TranslationSpec(TimedMotion):
+    """Motion at a constant velocity."""
+
+    kind: Literal["translation"] = Field(description="kind of motion")
+    velocity: VelocityVector = Field(description="velocity [m/s]")
+
+
+class RotationSpec(TimedMotion):
+    """Rotation about an axis at a constant rate, right-handed."""
+
+    kind: Literal["rotation"] = Field(description="kind of motion")
+    point: Point = Field(description="a point on the axis [m]")
+    axis: Direction = Field(description="direction of the axis; its length does not matter")
+    angular_velocity: AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
+
+
+class ServoSpec(TimedMotion):
+    """A wall that holds a force: it moves along its direction, faster the more the force on the grains falls short."""
+
+    kind: Literal["servo"] = Field(description="kind of motion")
+    direction: Direction = Field(description="direction in which the wall presses; its length does not matter")
+    force: PositiveForce | None = Field(None, description="force on the grains that is held [N]")
+    pressure: Pressure | None = Field(None, description="that force over the area of the wall [Pa]")
+    velocity_max: Speed = Field(description="largest speed of the wall [m/s]")
+    gain: Positive | None = Field(
+        None, description="speed for every newton that is missing [m/(s N)]; left out: from stiffness and time step"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """A force or a pressure."""
+        yield from super().faults()
+        if self.force is None and self.pressure is None:
+            yield Fault((), "has nothing to hold: give force or pressure", whole=True)
+        elif self.force is not None and self.pressure is not None:
+            yield Fault(("pressure",), "force is given too: keep one of them")
+
+
+class FreeWallSpec(TimedMotion):
+    """A rigid wall with mass, free along one direction: moved by grains, gravity and a force of its own."""
+
+    kind: Literal["free"] = Field(description="kind of motion")
+    direction: Direction = Field(description="direction in which it can move; its length does not matter")
+    mass: Mass = Field(description="mass of the wall [kg]")
+    force: Force = Field(0.0, description="further force along the direction [N]")
+    damping: Damping = Field(0.0, description="force against its velocity, over the velocity [kg/s]")
+
+
+MotionSpec = Annotated[
+    Annotated[VibrationSpec, Tag("<vibration>")]
+    | Annotated[TranslationSpec, Tag("<translation>")]
+    | Annotated[RotationSpec, Tag("<rotation>")]
+    | Annotated[ServoSpec, Tag("<servo>")]
+    | Annotated[FreeWallSpec, Tag("<free>")],
+    choose_by_key("kind"),
+]
+
+
+class Wall(Model):
+    """What every wall has, whatever its shape."""
+
+    shape: str = Field(description="shape of the wall")
+    material: Text = Field(description="name of the wall's material")
+    appears_at: Time | None = Field(None, description="time at which the wall appears [s]; left out: the beginning")
+    vanishes_at: Time | None = Field(None, description="time at which the wall vanishes [s]; left out: never")
+    stages: Names | None = Field(None, description="stages in which the wall is there; left out: all")
+    motion: Annotated[tuple[MotionSpec, ...], list_of(one=True), ShortForm()] = Field(
+        (), description="how the wall moves: one motion or a list of them"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Times or stages, not both; at most one rotation."""
+        if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
+            yield Fault(("stages",), "appears_at or vanishes_at is given too: keep either the times or the stages")
+        elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
+            yield Fault(("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s")
+        rotations = [i for i, motion in enumerate(self.motion) if motion.kind == "rotation"]
+        for i in rotations[1:]:
+            yield Fault(("motion", i), "is a second rotation; a wall has at most one", whole=True)
+
+
+class Plane(Wall):
+    """An infinite plane with a solid half space behind it: particles live on the side of the normal."""
+
+    shape: Literal["plane"] = Field(description="shape of the wall")
+    point: Point = Field(description="a point on the plane [m]")
+    normal: Direction = Field(description="normal, towards the particles; its length does not matter")
+
+
+class Rectangle(Wall):
+    """A flat rectangle that works from both sides."""
+
+    shape: Literal["rectangle"] = Field(description="shape of the wall")
+    corner: Point = Field(description="one corner [m]")
+    sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] = Field(
+        description="the two edges from that corner, perpendicular vectors [m]"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Sides with lengths, at a right angle."""
+        yield from super().faults()
+        yield from side_faults(self.sides)
+
+
+class AxialWall(Wall):
+    """A surface of revolution about the line from `from` to `to`."""
+
+    from_: Point = Field(alias="from", description="one end of the axis [m]")
+    to: Point = Field(description="the other end of the axis [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """An axis with a length."""
+        yield from super().faults()
+        if self.from_ == self.to:
+            yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
+
+
+class Cylinder(AxialWall):
+    """A thin tube without ends, touched from inside and outside."""
+
+    shape: Literal["cylinder"] = Field(description="shape of the wall")
+    radius: PositiveLength = Field(description="radius [m]")
+
+
+class Cone(AxialWall):
+    """A thin cone frustum without ends, touched from inside and outside."""
+
+    shape: Literal["cone"] = Field(description="shape of the wall")
+    radius_from: NotNegativeLength = Field(description="radius at `from` [m]")
+    radius_to: NotNegativeLength = Field(description="radius at `to` [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """One end wider than a point."""
+        yield from super().faults()
+        if self.radius_from == self.radius_to == 0:
+            yield Fault(("radius_to",), "radius_from is 0 too: one of them must be above 0")
+
+
+class Disc(Wall):
+    """A thin round disc, with or without a round hole, that works from both sides."""
+
+    shape: Literal["disc"] = Field(description="shape of the wall")
+    center: Point = Field(description="center [m]")
+    normal: Direction = Field(description="normal; its length and sign do not matter")
+    radius: PositiveLength = Field(description="outer radius [m]")
+    hole_radius: NotNegativeLength = Field(0.0, description="radius of the hole [m]; 0: no hole")
+
+    def faults(self) -> Iterator[Fault]:
+        """A hole smaller than the disc."""
+        yield from super().faults()
+        if self.hole_radius >= self.radius:
+            yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
+
+
+class RotationStep(Model):
+    """A turn about an axis through the origin, right-handed."""
+
+    axis: Direction = Field(description="direction of the axis; its length does not matter")
+    angle: Angle = Field(description="angle [rad], such as 90 deg")
+
+
+class MeshWall(Wall):
+    """Triangles from a file, touched from both sides: scaled, then turned, then shifted."""
+
+    shape: Literal["mesh"] = Field(description="shape of the wall")
+    file: FileName = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
+    scale: MeshScale = Field(1.0, description="factor from the file's units to meters: 0.001 for millimeters")
+    rotate: Annotated[tuple[RotationStep, ...], list_of(one=True), ShortForm()] = Field(
+        (), description="how the mesh is turned about the origin: one turn or a list of them, one after the other"
+    )
+    translate: Point = Field((0.0, 0.0, 0.0), description="how far it is shifted [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """A file in the scene's folder, or below it."""
+        yield from super().faults()
+        path = PurePath(self.file)
+        if path.is_absolute() or ".." in path.parts or not path.parts:
+            yield Fault(("file",), "the file must lie in the scene's folder, or below it; give its path from there")
+
+
+AnyWall = Annotated[
+    Annotated[Plane, Tag("<plane>")]
+    | Annotated[Rectangle, Tag("<rectangle>")]
+    | Annotated[Cylinder, Tag("<cylinder>")]
+    | Annotated[Cone, Tag("<cone>")]
+    | Annotated[Disc, Tag("<disc>")]
+    | Annotated[MeshWall, Tag("<mesh>")],
+    choose_by_key("shape"),
+]

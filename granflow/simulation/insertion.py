@@ -1,0 +1,96 @@
+"""What lets grains in while a run goes on."""
+
+from collections import Counter
+from collections.abc import Container, Iterator
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.device.engine import Engine
+from granflow.scene import Scene
+from granflow.scene.generate import inserters
+from granflow.scene.schema import ClassSizes
+
+
+class ParticleInsertion:
+    """All streams of a scene but those of `existing_groups`.
+
+    Whose grains came from an earlier run. Raises SceneError.
+    """
+
+    def __init__(self, scene: Scene, existing_groups: Container[str]) -> None:
+        self._scene = scene
+        self._inserters = tuple(each for each in inserters(scene) if each.group_name not in existing_groups)
+
+    def next_time(self) -> float:
+        """Simulated time [s] at which grains are due next; infinite once all have come."""
+        return min((inserter.next_time for inserter in self._inserters), default=inf)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all grains have come."""
+        return all(inserter.remaining == 0 for inserter in self._inserters)
+
+    def insert_due(self, engine: Engine) -> bool:
+        """Let in what is due; returns whether anything came."""
+        inserted = False
+        for inserter in self._inserters:
+            if engine.reached(inserter.next_time):
+                existing = engine.host_copy.copy_to_host(("position", "radius"))
+                new = inserter.insert_due(
+                    engine.time + 0.5 * engine.time_step, existing["position"], existing["radius"]
+                )
+                engine.insert(new)
+                inserted = inserted or len(new) > 0
+        self._update_queue(engine)
+        return inserted
+
+    def results(self) -> dict[str, dict[str, float]]:
+        """Of every group that comes in: `inserted_count`, `inserted_mass` [kg] and `not_inserted_count`."""
+        return {
+            inserter.group_name: {
+                "inserted_count": float(inserter.is_inserted.sum()),
+                "inserted_mass": float(inserter.mass[inserter.is_inserted].sum()),
+                "not_inserted_count": float(inserter.remaining),
+            }
+            for inserter in self._inserters
+        }
+
+    def shortfalls(self) -> Iterator[str]:
+        """A sentence for each group of which some found no room, or were not due before the end."""
+        for inserter in self._inserters:
+            if inserter.remaining:
+                queued = len(inserter.queued)
+                not_due = inserter.remaining - queued
+                reasons = [f"{queued} found no room"] * bool(queued) + [f"{not_due} were not due yet"] * bool(not_due)
+                requested = len(inserter.radius)
+                yield (
+                    f"{inserter.remaining} of {requested} {inserter.group_name} have not come: {' and '.join(reasons)}."
+                )
+
+    def class_shares(self) -> Iterator[str]:
+        """A sentence for each group with size classes: how many came of each, and their share of the mass."""
+        for inserter in self._inserters:
+            if isinstance(self._scene.particles[inserter.group_name].diameter, ClassSizes):
+                radius, mass = inserter.radius[inserter.is_inserted], inserter.mass[inserter.is_inserted]
+                parts = [
+                    f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"
+                    for size, count in sorted(Counter(radius.tolist()).items())
+                ]
+                yield f"{inserter.group_name} came: {', '.join(parts) or 'none'}."
+
+    def state_dict(self) -> dict[str, Any]:
+        """What decides how each goes on, by group."""
+        return {inserter.group_name: inserter.state_dict() for inserter in self._inserters}
+
+    def load_state_dict(self, saved: dict[str, Any], engine: Engine) -> None:
+        """Go on from what was kept."""
+        for inserter in self._inserters:
+            inserter.load_state_dict(saved[inserter.group_name])
+        self._update_queue(engine)
+
+    def _update_queue(self, engine: Engine) -> None:
+        """Enter how many wait for room."""
+        if self._inserters:
+            engine.accounting.queued_count = int(np.sum([len(inserter.queued) for inserter in self._inserters]))

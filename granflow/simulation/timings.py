@@ -1,0 +1,100 @@
+"""What a run took, and what came of it."""
+
+import logging
+import time as clock
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from granflow.device.engine import Engine
+from granflow.observe import Checkpoint, Result, versions
+from granflow.plan import Plan, explain
+
+
+class WallClock:
+    """Wall seconds of a run, those before it was gone on with included."""
+
+    def __init__(self) -> None:
+        self._began = clock.perf_counter()
+        self._before_resume, self._setup = 0.0, 0.0
+        self.output = 0.0
+
+    def set_up(self, compile_seconds: float) -> None:
+        """Set-up is over; compiling is counted elsewhere."""
+        self._setup = clock.perf_counter() - self._began - compile_seconds
+
+    def start(self) -> None:
+        """The run begins; what passed since the set-up does not count."""
+        self._began = clock.perf_counter()
+
+    @contextmanager
+    def measuring_output(self) -> Iterator[None]:
+        """Count what happens within as output."""
+        began = clock.perf_counter()
+        yield
+        self.output += clock.perf_counter() - began
+
+    def total(self, engine: Engine) -> float:
+        """All of it so far [s]."""
+        return self._before_resume + clock.perf_counter() - self._began + self._setup + engine.timing.compile
+
+    def state_dict(self, engine: Engine) -> dict[str, Any]:
+        """All of it, for a checkpoint."""
+        return {"output_seconds": self.output, "wall_clock": self.total(engine)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on counting from there."""
+        self.output, self._before_resume = saved["output_seconds"], saved["wall_clock"]
+
+
+Readings = Mapping[str, Mapping[str, float]]
+"""Numbers by quantity of every meter, wall or index, by name."""
+
+
+def collect_result(
+    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
+) -> Result:
+    """The numbers of a run, not yet held to what was expected; `readings` by kind, as `Result` names them."""
+    timing = engine.timing
+    computing = max(timing.neighbor_list + timing.advance, 1e-9)
+    run = {
+        "simulated_time": engine.time,
+        "step_count": float(engine.step_count),
+        "time_step": engine.mean_time_step,
+        "steps_per_second": engine.step_count / computing,
+        "particle_steps_per_second": timing.particle_steps / computing,
+        "rebuild_count": float(timing.rebuild_count),
+        "wall_clock": wall_clock.total(engine),
+    }
+    seconds = {
+        "neighbor_list": timing.neighbor_list,
+        "forces": timing.forces,
+        "integration": timing.integration,
+        "output": wall_clock.output,
+        "compile": timing.compile,
+    }
+    kinds = ("flow_meters", "wall_forces", "metrics", "insertion")
+    flow_meters, wall_forces, metrics, insertion = (readings.get(kind, {}) for kind in kinds)
+    return Result(
+        run=run,
+        timings=seconds,
+        totals=totals,
+        flow_meters=flow_meters,
+        wall_forces=wall_forces,
+        metrics=metrics,
+        insertion=insertion,
+    )
+
+
+def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
+    """What is run and why, for the log of the run."""
+    log = logging.getLogger("granflow")
+    backend = engine.state.backend
+    log.info("%s", versions())
+    log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
+    for line in explain(plan).splitlines():
+        log.info("%s", line)
+    for warning in plan.warnings:
+        log.warning("%s", warning)
+    if resumed is not None:
+        log.info("goes on from %s at %.6g s", resumed.path, engine.time)

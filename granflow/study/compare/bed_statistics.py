@@ -1,0 +1,124 @@
+"""What is watched while a variant runs: heights of the bed, normal forces, durations of contacts."""
+
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+
+from granflow.observe.observer import CONTACTS
+from granflow.scene import Scene
+from granflow.snapshot import Snapshot
+from granflow.study.compare.contact_durations import ContactFollower, FollowedContacts
+
+TOPS = 95.0
+"""Percentile of the tops of grains that stands for the surface of the bed."""
+FORCE_EDGES = np.concatenate([np.arange(0.0, 8.01, 0.2), [np.inf]])
+"""Classes of force over mean force."""
+LEAST_CONTACTS = 10
+"""Contacts between grains that a frame must have to have a mean worth dividing by."""
+
+
+@dataclass
+class BedHeights:
+    """Height of the center of mass and of the surface [m], against gravity, from the origin."""
+
+    up: np.ndarray
+    """(3,), zero where there is no gravity."""
+    rows: list[tuple[float, float, float]] = field(default_factory=list)
+    speeds: list[float] = field(default_factory=list)
+    """Speed [m/s] that few grains exceed at each moment: the percentile of the tops."""
+
+    @property
+    def typical_speed(self) -> float:
+        """Median of the speeds [m/s]: what a color scale should reach."""
+        return float(np.median(self.speeds)) if self.speeds else 0.0
+
+    @classmethod
+    def of(cls, scene: Scene) -> "BedHeights":
+        """Make the gauge for a scene."""
+        gravity = np.array(scene.gravity, dtype=float)
+        strength = float(np.linalg.norm(gravity))
+        return cls(-gravity / strength if strength > 0.0 else gravity)
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Add a row: time [s], center, surface; nan without grains or without gravity."""
+        particles = snapshot.particles
+        if len(particles["mass"]):
+            speed = np.linalg.norm(particles["velocity"], axis=1)
+            self.speeds.append(float(np.percentile(speed, TOPS)))
+        if not len(particles["mass"]) or not self.up.any():
+            self.rows.append((snapshot.time, np.nan, np.nan))
+            return
+        height = particles["position"] @ self.up
+        center = float(np.average(height, weights=particles["mass"]))
+        self.rows.append((snapshot.time, center, float(np.percentile(height + particles["radius"], TOPS))))
+
+
+@dataclass
+class ForceHistogram:
+    """Normal forces between grains over their mean in the same frame: how many in each class, by stage."""
+
+    counts: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Add the contacts of a frame, if they are enough."""
+        contacts = snapshot.contacts
+        assert contacts is not None
+        force = contacts["normal_force"][contacts["id_j"] >= 0]
+        force = force[force > 0.0]
+        if len(force) < LEAST_CONTACTS:
+            return
+        found, _ = np.histogram(force / force.mean(), FORCE_EDGES)
+        self.counts[snapshot.stage] = self.counts.get(snapshot.stage, 0) + found
+
+    def density(self, stage: str) -> np.ndarray:
+        """P(f/<f>) in the classes but the last, which is open; nan where a stage has no frames."""
+        found = self.counts.get(stage)
+        if found is None:
+            return np.full(len(FORCE_EDGES) - 2, np.nan)
+        return np.asarray(found[:-1] / (found.sum() * np.diff(FORCE_EDGES[:-1])))
+
+    def share_above(self, stage: str, multiple: float) -> float:
+        """Share of contacts of a stage with more than this multiple of the mean force; an edge of a class."""
+        found = self.counts.get(stage)
+        if found is None:
+            return float("nan")
+        return float(found[FORCE_EDGES[:-1] > multiple - 1e-9].sum() / found.sum())
+
+
+class ContactBursts:
+    """Looks at all contacts in quick succession, at several times of the run; see `ContactFollower`."""
+
+    wants = frozenset({CONTACTS})
+
+    def __init__(self, times: list[list[float]], spacing: float) -> None:
+        self.followed = FollowedContacts()
+        self._pending = [list(burst) for burst in times]
+        self._spacing = spacing
+        self._follower: ContactFollower | None = None
+
+    def next_time(self) -> float:
+        """Time [s] of the next look."""
+        return self._pending[0][0] if self._pending else inf
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Look, if a look is due; a run shows every observer its first moment."""
+        if not self._pending or snapshot.time < self.next_time() - 0.5 * self._spacing:
+            return
+        if self._follower is None:
+            self._follower = ContactFollower(self.followed)
+        self._follower.update(snapshot)
+        remaining = [time for time in self._pending[0] if time > snapshot.time + 0.5 * self._spacing]
+        self._pending[0] = remaining
+        if not remaining:
+            self._pending.pop(0)
+            self._close()
+
+    def finish(self) -> None:
+        """The run is over."""
+        self._close()
+
+    def _close(self) -> None:
+        if self._follower is not None:
+            self._follower.close()
+            self._follower = None

@@ -1,0 +1,150 @@
+"""Variants of a scene, each with one feature off that is on, or on that is off."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from granflow.plan import Plan, plan_for
+from granflow.scene import Scene
+from granflow.scene.schema import Contact, MaterialPair
+
+FRICTION, ROLLING_FRICTION = 0.3, 0.02
+"""Of every pair where a feature is switched on that the scene has not."""
+
+
+@dataclass(frozen=True)
+class FeatureVariant:
+    """A scene, and what its plan is made to hold though the scene does not need it."""
+
+    name: str
+    scene: Scene
+    forced_features: dict[str, Any] = field(default_factory=dict)
+
+    def plan(self, base: Plan, on_gpu: bool) -> Plan:
+        """The plan of this variant with the steps and the skin of the scene as it stands."""
+        free = self.scene.run.model_copy(update={"time_step": "auto"})
+        domain = self.scene.domain.model_copy(update={"on_exit": "delete"})
+        plan = plan_for(self.scene.model_copy(update={"run": free, "domain": domain}), on_gpu)
+        features = replace(plan.features, **self.forced_features)
+        return replace(plan, features=features, step=base.step, skin=base.skin)
+
+
+def variants_of(plan: Plan) -> list[FeatureVariant]:
+    """The scene of a plan as it stands, and with every feature the other way that can be without moving a particle."""
+    scene, features = plan.scene, plan.features
+    return [
+        FeatureVariant("as it stands", scene),
+        *_without_turning(plan),
+        *([] if features.friction else [FeatureVariant("with friction", _with_friction(scene, FRICTION))]),
+        *(
+            [FeatureVariant("with rolling friction", _with_rolling(scene, "epsd"))]
+            if features.rolling == "none"
+            else []
+        ),
+        *_without_history(plan),
+        *([FeatureVariant("without adhesion", _without_cohesion(scene))] if features.cohesion != "none" else []),
+        *_other_walls(plan),
+        *_other_materials(plan),
+        FeatureVariant(
+            f"{'without' if features.energy_budget else 'with'} ledger",
+            _with_energy_budget(scene, not features.energy_budget),
+        ),
+        FeatureVariant("without all of these", _minimal(scene)),
+    ]
+
+
+def _without_turning(plan: Plan) -> Iterator[FeatureVariant]:
+    """Friction and rolling by themselves, and rotation, which is left out where both are."""
+    scene, features = plan.scene, plan.features
+    if features.friction:
+        yield FeatureVariant("without friction", _with_friction(scene, 0.0), {"rotation": True})
+    if features.rolling != "none":
+        yield FeatureVariant("without rolling friction", _with_rolling(scene, "none"), {"rotation": True})
+    if features.rotation:
+        yield FeatureVariant("without rotation", _without_rotation(scene))
+
+
+def _without_history(plan: Plan) -> Iterator[FeatureVariant]:
+    """Elastic Hertz contacts, which have no past; then nothing at all remembered."""
+    elastic = _elastic(plan.scene)
+    if plan.law.history_names:
+        yield FeatureVariant("without normal history", elastic)
+    elif plan.features.rate_dependent:
+        yield FeatureVariant("without damping", elastic)
+    if plan.history:
+        yield FeatureVariant("without any history", _without_rotation(elastic), {"rotation": plan.features.rotation})
+
+
+def _other_walls(plan: Plan) -> Iterator[FeatureVariant]:
+    """No walls; walls that could move. A moving wall is not stilled: it would stand elsewhere."""
+    if plan.features.walls:
+        yield FeatureVariant("without walls", plan.scene.model_copy(update={"walls": {}}))
+    if plan.features.walls and not plan.features.moving_walls:
+        yield FeatureVariant("with moving walls", plan.scene, {"moving_walls": True})
+
+
+def _other_materials(plan: Plan) -> Iterator[FeatureVariant]:
+    if plan.features.one_material:
+        yield FeatureVariant("with several materials", plan.scene, {"one_material": False})
+        return
+    one_material = _of_one_material(plan.scene)
+    if one_material is not None:
+        yield FeatureVariant("with one material", one_material)
+
+
+def _minimal(scene: Scene) -> Scene:
+    """No more than spheres that repel each other."""
+    minimal = _with_energy_budget(_without_cohesion(_without_rotation(_elastic(scene))), False)
+    return (_of_one_material(minimal) or minimal).model_copy(update={"walls": {}})
+
+
+def _without_rotation(scene: Scene) -> Scene:
+    return _with_rolling(_with_friction(scene, 0.0), "none")
+
+
+def _with_friction(scene: Scene, friction: float) -> Scene:
+    with_friction = _with_pairs(scene, friction=friction)
+    return _with_contact(with_friction, tangential="mindlin") if friction else with_friction
+
+
+def _with_rolling(scene: Scene, rolling: Literal["none", "epsd"]) -> Scene:
+    pairs = {name: _rolling_pair(pair) for name, pair in scene.pairs.items()}
+    return _with_contact(scene.model_copy(update={"pairs": pairs}), rolling=rolling)
+
+
+def _rolling_pair(pair: MaterialPair) -> MaterialPair:
+    return pair.model_copy(update={"rolling_friction": pair.rolling_friction or ROLLING_FRICTION})
+
+
+def _elastic(scene: Scene) -> Scene:
+    """Hertz's law without loss."""
+    given = scene.contact.model_dump(by_alias=True, exclude_none=True) | {"normal": "hertz"}
+    lossless = _with_pairs(scene, restitution=1.0)
+    return lossless.model_copy(update={"contact": Contact.model_validate(given)})
+
+
+def _without_cohesion(scene: Scene) -> Scene:
+    return _with_contact(scene, cohesion="none")
+
+
+def _with_energy_budget(scene: Scene, on: bool) -> Scene:
+    return scene.model_copy(update={"output": scene.output.model_copy(update={"energy_budget": on})})
+
+
+def _of_one_material(scene: Scene) -> Scene | None:
+    """All particles of the material that most are of; None where the scene does not say how that meets every wall."""
+    material = max(scene.particles.values(), key=lambda group: group.count).material
+    walls = {wall.material for wall in scene.walls.values()}
+    if not all(scene.pair_key(material, other) in scene.pairs for other in {material, *walls}):
+        return None
+    groups = {name: group.model_copy(update={"material": material}) for name, group in scene.particles.items()}
+    return scene.model_copy(update={"particles": groups})
+
+
+def _with_pairs(scene: Scene, **values: float) -> Scene:
+    pairs = {name: pair.model_copy(update=values) for name, pair in scene.pairs.items()}
+    return scene.model_copy(update={"pairs": pairs})
+
+
+def _with_contact(scene: Scene, **values: str) -> Scene:
+    return scene.model_copy(update={"contact": scene.contact.model_copy(update=values)})

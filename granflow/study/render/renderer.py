@@ -1,0 +1,165 @@
+"""Draws grains, walls and force chains without a window, with pyvista."""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.study.render.camera import OPENING, Camera
+from granflow.study.render.frames import ForceChains, FrameParticles, FrameWalls
+
+FINER = 2
+"""Pixels are drawn so many times finer along each side, then averaged: smooth edges."""
+
+WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
+EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
+EDGE_ANGLE = 25.0
+"""Degrees between two facets of a wall above which their edge is drawn."""
+
+SHADE = {"ambient": 0.22, "diffuse": 0.85, "specular": 0.18, "specular_power": 25.0}
+FAINT = 0.05
+"""Opacity of grains among which force chains are shown."""
+
+TUBE_SIDES = 10
+GRAY = (205, 205, 205)
+
+NEAR = 0.02
+"""Radius over the distance from the eye above which a sphere is drawn with triangles: a tenth of the height."""
+
+FACETS = 80
+"""Of such a sphere, round and from pole to pole."""
+
+
+def require_pyvista() -> Any:
+    """pyvista, or GranflowError where the extra `plot` is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+        import pyvista
+        from vtkmodules.vtkCommonCore import vtkLogger
+    except ImportError as error:
+        raise GranflowError(f"Pictures need {error.name}, which is not installed: pip install granflow[plot]") from None
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it tells of every display that it does not find
+    return pyvista
+
+
+class Renderer:
+    """Draws frame after frame with the same camera: spheres as such to the pixel, however many."""
+
+    def __init__(self, size: tuple[int, int], camera: Camera) -> None:
+        self._pyvista = require_pyvista()
+        self._plotter = self._pyvista.Plotter(off_screen=True, window_size=[FINER * side for side in size])
+        self._plotter.set_background("white")
+        self._plotter.ren_win.SetMultiSamples(0)  # it would show the seams of see-through triangles
+        self._walls: FrameWalls | None = None
+        self._set_camera(camera)
+
+    def draw(self) -> np.ndarray:
+        """The picture (height, width, 3), 0 to 255."""
+        from PIL import Image
+
+        self._plotter.renderer.ResetCameraClippingRange()
+        self._plotter.render()
+        drawn = self._plotter.screenshot(return_img=True)
+        return np.asarray(Image.fromarray(np.ascontiguousarray(drawn[:, :, :3])).reduce(FINER))
+
+    def close(self) -> None:
+        """Give the window's memory back."""
+        self._plotter.close()
+
+    def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
+        """Show these spheres in `colors` (n, 3), 0 to 255; or faint and gray."""
+        colors = np.full_like(colors, GRAY) if faint else colors
+        distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
+        is_near = particles.radius > NEAR * distance
+        for name, chosen, add in (("grains", ~is_near, self._add_many), ("near grains", is_near, self._add_near)):
+            self._plotter.remove_actor(name, render=False)
+            if np.any(chosen):
+                points = self._pyvista.PolyData(particles.position[chosen])
+                points["radius"] = particles.radius[chosen].astype(np.float32)
+                points["color"] = colors[chosen]
+                add(points, name, FAINT if faint else 1.0)
+
+    def _add_many(self, points: Any, name: str, opacity: float) -> None:
+        """Spheres worked out pixel by pixel: fast, but cut off at the corners where one fills much of the picture."""
+        from vtkmodules.vtkRenderingCore import vtkActor
+        from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
+
+        mapper, actor = vtkOpenGLSphereMapper(), vtkActor()
+        mapper.SetInputData(points)
+        mapper.SetScaleArray("radius")
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("color")
+        mapper.SetColorModeToDirectScalars()
+        actor.SetMapper(mapper)
+        shade = actor.GetProperty()
+        shade.SetAmbient(SHADE["ambient"])
+        shade.SetDiffuse(SHADE["diffuse"])
+        shade.SetSpecular(SHADE["specular"])
+        shade.SetSpecularPower(SHADE["specular_power"])
+        shade.SetOpacity(opacity)
+        self._plotter.add_actor(actor, name=name, reset_camera=False, render=False)
+
+    def _add_near(self, points: Any, name: str, opacity: float) -> None:
+        """Spheres of triangles: for the few that are large in the picture."""
+        sphere = self._pyvista.Sphere(radius=1.0, theta_resolution=FACETS, phi_resolution=FACETS)
+        spheres = points.glyph(scale="radius", geom=sphere, orient=False)
+        mesh_style = {"scalars": "color", "rgb": True, "smooth_shading": True, "opacity": opacity, **SHADE}
+        self._plotter.add_mesh(spheres, name=name, reset_camera=False, render=False, **mesh_style)
+
+    def set_walls(
+        self, walls: FrameWalls | None, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None
+    ) -> None:
+        """Show walls see-through with their rims, those parts within `box` (2, 3) [m] and behind the plane `cut`."""
+        if walls is not None and walls.same_as(self._walls):
+            return
+        self._walls = walls
+        for name in ("walls", "edges"):
+            self._plotter.remove_actor(name, render=False)
+        if walls is None or not walls.polygons:
+            return
+        surface = self._clipped(self._surface(walls), box, cut)
+        if not surface.n_cells:
+            return
+        self._plotter.add_mesh(surface, name="walls", reset_camera=False, render=False, **WALL)
+        edges = surface.extract_feature_edges(EDGE_ANGLE)
+        if edges.n_cells:
+            self._plotter.add_mesh(edges, name="edges", reset_camera=False, render=False, **EDGE_STYLE)
+
+    def set_chains(self, chains: ForceChains, thickness: np.ndarray, colors: np.ndarray) -> None:
+        """Show contacts as tubes of radius `thickness` (k,) [m] in `colors` (k, 3), 0 to 255."""
+        self._plotter.remove_actor("chains", render=False)
+        if not len(chains.ends):
+            return
+        count = len(chains.ends)
+        lines = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)])
+        mesh = self._pyvista.PolyData(chains.ends.reshape(-1, 3), lines=lines.ravel())
+        mesh["thickness"], mesh["color"] = np.repeat(thickness, 2), np.repeat(colors, 2, axis=0)
+        tubes = mesh.tube(scalars="thickness", absolute=True, n_sides=TUBE_SIDES, capping=True)
+        self._plotter.add_mesh(
+            tubes, scalars="color", rgb=True, name="chains", reset_camera=False, render=False, **SHADE
+        )
+
+    def _set_camera(self, camera: Camera) -> None:
+        vtk_camera = self._plotter.camera
+        vtk_camera.position, vtk_camera.focal_point, vtk_camera.up = camera.eye, camera.focus, camera.view.up
+        vtk_camera.view_angle = float(np.degrees(OPENING))
+        vtk_camera.parallel_scale = camera.half_height
+        vtk_camera.parallel_projection = not camera.view.perspective
+
+    def _surface(self, walls: FrameWalls) -> Any:
+        faces = [np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons]
+        return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
+            lines_to_points=False, polys_to_lines=False
+        )
+
+    @staticmethod
+    def _clipped(surface: Any, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None) -> Any:
+        """What of a surface lies in the box and behind the plane (point, normal towards the viewer)."""
+        planes = [] if cut is None else [cut]
+        if box is not None:
+            margin = 1e-3 * np.ptp(box, axis=0)
+            planes += [(box[0] - margin, -axis) for axis in np.eye(3)] + [(box[1] + margin, axis) for axis in np.eye(3)]
+        for point, normal in planes:
+            if surface.n_cells and np.any((surface.points - point) @ normal > 0.0):
+                surface = surface.clip(normal=normal, origin=point)
+        return surface

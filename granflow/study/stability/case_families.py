@@ -1,0 +1,163 @@
+"""All cases: families of stiff and extreme ones, each a grid of rows and columns."""
+
+from collections.abc import Iterator
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Precision
+from granflow.scene.schema import LARGEST_OVERLAP
+from granflow.study.stability import bed_cases
+from granflow.study.stability.bed_cases import (
+    DIAMETER,
+    RADIUS,
+    SIDE,
+    bed_positions,
+    box_walls,
+    column_at_rest,
+    energy_budget_result_of,
+    particles_at,
+)
+from granflow.study.stability.cases import CaseResult, StabilityCase
+from granflow.study.stability.lattices import LATTICES
+from granflow.study.stability.pair_cases import SpherePair, rebound_result
+from granflow.study.stability.time_step_bounds import LAWS as BOUND_LAWS
+from granflow.study.stability.time_step_bounds import RESOLUTION, real_bounds
+
+RESTITUTIONS = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+SHARES = (0.01, 0.03, 0.1, 0.3, 0.99, 2.0, 5.0)
+MODULI = tuple(10.0**n for n in range(5, 13))
+VELOCITIES = (1e-6, 1e-3, 0.1, 10.0, 100.0, 400.0)
+STEEL = (3.0432, 0.540, 340.3)
+"""sigma, psi and limit velocity [m/s] of stainless steel 316 (Zhou 2011)."""
+RADII: tuple[float, ...] = tuple(10.0**n for n in range(-6, 1))
+PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
+RATIOS: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0)
+DENSITY_RATIOS = (1.0, 1e3, 1e6)
+
+SPREAD = 0.1
+"""Grains that fall begin as far apart, over their diameter."""
+
+STEPS = "time step against restitution"
+STIFFNESS = "stiffness against velocity"
+SIZES = "size against precision"
+UNEQUAL = "unequal partners"
+MANY = "many grains"
+BOUNDS = "real bound of the step"
+
+STICKING = ", friction"
+CAREFUL = "the check takes grains to touch up to 12 others, where these touch fewer"
+
+
+def all_cases(full: bool = False) -> list[StabilityCase]:
+    """Every case; `full` with all moduli and ratios instead of every other one."""
+    stride = 1 if full else 2
+    moduli = MODULI if full else (1e5, 1e7, 1e9, 1e12)
+    return [
+        *_bound_cases(), *_many_cases(), *_step_cases(), *_stiffness_cases(moduli),
+        *_size_cases(RADII[::stride]), *_unequal_cases(RATIOS[::stride]),
+    ]  # fmt: skip
+
+
+def _step_cases() -> Iterator[StabilityCase]:
+    pairs = tuple(SpherePair(restitution=e) for e in RESTITUTIONS)
+    for share in SHARES:
+        for index, e in enumerate(RESTITUTIONS):
+            run = partial(rebound_result, pairs, index, "f64", share)
+            yield StabilityCase(STEPS, f"e = {e:g}", f"{share:g}", "the restitution asked for", run)
+
+
+def _stiffness_cases(moduli: tuple[float, ...]) -> Iterator[StabilityCase]:
+    for modulus in moduli:
+        for velocity in VELOCITIES:
+            pair = SpherePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
+            run = partial(rebound_result, (pair,), 0)
+            yield StabilityCase(STIFFNESS, f"{modulus:.0e} Pa", f"{velocity:g} m/s", "e(v) of Eq. 12", run)
+
+
+def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
+    for precision in PRECISIONS:
+        for radius in radii:
+            run = partial(rebound_result, (SpherePair(radius=radius),), 0, precision)
+            yield StabilityCase(SIZES, precision, f"R = {radius:g} m", "the restitution asked for", run, precision)
+
+
+def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
+    for density in DENSITY_RATIOS:
+        for ratio in ratios:
+            run = partial(rebound_result, (SpherePair(radius_ratio=ratio, density_ratio=density),), 0)
+            reference = "the restitution asked for, and momentum"
+            yield StabilityCase(UNEQUAL, f"density 1 : {density:g}", f"radius 1 : {ratio:g}", reference, run)
+
+
+def _many_cases() -> Iterator[StabilityCase]:
+    for law in bed_cases.LAWS:
+        yield StabilityCase(
+            MANY, law, "heavy on light", "weight on the floor", partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11)
+        )
+        yield StabilityCase(
+            MANY, law, "column of 100", "weight on the floor", partial(column_at_rest, law, (2.5e3,) * 100, 5e7)
+        )
+        for column, (particles, duration, changes) in _beds().items():
+            run = partial(energy_budget_result_of, law, particles, duration, changes)
+            yield StabilityCase(MANY, law, column, "the energy ledger", run)
+
+
+def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
+    """Grains, duration [s] and what is changed, for each case judged by the energy ledger."""
+    resting_bed = {"grains": particles_at(bed_positions())}
+    falling = {"grains": particles_at(bed_positions(spread=SPREAD))}
+    half = {"grains": particles_at([[-0.75 * RADIUS, 0, 1e-2], [0.75 * RADIUS, 0, 1e-2]])}
+    bullet = [0.3 * RADIUS, 0.2 * RADIUS, SIDE + 2.0 * DIAMETER]
+    shot = {**resting_bed, "projectile": particles_at([bullet], [0.0, 0.0, -1000.0])}
+    opposed = {
+        "left": particles_at(bed_positions(0.0) + [-0.6 * SIDE, 0, 0], [1.0, 0, 0]),
+        "right": particles_at(bed_positions(0.3 * RADIUS) + [0.6 * SIDE, 0, 0], [-1.0, 0, 0]),
+    }
+    speed, depth = 0.05, 5 * 0.05 * RADIUS
+    piston = {"kind": "translation", "velocity": [0, 0, -speed], "end": depth / speed}
+    lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "grain", "motion": [piston]}
+    vibration = {"kind": "vibration", "direction": [0, 0, 1], "frequency": 50.0, "gamma": 100.0}
+    open_guard = {"numerics": {"max_overlap": LARGEST_OVERLAP}}
+    wide = box_walls(spread=SPREAD)
+    weightless = {"gravity": 0.0, "walls": {}}
+    return {
+        "squeezed": (resting_bed, 1.5 * depth / speed, {"walls": {**box_walls(), "lid": lid}}),
+        "made 50 % overlapping": (half, 1e-3, weightless),
+        "the same, guard off": (half, 1e-3, {**weightless, **open_guard}),
+        "1 km/s, soft": (shot, 1e-4, {"walls": box_walls()}),
+        "1 km/s, 70 GPa, guard off": (shot, 3e-5, {"walls": box_walls(), "young_modulus": 7e10, **open_guard}),
+        "friction 0": (falling, 0.02, {"walls": wide, "friction": 0.0}),
+        "friction 10": (falling, 0.02, {"walls": wide, "friction": 10.0}),
+        "no gravity": (opposed, 0.01, weightless),
+        "shaken, Γ = 100": (
+            falling,
+            0.04,
+            {"walls": box_walls([vibration], SPREAD), "young_modulus": 1e9, "reach": 1.0},
+        ),
+    }
+
+
+def _bound_cases() -> Iterator[StabilityCase]:
+    for law in BOUND_LAWS:
+        for friction in (False, True):
+            for lattice in LATTICES:
+                column = lattice + STICKING * friction
+                reference = "the step that check allows: 1 to 2 times it"
+                yield StabilityCase(BOUNDS, law, column, reference, partial(bound_result, law, friction, lattice))
+
+
+def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
+    """The real bound over the check's, to be 1 to 2; below 1 the check promises too much, and no error is small."""
+    bound = _bounds_by_lattice(law, friction)[lattice]
+    ratio, inside = bound.ratio, float(np.clip(bound.ratio, 1.0, 2.0))
+    too_large, too_small = ratio * RESOLUTION < 1.0, ratio > 2.0 * RESOLUTION
+    error = 1.0 if too_large else ratio / 2.0 - 1.0 if too_small else 0.0
+    statement = (CAREFUL,) if too_small else ()
+    return CaseResult("real bound over the check's", inside, ratio, error, bound.allowed, statement)
+
+
+@cache
+def _bounds_by_lattice(law: str, friction: bool) -> dict[str, Any]:
+    return {bound.lattice: bound for bound in real_bounds(law, friction)}

@@ -1,0 +1,167 @@
+"""Head-on collisions, any number of pairs far apart in one scene, each run until it has parted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import Precision
+from granflow.laws import theory
+from granflow.laws.material import VelocityRestitution
+from granflow.plan import plan_for
+from granflow.scene import Scene
+from granflow.simulation import Simulation
+from granflow.study.stability.cases import CaseResult
+
+POISSON = 0.25
+GAP = 1e-3
+"""Gap at the start over the smaller radius."""
+SPACING = 5.0
+"""Distance of neighboring pairs over the larger radius."""
+RUN_DURATIONS = 3.0
+"""Durations of the slowest collision that a run lasts beyond its first touch."""
+SKIN = 0.3
+"""Neighbors are listed within this share of the smaller radius: one for all, so that kernels are compiled once."""
+
+
+@dataclass(frozen=True)
+class SpherePair:
+    """Two spheres of one elasticity that meet head on, SI; the second's radius and density over the first's."""
+
+    young_modulus: float = 1e8
+    restitution: float | tuple[float, float, float] = 0.7
+    """A number, or sigma, psi and the limit velocity of Eq. 12."""
+    velocity: float = 1.0
+    radius: float = 1e-3
+    density: float = 2500.0
+    radius_ratio: float = 1.0
+    density_ratio: float = 1.0
+
+    @property
+    def masses(self) -> np.ndarray:
+        """Masses of both (2,) [kg]."""
+        sizes = np.array([1.0, self.radius_ratio**3 * self.density_ratio])
+        return 4.0 / 3.0 * np.pi * self.radius**3 * self.density * sizes
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Velocities of both towards each other (2,) [m/s], without momentum."""
+        return self.velocity * self.masses[::-1] / self.masses.sum() * np.array([1.0, -1.0])
+
+    @property
+    def requested(self) -> float:
+        """The restitution that it should reach."""
+        if isinstance(self.restitution, float):
+            return self.restitution
+        return float(VelocityRestitution(*self.restitution)(self.velocity))
+
+
+@dataclass(frozen=True)
+class Rebound:
+    """What pairs reached (n,): restitution, and the momentum that came from nowhere over m v."""
+
+    restitution: np.ndarray
+    momentum: np.ndarray
+    time_step: float
+    warnings: tuple[str, ...]
+
+
+@cache
+def rebound(pairs: tuple[SpherePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
+    """Let the pairs collide with Zhou's law, at `share` of the largest step that is allowed, or at the default step.
+
+    Raises SceneError where the step is refused, RunError where a guard stops the run.
+    """
+    step = None if share is None else share * _largest_step(pairs)
+    simulation = Simulation(scene_of(pairs, precision, step))
+    simulation.run()
+    velocity = simulation.snapshot().particles["velocity"][:, 0].astype(float).reshape(-1, 2)
+    chosen = simulation.plan.step
+    simulation.free()
+    masses = np.array([pair.masses for pair in pairs])
+    speeds = np.array([pair.velocity for pair in pairs])
+    momentum_error = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
+    return Rebound((velocity[:, 1] - velocity[:, 0]) / speeds, momentum_error, chosen.value, chosen.warnings)
+
+
+@cache
+def _largest_step(pairs: tuple[SpherePair, ...]) -> float:
+    """The largest step that is allowed [s]."""
+    return plan_for(scene_of(pairs, "f64")).step.stable_below
+
+
+def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float | None = None) -> Scene:
+    """All pairs in one scene, each of materials of its own, in a square across their line of flight."""
+    side = int(np.ceil(np.sqrt(len(pairs))))
+    spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
+    materials, pairs_of_materials, particles = {}, {}, {}
+    for index, pair in enumerate(pairs):
+        row, column = divmod(index, side)
+        names = (f"a{index}", f"b{index}")
+        for number, name in enumerate(names):
+            ratio = pair.density_ratio if number else 1.0
+            materials[name] = {
+                "young_modulus": pair.young_modulus, "poisson_ratio": POISSON, "density": pair.density * ratio
+            }  # fmt: skip
+            particles[name] = {"material": name, **_sphere(pair, number, spacing * row, spacing * column)}
+        pairs_of_materials["-".join(names)] = {"restitution": _asked(pair), "friction": 0}
+    reach = spacing * (side + 1)
+    smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
+
+    return Scene.model_validate({
+        "title": "Head-on collisions",
+        "gravity": [0, 0, 0],
+        "materials": materials,
+        "pairs": pairs_of_materials,
+        "contact": {"normal": "zhou", "tangential": "none", "rolling": "none"},
+        "particles": particles,
+        "domain": {"min": [-reach] * 3, "max": [reach] * 3, "on_exit": "error"},
+        "run": {
+            "precision": precision, "velocity_max": max(pair.velocity for pair in pairs),
+            "duration": max(_duration(pair) for pair in pairs), "time_step": time_step or "auto",
+        },
+        "numerics": {"skin": SKIN * smallest},
+        "output": {"interval": 1e9},
+    })  # fmt: skip
+
+
+def _sphere(pair: SpherePair, number: int, y: float, z: float) -> dict[str, Any]:
+    """Diameter, velocity and place of the first or second sphere of a pair; they touch at x = 0."""
+    radius = pair.radius * (pair.radius_ratio if number else 1.0)
+    gap = 0.5 * GAP * pair.radius * min(pair.radius_ratio, 1.0)
+    place = (radius + gap) * (1.0 if number else -1.0)
+    return {
+        "diameter": [2.0 * radius], "velocity": [[float(pair.velocities[number]), 0.0, 0.0]],
+        "insert": {"kind": "positions", "positions": [[place, y, z]]},
+    }  # fmt: skip
+
+
+def _asked(pair: SpherePair) -> Any:
+    if isinstance(pair.restitution, float):
+        return pair.restitution
+    sigma, psi, limit = pair.restitution
+    return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
+
+
+def _duration(pair: SpherePair) -> float:
+    """Time [s] until a pair has come together and parted, with patience."""
+    masses, modulus = pair.masses, 0.5 * pair.young_modulus / (1.0 - POISSON**2)
+    radius_eff = pair.radius * pair.radius_ratio / (1.0 + pair.radius_ratio)
+    k, mass = theory.hertz_stiffness(modulus, radius_eff), float(masses.prod() / masses.sum())
+    gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
+    return gap / pair.velocity + RUN_DURATIONS * float(theory.duration(1.0, k, mass, pair.velocity))
+
+
+def rebound_result(
+    pairs: tuple[SpherePair, ...], index: int, precision: Precision = "f64", share: float | None = None
+) -> CaseResult:
+    """The worse of restitution and momentum of one of the pairs; errors are over the velocity of approach."""
+    found, requested = rebound(pairs, precision, share), pairs[index].requested
+    reached, momentum_error = float(found.restitution[index]), float(found.momentum[index])
+    others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]
+    statement = tuple(words for words in found.warnings if not words.startswith(tuple(others)))
+    if momentum_error > abs(reached - requested):
+        return CaseResult("momentum made", 0.0, momentum_error, momentum_error, found.time_step, statement)
+    return CaseResult("restitution", requested, reached, abs(reached - requested), found.time_step, statement)

@@ -1,0 +1,216 @@
+"""The real bound of the time step: how large a step may be before grains held by others gain energy.
+
+Grains are pressed to the overlap that the check reckons with and nudged; then the step is raised until the nudge
+grows. What `check` would allow for the same grains is worked out beside it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from granflow.device.backend import start
+from granflow.device.engine import Engine
+from granflow.device.limits import NO_PARTICLE
+from granflow.laws import theory
+from granflow.laws.law import NormalLaw
+from granflow.laws.material import PairMaterial
+from granflow.laws.thornton import ThorntonCollision
+from granflow.plan import Plan, plan_for
+from granflow.plan.plan import pair_cases_of
+from granflow.plan.time_step import PairCase, stable_step
+from granflow.scene import Scene
+from granflow.scene.generate import ParticleData
+from granflow.scene.schema import LARGEST_OVERLAP
+from granflow.study.stability.lattices import LATTICES, TestLattice
+
+RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
+ANCHOR = 1e9
+"""Density of an anchor over that of a grain."""
+VELOCITY = 1e-3
+"""Approach velocity [m/s] for whose largest overlap the grains are pressed: so little that no row of them buckles."""
+SPRING = 1e3
+"""Stiffness [N/m] of the linear springs."""
+PERTURBATION = 1e-3
+"""Speed of the nudge over that velocity."""
+GROWTH_LIMIT = 1e4
+"""Kinetic energy over that of the nudge from which on it has grown: a hundredth of what a collision brings. Contacts
+that turn for the first time within a step set free some of what presses them, up to a fiftieth of that, once."""
+CHECKS, STEPS_PER_CHECK = 30, 10
+LOWEST, HIGHEST = 0.25, 4.0
+"""Steps between which the bound is sought, over the check's."""
+RESOLUTION = 1.02
+"""Ratio of the steps between which it is left."""
+FRICTION = 10.0
+"""So much that nothing slides."""
+
+LAWS: Mapping[str, tuple[Any, float]] = {
+    "zhou": ("zhou", 0.5),
+    "zhou, e 0": ("zhou", 0.0),
+    "zhou, damped 0.2": ({"law": "zhou", "damping_ratio": 0.2}, 0.5),
+    "hertz, e 1": ("hertz", 1.0),
+    "hertz, e 0.5": ("hertz", 0.5),
+    "hertz, e 0.05": ("hertz", 0.05),
+    "linear, e 1": ({"law": "linear", "stiffness": {"value": SPRING}}, 1.0),
+    "linear, e 0.5": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.5),
+    "linear, e 0.05": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.05),
+    "thornton": ({"law": "thornton", "yield_ratio": 1.6}, 0.5),
+    "walton_braun": (
+        {"law": "walton_braun", "stiffness": {"value": SPRING}, "unloading": "constant"}, 0.5
+    ),
+    "luding": (
+        {"law": "luding", "stiffness": {"value": SPRING}, "plasticity_depth": 0.01}, 0.5
+    ),
+    "kuwabara_kono": ({"law": "kuwabara_kono", "reference_velocity": VELOCITY}, 0.5),
+}  # fmt: skip
+"""Setting of `contact.normal` and restitution by name."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The largest step [s] at which nothing grew, what the check allows [s], and where."""
+
+    law: str
+    friction: bool
+    lattice: str
+    bound: float
+    allowed: float
+    scale: float
+    """sqrt(M/K) of one contact [s]."""
+
+    @property
+    def ratio(self) -> float:
+        """The real bound over the check's."""
+        return self.bound / self.allowed
+
+
+def real_bounds(law: str, friction: bool) -> list[Bound]:
+    """The real bound on every lattice with one law."""
+    plan = plan_for(_scene(law, FRICTION if friction else 0.0))
+    engine, bounds = Engine(plan, start("cpu", "f64")), []
+    for name, lattice in LATTICES.items():
+        pair_case = _pair_case(plan, lattice)
+        allowed = stable_step(pair_case, plan.law, VELOCITY)
+        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*_bodies(pair_case)))
+        particles = _particles(lattice, overlap_at(plan.law, pair_case), friction)
+        bound = _find_bound(engine, particles, allowed)
+        bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
+    engine.free()
+    return bounds
+
+
+def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
+    """Largest overlap [m] of a collision at VELOCITY, as the check reckons it."""
+    pair, radius, mass, speed = _bodies(pair_case)
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
+    if law.name == "thornton":
+        pressure = law.pair_constants(pair)[2]
+        yield_overlap = radius * (0.5 * np.pi * pressure / pair.modulus_eff) ** 2
+        return ThorntonCollision(k, radius, mass, speed, pressure, yield_overlap).overlap_max
+    if law.tangential_stiffness_grows:
+        return float(theory.overlap_max(k, mass, speed))
+    return speed * float(np.sqrt(mass / law.loading_stiffness(*_bodies(pair_case))))
+
+
+def _bodies(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
+    return pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY
+
+
+def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
+    """How the grains of a lattice meet: each other, or anchors alone."""
+    partner = "grains" if lattice.has_free_pairs else "anchors"
+    bounds = next(each for each in pair_cases_of(plan.scene) if each.name == f"grains-{partner}")
+    return replace(bounds, contact_count=lattice.max_contacts)
+
+
+def _scene(law: str, friction: float) -> Scene:
+    """Grains and anchors of one hardness without gravity; only their kinds matter, they are put in later."""
+    normal, restitution = LAWS[law]
+    solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
+    pair: dict[str, Any] = {"friction": friction}
+    if law != "thornton":
+        pair["restitution"] = restitution
+    names = ("light", "heavy")
+    side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
+    region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
+    group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
+    return Scene.model_validate({
+        "title": "The real bound of the time step",
+        "gravity": [0, 0, 0],
+        "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
+        "pairs": {f"{a}-{b}": pair for a, b in (names[:1] * 2, names, names[1:] * 2)},
+        "contact": {"normal": normal, "tangential": "mindlin" if friction else "none", "rolling": "none"},
+        "particles": {"grains": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
+        "domain": {"min": [-side] * 3, "max": [side] * 3, "on_exit": "delete"},
+        "run": {"duration": 1.0, "velocity_max": VELOCITY},
+        "numerics": {"max_overlap": LARGEST_OVERLAP, "skin": RADIUS},
+        "output": {"interval": 1.0},
+    })  # fmt: skip
+
+
+def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> ParticleData:
+    """The lattice at this overlap, its free grains nudged at random.
+
+    `with_friction` where friction keeps them in line.
+    """
+    count = len(lattice.centers)
+    perturbation = (
+        PERTURBATION
+        * VELOCITY
+        * np.random.default_rng(1).uniform(-1.0, 1.0, (2, count, 3))
+        * ~lattice.is_anchor[:, None]
+    )
+    if not with_friction:
+        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0  # rows give way sideways, at any step
+    kind = lattice.is_anchor.astype(np.int32)
+    return ParticleData(
+        position=lattice.centers * (2 * RADIUS - overlap),
+        velocity=perturbation[0],
+        angular_velocity=perturbation[1] / RADIUS,
+        radius=np.full(count, RADIUS),
+        material=kind,
+        group=kind,
+    )
+
+
+def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
+    """The step [s] above which the nudge grows, by bisection."""
+    low, high = LOWEST * allowed, HIGHEST * allowed
+    while high > RESOLUTION * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if _is_unstable(engine, particles, middle) else (middle, high)
+    return float(np.sqrt(low * high))
+
+
+def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
+    """Whether the nudge grows at this step [s]."""
+    _restart(engine, particles, step)
+    mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
+    initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
+    for _ in range(CHECKS):
+        engine.advance(STEPS_PER_CHECK)
+        if engine.aborted:
+            return True
+        arrays = engine.host_copy.copy_to_host(("mass", "velocity", "angular_velocity"))
+        free = arrays["mass"] < 10.0 * mass
+        if not _kinetic(
+            arrays["velocity"][free], arrays.get("angular_velocity", np.zeros((len(free), 3)))[free], mass
+        ) < (GROWTH_LIMIT * initial_energy):
+            return True
+    return False
+
+
+def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
+    return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
+
+
+def _restart(engine: Engine, particles: ParticleData, step: float) -> None:
+    """Empty the engine and fill it anew at another step [s]: what was compiled serves all steps."""
+    engine.state.clock.change(step)
+    control = engine.state.control
+    for position in (3.0 * particles.position, particles.position):  # apart, where contacts forget; then together
+        engine.state.count = 0
+        control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
+        engine.insert(replace(particles, position=position))
+        engine.refresh()

@@ -1,0 +1,78 @@
+"""Cases in processes of their own, two at a time: one start of Taichi each, and a limit for what hangs."""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from math import nan
+from multiprocessing.connection import Connection
+from typing import Any
+
+from granflow.device.backend import start
+from granflow.study.stability.cases import CaseOutcome, CaseResult, StabilityCase, case_outcome, run_case
+
+WORKER_COUNT = 2
+TIMEOUT = 180.0
+"""A case that takes longer [s] is given up."""
+
+Report = Callable[[CaseOutcome], None]
+
+
+def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
+    """Every case's outcome in the order of the cases; `report` hears of each as it comes.
+
+    Cases of one precision that follow each other run in one process, in which they may share work.
+    """
+    with ThreadPoolExecutor(WORKER_COUNT) as executor:
+        parts = executor.map(lambda batch: _run_batch(batch, report, timeout), _batches(cases))
+        found = {(each.family, each.row, each.column): each for part in parts for each in part}
+    return [found[case.family, case.row, case.column] for case in cases]
+
+
+def _batches(cases: Sequence[StabilityCase]) -> list[list[StabilityCase]]:
+    """The cases of each family and precision."""
+    batches: dict[tuple[str, str], list[StabilityCase]] = {}
+    for case in cases:
+        batches.setdefault((case.family, case.precision), []).append(case)
+    return list(batches.values())
+
+
+def _run_batch(batch: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
+    """Run cases of one precision; after one that hangs or kills its process the others go on in a new one."""
+    found: list[CaseOutcome] = []
+    while len(found) < len(batch):
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_run_in_worker, args=(there, batch[len(found) :]), daemon=True)
+        process.start()
+        there.close()
+        found += _receive(here, batch[len(found) :], report, timeout)
+        process.kill()
+        process.join()
+    return found
+
+
+def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
+    """Outcomes as they come, up to the first case that does not answer."""
+    found: list[CaseOutcome] = []
+    for case in cases:
+        reason = ""
+        if not pipe.poll(timeout):
+            reason = f"not finished in {timeout:g} s"
+        else:
+            try:
+                found.append(pipe.recv())
+            except EOFError:
+                reason = "its process ended without an answer"
+        if reason:
+            found.append(case_outcome(case, CaseResult("", nan, nan, nan, nan), timeout, "defect", f"defect: {reason}"))
+        report(found[-1])
+        if reason:
+            break
+    return found
+
+
+def _run_in_worker(pipe: Any, cases: Sequence[StabilityCase]) -> None:
+    """In the child: start once, run the cases, send each outcome."""
+    start("cpu", cases[0].precision, 1)
+    for case in cases:
+        pipe.send(run_case(case))

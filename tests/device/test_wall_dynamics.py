@@ -1,0 +1,191 @@
+"""Walls that grains move: a piston with mass against its equation of motion, and a servo that holds a pressure."""
+
+import hashlib
+import shutil
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, times
+from scipy.integrate import solve_ivp
+from subprocess_runner import in_subprocess
+
+from granflow.device import stepper
+from granflow.errors import RunError, SceneError
+from granflow.laws import theory
+from granflow.observe import read_checkpoint
+from granflow.plan import plan_for
+from granflow.simulation import Simulation
+
+RADIUS, GRAVITY = 0.005, 9.81
+MASS = 4.0 / 3.0 * np.pi * RADIUS**3 * 2500.0
+MODULUS = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+AT_WALL = theory.hertz_stiffness(MODULUS, RADIUS)
+FLOOR = plane([0, 0, 0], [0, 0, 1])
+
+
+def lid(height, motion, size=0.04):
+    return {
+        "shape": "rectangle", "corner": [-size / 2, -size / 2, height], "sides": [[size, 0, 0], [0, size, 0]],
+        "material": "glass", "motion": motion,
+    }  # fmt: skip
+
+
+def free(mass, **more):
+    return {"kind": "free", "direction": [0, 0, 1], "mass": mass} | more
+
+
+def falling_piston(mass=0.01, damping=0.0, **parts):
+    """A grain that just touches the floor, and a piston 1 mm above it at rest."""
+    walls = {"floor": FLOOR, "piston": lid(2.0 * RADIUS + 1e-3, free(mass, force=0.02, damping=damping))}
+    given = {"run": {"duration": 0.03, "velocity_max": 0.3}, "output": {"interval": 1.0, "energy_budget": True}}
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, RADIUS]])}, walls=walls, pair={"restitution": 1.0}, normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY], numerics={"time_step_fraction": 0.01}, **(given | parts),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_a_piston_bounces_on_a_particle(taichi_f64, damping):
+    """Two masses on two Hertz contacts, against scipy; work and energy of the piston balance.
+
+    M x'' = k (R - x + z)^1.5 - M g + F - c x',    m z'' = k (R - z)^1.5 - k (R - x + z)^1.5 - m g
+    """
+    mass = 0.01
+    seen = run_and_sample(falling_piston(mass, damping), 0.0005)
+
+    def rates(_, now):
+        z, x, w, v = now
+        below, above = (AT_WALL * max(RADIUS - gap, 0.0) ** 1.5 for gap in (z, x - z))
+        return [w, v, (below - above) / MASS - GRAVITY, (above + 0.02 - damping * v) / mass - GRAVITY]
+
+    start = [RADIUS, 2.0 * RADIUS + 1e-3, 0.0, 0.0]
+    exact = solve_ivp(rates, (0.0, 0.031), start, t_eval=times(seen), rtol=1e-10, atol=1e-14, max_step=2e-5).y
+    height = np.array([each.walls["piston"].offset[2] for each in seen]) + 2.0 * RADIUS + 1e-3
+    speed = np.array([each.totals["wall_velocity.piston"] for each in seen])
+    assert exact[1].min() < 2.0 * RADIUS - 1e-5 and np.diff(np.sign(exact[3])).any(), "it hit the grain and came back"
+    np.testing.assert_allclose(height, exact[1], rtol=0.0, atol=5e-8)
+    np.testing.assert_allclose(speed, exact[3], rtol=0.0, atol=2e-5)
+    np.testing.assert_allclose(column(seen, "position")[:, 0, 2], exact[0], rtol=0.0, atol=5e-7)
+    last = seen[-1].totals
+    assert last["free_wall_energy"] == pytest.approx(0.5 * mass * speed[-1] ** 2)
+    given = last["free_wall_work"] - last["wall_work"]
+    assert given == pytest.approx(last["free_wall_energy"], rel=1e-9, abs=1e-14)
+    assert abs(last["energy_error"]) < 1e-3
+
+
+def test_a_piston_at_rest_weighs_on_the_floor(taichi_f64):
+    """One grain between floor and piston, each pressed in as its load asks: nothing moves, the floor carries both."""
+    mass = 0.05
+    above, below = mass * GRAVITY, (mass + MASS) * GRAVITY
+    insertion = RADIUS - (below / AT_WALL) ** (2.0 / 3.0)
+    height = insertion + RADIUS - (above / AT_WALL) ** (2.0 / 3.0)
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, insertion]])}, walls={"floor": FLOOR, "piston": lid(height, free(mass))},
+        normal="hertz", gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.01, "velocity_max": 0.5},
+        output={"interval": 1.0, "wall_forces": True},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    result = simulation.run().numbers
+    simulation.free()
+    assert result["wall_force_z.floor"] == pytest.approx(-below, rel=1e-9)
+    assert result["wall_force_z.piston"] == pytest.approx(above, rel=1e-9)
+    assert abs(result["wall_displacement.piston"]) < 1e-12
+
+
+PRESSURE, SIDE = 2e4, 0.041
+
+
+def pressed(duration=0.03, **parts):
+    """A loose lattice in a box, whose lid presses on it; beside it a free wall with mass."""
+    walls = {name: wall for name, wall in box(SIDE).items() if name not in ("high_z", "high_x")}
+    servo = {"kind": "servo", "direction": [0, 0, -1], "pressure": PRESSURE, "velocity_max": 0.5}
+    walls["lid"] = {
+        "shape": "rectangle", "corner": [0, 0, SIDE], "sides": [[SIDE, 0, 0], [0, SIDE, 0]], "material": "glass",
+        "motion": servo,
+    }  # fmt: skip
+    weight = {"kind": "free", "direction": [-1, 0, 0], "mass": 0.05, "force": 10.0, "damping": 30.0}
+    walls["side"] = {
+        "shape": "rectangle", "corner": [SIDE, 0, 0], "sides": [[0, SIDE, 0], [0, 0, SIDE]], "material": "glass",
+        "motion": weight,
+    }  # fmt: skip
+    positions = 0.0102 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+    given = {
+        "pair": {"friction": 0.3, "restitution": 0.3}, "numerics": {"chunk_size": 16},
+        "run": {"velocity_max": 1.0},
+        "output": {"interval": duration, "timeseries_interval": duration / 30.0, "wall_forces": True},
+        "stages": [{"name": "press", "duration": 0.8 * duration}, {"name": "hold", "duration": 0.2 * duration}],
+    }  # fmt: skip
+    return build_scene({"balls": particle_group(positions)}, walls=walls, **(given | parts))
+
+
+def held(precision, threads=1, until=None, in_parallel=False):
+    """Mean pressure on the lid and force on the side in the last stage, and a digest of all there is at the end."""
+    if in_parallel:
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    simulation = Simulation(pressed(), threads=threads, precision=precision)
+    result = simulation.run(until).numbers
+    last = simulation.snapshot()
+    simulation.free()
+    digest = hashlib.sha256(last.particles["position"].tobytes())
+    for name in ("lid", "side"):
+        digest.update(last.walls[name].offset.tobytes() + last.impulses[name].tobytes())
+    return [result["wall_pressure.lid"], result["wall_force_x.side"], digest.hexdigest()]
+
+
+def test_a_servo_holds_its_pressure_and_a_free_wall_its_force(taichi_f64):
+    pressure, force, _ = held("f64", 2)
+    assert pressure == pytest.approx(PRESSURE, rel=0.01)
+    assert force == pytest.approx(10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("precision", [pytest.param("f32", marks=pytest.mark.slow), "mixed"])
+def test_a_servo_in_less_precision(precision):
+    assert in_subprocess(held, precision)[0] == pytest.approx(PRESSURE, rel=0.01)
+
+
+@pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
+def test_bits_do_not_depend_on_threads(precision):
+    one, two = in_subprocess(held, precision, 1, 0.0015), in_subprocess(held, precision, 2, 0.0015, True)
+    assert one[0] > 1000.0, "the lid touches the grains"
+    assert one == two
+
+
+def test_going_on_gives_the_same_bits(tmp_path, taichi_f64):
+    scene = pressed(
+        0.006, output={"interval": 0.006, "wall_forces": True, "energy_budget": True, "checkpoint": {"interval": 0.002}}
+    )
+    seen = []
+    for out in ("whole", "again"):
+        saved = None
+        if out == "again":
+            shutil.copytree(tmp_path / "whole", tmp_path / "again")
+            saved = read_checkpoint(sorted((tmp_path / out).glob("checkpoint_*.npz"))[0])
+        simulation = Simulation(scene, out=tmp_path / out, resume=saved)
+        simulation.run()
+        seen.append(simulation.snapshot())
+        simulation.free()
+    assert saved is not None and 0.0 < saved.time < 0.006
+    assert np.array_equal(seen[0].particles["position"], seen[1].particles["position"])
+    assert np.array_equal(seen[0].walls["lid"].offset, seen[1].walls["lid"].offset)
+    assert seen[0].totals == seen[1].totals
+    rows = [(tmp_path / out / "timeseries.csv").read_text() for out in ("whole", "again")]
+    assert rows[0] == rows[1] and "wall_displacement.lid [m]" in rows[0]
+
+
+def test_a_wall_too_fast_for_a_step_stops_the_run(taichi_f64):
+    scene = falling_piston(mass=0.01, run={"duration": 1.0, "velocity_max": 0.01}, output={"interval": 1.0})
+    pulled = scene.walls["piston"].model_copy(update={"motion": (scene.walls["piston"].motion[0].model_copy(
+        update={"force": 1e4}),)})  # fmt: skip
+    scene = scene.model_copy(update={"walls": dict(scene.walls) | {"piston": pulled}})
+    with pytest.raises(
+        RunError, match="wall piston .* in one step of .* above the limit .* Give it more mass or damping"
+    ):
+        Simulation(scene).run()
+
+
+def test_walls_that_a_step_cannot_carry_are_refused():
+    with pytest.raises(SceneError, match=r"walls.piston.motion.mass is 1e-09 kg, but .* swings too fast"):
+        plan_for(falling_piston(mass=1e-9))
+    motion = {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1, "gain": 1e3}
+    with pytest.raises(SceneError, match=r"walls.piston.motion.gain is 1e\+03 m/\(s N\), but from .* on the wall"):
+        plan_for(build_scene({"ball": particle_group([[0, 0, RADIUS]])}, walls={"piston": lid(0.02, motion)}))

@@ -1,0 +1,129 @@
+"""Loads of the grains on the walls: momentum given, weight carried, the same bits everywhere."""
+
+import csv
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample
+
+from granflow.laws import theory
+from granflow.simulation import Simulation
+
+MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
+GRAVITY = 9.81
+EPS = np.finfo(float).eps
+
+
+def rattled():
+    """Spinning grains in a box that turns in part and trembles in part, everything measured: friction and rolling."""
+    rng = np.random.default_rng(2)
+    positions = 0.0115 * (np.argwhere(np.ones((5, 5, 5))) + 0.6)
+    walls = box(0.0575)
+    walls["low_z"]["motion"] = {"kind": "vibration", "direction": [1, 0, 1], "amplitude": 1e-4, "frequency": 300.0}
+    walls["high_z"]["motion"] = {
+        "kind": "rotation", "point": [0.03, 0.03, 0.0], "axis": [0, 0, 1], "angular_velocity": 60.0,
+    }  # fmt: skip
+    velocity, angular_velocity = rng.normal(0.0, 0.5, positions.shape), rng.normal(0.0, 50.0, positions.shape)
+    return build_scene(
+        {"balls": particle_group(positions, 0.01, velocity=velocity, angular_velocity=angular_velocity)},
+        walls=walls,
+        rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1},
+        run={"duration": 0.004, "velocity_max": 4.0},
+        numerics={"chunk_size": 32, "max_overlap": 0.3},
+        output={"interval": 1.0, "wall_forces": True},
+    )
+
+
+def momenta(particles):
+    """Momentum and angular momentum about the origin (2, 3) of all grains, and the rates of both."""
+    p = particles
+    inertia = 0.4 * (p["mass"] * p["radius"] ** 2)[:, None]
+    linear = p["mass"][:, None] * p["velocity"]
+    held = linear.sum(axis=0), (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0)
+    rate = p["force"].sum(axis=0), (np.cross(p["position"], p["force"]) + p["torque"]).sum(axis=0)
+    return np.array(held), np.array(rate), np.abs(linear).sum()
+
+
+def test_walls_take_the_momentum_that_particles_lose(taichi_f64):
+    """Of the leapfrog: P(t) - P(0) + J = dt/2 [F(0) - F(t)], for momentum and angular momentum, to rounding.
+
+    Torques are about the point of a wall's rotation: (x - p) x F integrates to L - p x J.
+    """
+    scene = rattled()
+    seen = run_and_sample(scene, 0.004)
+    (before, rate_before, size), (after, rate_after, _) = (momenta(each.particles) for each in seen)
+    outlet_index = np.array([[load[:3], load[3:6]] for load in seen[-1].impulses.values()])
+    outlet_index[-1, 1] += np.cross([0.03, 0.03, 0.0], outlet_index[-1, 0])
+    left = after - before + outlet_index.sum(axis=0) - 0.5 * seen[-1].time / seen[-1].step * (rate_before - rate_after)
+    assert list(seen[-1].impulses) == list(scene.walls)
+    assert np.abs(outlet_index).max() > 0.1 * size, "the walls took a good part of the momentum"
+    assert np.abs(left[0]).max() < seen[-1].step * EPS * size
+    assert np.abs(left[1]).max() < seen[-1].step * EPS * size * 0.06
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.6])
+def test_impulse_of_one_impact(taichi_f64, restitution):
+    """J = m (1 + e) v, with the e that the grain left with; nothing across; pressure over the area of the disc."""
+    disc = {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
+    scene = build_scene(
+        {"ball": particle_group([[0.01, 0.0, 0.0051]], velocity=[0.0, 0.0, -1.0])}, walls={"disc": disc},
+        pair={"restitution": restitution}, run={"duration": 0.002, "velocity_max": 1.0},
+        output={"interval": 1.0, "wall_forces": ["disc"]},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    result = simulation.run().numbers
+    last = simulation.snapshot()
+    simulation.free()
+    left = last.particles["velocity"][0, 2]
+    assert left == pytest.approx(restitution, rel=0.02)
+    impulse = MASS * (1.0 + left)
+    np.testing.assert_allclose(last.impulses["disc"][[2, 4, 6]], [-impulse, 0.01 * impulse, impulse], rtol=1e-12)
+    np.testing.assert_allclose(last.impulses["disc"][[0, 1, 3, 5]], 0.0, atol=1e-12 * impulse)
+    mean = impulse / last.time
+    assert result["wall_force_z.disc"] == pytest.approx(-mean, rel=1e-12)
+    assert result["wall_pressure.disc"] == pytest.approx(mean / (np.pi * 0.03**2), rel=1e-12)
+
+
+def standing(count=3, **output):
+    """Grains one on the other on a floor, each pressed in as far as the weight above it asks."""
+    modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+    heights, below = [], 0.0
+    for index in range(count):
+        k = theory.hertz_stiffness(modulus, 0.005 if index == 0 else 0.0025)
+        below += (0.005 if index == 0 else 0.01) - ((count - index) * MASS * GRAVITY / k) ** (2.0 / 3.0)
+        heights.append([0.0, 0.0, below])
+    return build_scene(
+        {"balls": particle_group(heights)},
+        walls={"floor": plane([0, 0, 0], [0, 0, 1]), "lid": plane([0, 0, 1], [0, 0, -1])},
+        normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY],
+        run={"duration": 0.004, "velocity_max": 0.5},
+        output={"interval": 0.002, "timeseries_interval": 0.001, "wall_forces": True} | output,
+        expect=[{"quantity": "wall_force_z.floor", "equals": -count * MASS * GRAVITY, "tolerance": 1e-9}],
+    )
+
+
+def test_a_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
+    simulation = Simulation(standing(), out=tmp_path)
+    result = simulation.run()
+    simulation.free()
+    assert [each.met for each in result.expectations] == [True]
+    with open(tmp_path / "timeseries.csv") as file:
+        rows = list(csv.DictReader(file))
+    weight = 3 * MASS * GRAVITY
+    assert [float(row["wall_force_z.floor [N]"]) for row in rows[1:]] == pytest.approx([-weight] * 4, rel=1e-9)
+    assert {float(row["wall_force_z.lid [N]"]) for row in rows} == {0.0}
+    assert "wall_pressure.floor [Pa]" not in rows[0]
+    assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
+
+
+def test_measuring_changes_nothing(taichi_f64):
+    """The same bits with loads and without, for which nothing is compiled or allocated."""
+    with_wall_forces = run_and_sample(standing(), 0.002)
+    simulation = Simulation(standing(loads=False, interval=0.002).model_copy(update={"expect": ()}))
+    simulation.run()
+    assert simulation.engine.state.control.impulses is None
+    assert simulation.snapshot().impulses == {}
+    assert np.array_equal(simulation.snapshot().particles["velocity"], column(with_wall_forces, "velocity")[-1])
+    simulation.free()

@@ -1,0 +1,98 @@
+"""Tables of particles in the dresses that other programs give them, and what is said of bad rows."""
+
+import numpy as np
+import pytest
+from observe.snapshots import particles_of, snapshot_of
+
+from granflow.errors import SceneError
+from granflow.observe.vtu import ParticleFrames
+from granflow.scene.particle_table import MOST_SHOWN, read_table
+
+POSITION = np.array([[0.1, -0.2, 0.3], [0.0, 1.5e-3, -4.0]])
+RADIUS = np.array([0.002, 0.0035])
+
+SAME = {
+    "commas": "id,x,y,z,r\n1,0.1,-0.2,0.3,0.002\n2,0,1.5e-3,-4,0.0035\n",
+    "semicolons and decimal commas": "X; Y; Z; Diameter\n0,1;-0,2;0,3;0,004\n0;0,0015;-4;0,007\n",
+    "tabs": "Radius\tPosition X\tPosition Y\tPosition Z\n0.002\t0.1\t-0.2\t0.3\n0.0035\t0\t0.0015\t-4\n",
+    "spaces and units": "Radius[m] PosX[m] PosY[m] PosZ[m]\n 0.002 0.1 -0.2 0.3\n\n 0.0035   0 0.0015 -4\n",
+    "mixed blanks": "Radius[m]\tPosX[m] PosY[m] PosZ[m]\n 0.002 0.1 -0.2 0.3\n 0.0035 0 0.0015 -4\n",
+    "millimeters": "d [mm], x (mm), y (mm), z (m), what\n4, 100, -200, 0.3, a\n7, 0, 1.5, -4, b\n",
+    "comments": "# made by hand\n# x y z r\n0.1 -0.2 0.3 0.002\n# the other\n0 0.0015 -4 0.0035\n",
+    "quotes and empty ends": '"x","y","z","radius",\n0.1,-0.2,0.3,0.002,\n0,0.0015,-4,0.0035,\n',
+    "paraview": '"radius","Points:0","Points:1","Points:2"\n0.002,0.1,-0.2,0.3\n0.0035,0,0.0015,-4\n',
+}
+
+
+def written(tmp_path, text, name="start.csv"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("text", SAME.values(), ids=SAME)
+def test_the_same_two_spheres_in_every_dress(tmp_path, text):
+    table = read_table(written(tmp_path, text))
+    np.testing.assert_allclose(table.position, POSITION, rtol=1e-15)
+    np.testing.assert_allclose(table.radius, RADIUS, rtol=1e-15)
+    assert table.velocity is None and table.angular_velocity is None
+
+
+def test_velocity_spin_and_material(tmp_path):
+    heads = "x,y,z,r,vx[cm/s],vy[cm/s],vz[cm/s],spin_x,spin_y,spin_z,material"
+    table = read_table(written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n"))
+    np.testing.assert_allclose(table.velocity, [[1, 0, -0.5], [0, 0, 0]])
+    np.testing.assert_allclose(table.angular_velocity[0], [1, 2, 3])
+    assert table.material.tolist() == ["glass", "steel"] and table.line.tolist() == [2, 3]
+
+
+BAD = {
+    "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: it has 3 values, but 4 columns are named."],
+    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is asked", "3: y is empty, but a number is asked"],
+    "x y z r\n0 nan 0 1\n0 0 0 inf\n": [
+        "2: the position holds what is no finite number.",
+        "3: the radius holds what is no finite number.",
+    ],
+    "x y z r\n0 0 0 0\n0 0 0 -1\n": ["2: the radius must be above 0.", "3: the radius must be above 0."],
+    "0,0,0,1\n": [
+        "1: the first line must name the columns, among them x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
+    ],
+    "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] cannot be used: furlong is not a unit known here"],
+    "x,y,z,r\n": [" there is no particle in it."],
+    "": [" there is no particle in it."],
+    "x y z r\n" + "0 0 0\n" * (MOST_SHOWN + 5): [
+        *(f"{n}: it has 3 values, but 4 columns are named." for n in range(2, MOST_SHOWN + 2)),
+        " 5 more rows have problems, which are not shown.",
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_rows_are_named(tmp_path, text):
+    path = written(tmp_path, text)
+    with pytest.raises(SceneError) as caught:
+        read_table(path)
+    for found, message in zip(caught.value.problems, BAD[text], strict=True):
+        assert found.startswith(f"{path}:{message}")
+
+
+def test_files_that_are_none(tmp_path, monkeypatch):
+    for path, why in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "this is not a regular file")):
+        with pytest.raises(SceneError, match=why):
+            read_table(path)
+    broken = written(tmp_path, "<VTKFile", "broken.vtu")
+    with pytest.raises(SceneError, match="this file cannot be read as VTU"):
+        read_table(broken)
+    monkeypatch.setattr("granflow.scene.particle_table.LARGEST_FILE", 10)
+    with pytest.raises(SceneError, match="too large for a table"):
+        read_table(written(tmp_path, SAME["commas"]))
+
+
+def test_a_frame_of_granflow_comes_back(tmp_path):
+    """To the width of the file: positions as they are there, the rest in float32."""
+    snapshot = snapshot_of(particles=particles_of(50))
+    ParticleFrames(tmp_path, 0.1).observe(snapshot)
+    table = read_table(tmp_path / "particles_0000.vtu")
+    for name in ("position", "radius", "velocity", "angular_velocity"):
+        np.testing.assert_array_equal(getattr(table, name), snapshot.particles[name].astype(np.float32))
+    assert table.material.tolist() == [str(number) for number in snapshot.particles["material"]]

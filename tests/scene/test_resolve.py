@@ -1,0 +1,196 @@
+"""Counts from masses and ends, particles from files, and scenes of another size."""
+
+from math import pi
+
+import numpy as np
+import pytest
+from plan.scenes import TEXT
+
+from granflow.errors import SceneError
+from granflow.plan import plan_for
+from granflow.plan.max_impact_velocity import max_impact_velocity
+from granflow.scene import load
+from granflow.scene.generate import initial_particles
+from granflow.scene.reader import scene_of
+from granflow.scene.resolve import scaled
+from granflow.scene.schema import MeshWall, VibrationSpec
+from granflow.scene.size_sampling import draw_diameters
+
+PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
+"""Mass [kg] of a bead of the scene."""
+
+BEADS = TEXT[TEXT.index("    count: 10\n") : TEXT.index("domain:")]
+
+
+def scene_with(tmp_path, beads, *overrides, **files):
+    """The scene of ten beads with other lines for its group, and files beside it."""
+    for name, text in files.items():
+        (tmp_path / f"{name}.csv").write_text(text)
+    path = tmp_path / "beads.yaml"
+    path.write_text(TEXT.replace(BEADS, beads))
+    return load(path, overrides)
+
+
+def problems(tmp_path, *given, **files):
+    with pytest.raises(SceneError) as caught:
+        scene_with(tmp_path, *given, **files)
+    return [problem.replace(f"{tmp_path}/", "") for problem in caught.value.problems]
+
+
+REGION = "region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}"
+UNIFORM = "{distribution: uniform, min: 2 mm, max: 4 mm}"
+CLASSES = "{distribution: classes, by: mass, classes: [{diameter: 2 mm, fraction: 1}, {diameter: 4 mm, fraction: 1}]}"
+
+
+@pytest.mark.parametrize(
+    ("amount", "insertion", "count"),
+    [
+        (f"mass: {7.4 * PARTICLE!r}", "kind: pack", 7),
+        ("", f"kind: rain, mass_flow: {100 * PARTICLE!r}, start: 1 s, end: 1.5 s", 50),
+        ("", "kind: rain, rate: 10, start: 1 s, end: 2.05 s", 11),  # at 1, 1.1, ... 2.0
+        (f"mass: {4 * PARTICLE!r}", "kind: rain, rate: 10, end: 100 s", 4),
+        ("count: 30", "kind: rain, rate: 10, end: 1.55 s", 16),
+    ],
+)
+def test_counts_that_follow(tmp_path, amount, insertion, count):
+    scene = scene_with(tmp_path, f"    {amount}\n    diameter: 4 mm\n    insert: {{{insertion}, {REGION}}}\n")
+    assert scene.particles["beads"].count == plan_for(scene).particle_capacity == count
+    assert scene_of(scene.text(), "as run").particles == scene.particles, "a settled scene stays as it is"
+
+
+@pytest.mark.parametrize("sizes", [UNIFORM, CLASSES])
+def test_a_mass_is_met_within_a_particle(tmp_path, sizes):
+    """Half the mass in grains of 2 mm and half in 4 mm, 8 to 1 by number: 8/9 8 + 1/9 64 mm^3 each on average."""
+    requested = 300.4 * PARTICLE
+    scene = scene_with(
+        tmp_path, f"    mass: {requested!r}\n    diameter: {sizes}\n    insert: {{kind: pack, {REGION}}}\n"
+    )
+    group = scene.particles["beads"]
+    inserted = PARTICLE / 64e-9 * (2.0 * initial_radius(scene)) ** 3
+    assert abs(inserted.sum() - requested) <= PARTICLE / 2
+    if sizes is CLASSES:
+        assert group.count == round(300.4 * 64 / (8 / 9 * 8 + 64 / 9))
+        assert inserted[inserted < PARTICLE / 2].sum() == pytest.approx(requested / 2, abs=PARTICLE)
+
+
+def initial_radius(scene):
+    """Radii as the generator draws them, without placing them: the pack would be too dense."""
+    from granflow.scene.particle_data import random_for
+
+    return (
+        draw_diameters(scene.particles["beads"].sizes, scene.particles["beads"].count, random_for(scene, "beads")) / 2
+    )
+
+
+def test_too_much_is_refused(tmp_path):
+    beads = f"    mass: 1e20 kg\n    diameter: {UNIFORM}\n    insert: {{kind: pack, {REGION}}}\n"
+    assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass makes ")
+
+
+FILE = "    insert: {kind: file, file: start.csv}\n"
+ROWS = "x,y,z,r,vx,vy,vz\n0.005,0,0,0.002,3,0,4\n0.0085,0,0,0.002,0,0,0\n0.01,0.02,0,0.001,0,0,0\n"
+
+
+def test_particles_from_a_file(tmp_path):
+    """Two overlap by 0.5 mm of 2 mm; the fastest moves at 5 m/s."""
+    scene = scene_with(tmp_path, FILE, "run.velocity_max=null", start=ROWS)
+    group = scene.particles["beads"]
+    assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (3, 0.002, 0.004)
+    assert group.insert.found.overlap_max == pytest.approx(0.25)
+    assert [sentence.replace(f"{tmp_path}/", "") for sentence in scene.remarks] == [
+        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (lines 2 and 3)."
+    ]
+    assert max_impact_velocity(scene).value == pytest.approx(10.0)
+    assert plan_for(scene).radius_min == 0.001
+    particles = initial_particles(scene)
+    np.testing.assert_allclose(particles.velocity[0], [3, 0, 4])
+    assert particles.radius.tolist() == [0.002, 0.002, 0.001]
+    (tmp_path / "start.csv").unlink()
+    again = scene_of(scene.text(), str(tmp_path / "checkpoint.npz"))
+    assert again.particles == scene.particles, "what a run goes on with needs no file"
+
+
+def test_rows_go_to_the_group_of_their_material(tmp_path):
+    rows = "x,y,z,d,material\n0,0,0,4e-3,steel\n0.01,0,0,4e-3,glass\n0.02,0,0,4e-3,1\n"
+    both = FILE + "  shot: {material: steel, insert: {kind: file, file: start.csv}}\n"
+    scene = scene_with(tmp_path, both, "pairs.steel-steel={restitution: 0.7, friction: 0}", start=rows)
+    assert {name: group.count for name, group in scene.particles.items()} == {"beads": 1, "shot": 2}
+    assert initial_particles(scene).position[:, 0].tolist() == [0.01, 0.0, 0.02]
+    assert problems(tmp_path, FILE, start=rows) == [
+        "start.csv:2: this particle is of steel, but no group takes those; add one."
+    ]
+    assert problems(tmp_path, FILE, start=rows.replace("glass", "1")) == [
+        "beads.yaml:17:15: no row of start.csv is of glass; its materials are 1, steel."
+    ]
+
+
+MISFITS = {
+    "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
+    "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
+    FILE.replace(
+        "start.csv", "../x"
+    ): "18:31: particles.beads.insert.file is ../x, but the file must lie in the scene's "
+    "folder, or below it; give its path from there.",
+}
+
+
+@pytest.mark.parametrize("beads", MISFITS)
+def test_files_that_do_not_fit(tmp_path, beads):
+    assert problems(tmp_path, beads, start=ROWS) == [f"beads.yaml:{MISFITS[beads]}"]
+    assert problems(tmp_path, FILE.replace("start", "none")) == ["none.csv: there is no such file."]
+
+
+def test_a_link_does_not_lead_out(tmp_path):
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (tmp_path / "start.csv").write_text(ROWS)
+    (inside / "start.csv").symlink_to(tmp_path / "start.csv")
+    assert "leads out of the scene's folder" in problems(inside, FILE)[0]
+
+
+def test_rows_outside_the_domain(tmp_path):
+    assert problems(tmp_path, FILE, start="x,y,z,r\n0,0,0,1e-3\n0,0,5,1e-3\n0,0,6,1e-3\n") == [
+        "start.csv:3: this particle and 1 more lie outside the domain."
+    ]
+
+
+def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
+    rain = f"    mass: {100 * PARTICLE!r}\n    diameter: 4 mm\n    velocity: [0, 0, -1]\n"
+    rain += f"    insert: {{kind: rain, rate: 50, {REGION}}}\n"
+    extra = [
+        "walls.plate={shape: disc, center: [0, 0, 5 mm], normal: [0, 0, 1], radius: 4 mm, material: glass, "
+        "motion: {kind: vibration, direction: [0, 0, 1], amplitude: 1 mm, frequency: 25}}",
+        "output.flow_meters={out: {point: [0, 0, 1 mm], normal: [0, 0, 1], radius: 3 mm}}",
+        "expect=[{quantity: particle_count, equals: 100, tolerance: 0}, "
+        "{quantity: energy_error, below: 1, any_scale: true}]",
+    ]
+    one, two = scene_with(tmp_path, rain, *extra), scene_with(tmp_path, rain, *extra, "scale=2")
+    beads, wall = two.particles["beads"], two.walls["plate"]
+    assert beads.count == 800 and beads.insert.rate == 400.0
+    assert beads.insert.region.box.max == (0.04, 0.04, 0.02)
+    assert (two.domain.min[0], two.domain.max[2]) == (-0.02, 0.06)
+    assert (wall.center[2], wall.radius, wall.normal) == (0.01, 0.008, (0.0, 0.0, 1.0))
+    assert wall.motion == one.walls["plate"].motion, "how far it shakes stays"
+    assert (two.output.flow_meters["out"].point[2], two.output.flow_meters["out"].radius) == (0.002, 0.006)
+    assert (beads.diameter, beads.velocity, two.run, two.materials, two.numerics) == (
+        0.004, one.particles["beads"].velocity, one.run, one.materials, one.numerics,
+    )  # fmt: skip
+    assert [each.quantity for each in two.expect] == ["energy_error"] and len(one.expect) == 2
+    assert two.remarks == (
+        "size 2: lengths of the equipment are 2 times those written, numbers and masses of particles 8 times; "
+        "diameters, velocities and times are as written.",
+        "size 2: 1 of expect were made for size 1, and are not judged.",
+    )
+    assert scene_of(two.text(), "as run") == two, "a run goes on with what was made"
+    assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
+        "--set scale=2: scale is 2, but the positions of particles.beads are given one by one; leave size out."
+    ]
+
+
+def test_size_scales_a_mesh_and_not_what_measures_particles(tmp_path):
+    """Walked through the schema, so that a new key needs its type only."""
+    wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
+    larger = scaled(wall, 3.0)
+    assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
+    shaken = VibrationSpec(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
+    assert scaled(shaken, 3.0) == shaken

@@ -1,0 +1,111 @@
+"""Small scenes for tests, said in few words, and what was seen while they ran."""
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from granflow.observe import every
+from granflow.scene import Scene
+from granflow.simulation import Simulation
+
+SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
+"""Soft enough for steps of some microseconds at 1 m/s."""
+
+
+def particle_group(positions, diameter=0.01, material="glass", **more):
+    """A group of spheres at positions (n, 3) [m]; `velocity` and `angular_velocity` as in scenes, arrays too."""
+    positions = np.atleast_2d(np.asarray(positions, dtype=float))
+    given = {name: np.asarray(value, dtype=float).tolist() for name, value in (more | {"diameter": diameter}).items()}
+    insertion = {"kind": "positions", "positions": positions.tolist()}
+    return {"material": material, "count": len(positions), "insert": insertion} | given
+
+
+def build_scene(groups, walls=None, pair=None, **parts):
+    """A scene of groups and walls, without gravity; every pair of materials as `pair` unless `pairs` says otherwise.
+
+    `rolling`, `normal`, `domain`, `run`, `numerics`, `materials` and so on replace what stands here.
+    """
+    walls = walls or {}
+    used = dict.fromkeys(part["material"] for part in [*groups.values(), *walls.values()])
+    rolling = parts.pop("rolling", "none")
+    usual = {"restitution": 0.8, "friction": 0.0} | ({} if rolling == "none" else {"rolling_friction": 0.0})
+    pairs = {f"{a}-{b}": usual | (pair or {}) for a, b in combinations_with_replacement(used, 2)}
+    scene = {
+        "title": "Trial",
+        "gravity": [0.0, 0.0, 0.0],
+        "materials": dict.fromkeys(used, SOFT) | parts.pop("materials", {}),
+        "pairs": pairs | parts.pop("pairs", {}),
+        "contact": {"normal": parts.pop("normal", "zhou"), "tangential": "mindlin", "rolling": rolling},
+        "walls": walls,
+        "particles": groups,
+        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
+        "run": {"duration": 1.0},
+        "output": {"interval": 1.0},
+    }
+    return Scene.model_validate(scene | parts)
+
+
+def plane(point, normal, material="glass", **more):
+    """A wall that fills half of space."""
+    return {"shape": "plane", "point": list(point), "normal": list(normal), "material": material, **more}
+
+
+def box(size, material="glass"):
+    """Six walls about the cube from 0 to `size` [m]."""
+    walls = {}
+    for axis, name in enumerate("xyz"):
+        unit = np.eye(3)[axis]
+        walls[f"low_{name}"] = plane([0.0] * 3, unit.tolist(), material)
+        walls[f"high_{name}"] = plane((size * unit).tolist(), (-unit).tolist(), material)
+    return walls
+
+
+def run_to_end(scene, until=None, **options):
+    """The last snapshot of a run, and the simulation, whose device memory is given back."""
+    simulation = Simulation(scene, **options)
+    simulation.run(until)
+    last = simulation.snapshot()
+    simulation.free()
+    return last, simulation
+
+
+def run_and_sample(scene, interval, until=None, contacts=False, **options):
+    """All snapshots of a run at an interval [s]."""
+    seen = []
+    wants = ("particles", "walls", "totals", "contacts") if contacts else ("particles", "walls", "totals")
+    simulation = Simulation(scene, observers=[every(interval, seen.append, wants)], **options)
+    simulation.run(until)
+    simulation.free()
+    return seen
+
+
+def column(snapshots, name):
+    """One particle quantity of all snapshots: (moments, particles, ...)."""
+    return np.array([snapshot.particles[name] for snapshot in snapshots])
+
+
+def times(snapshots):
+    """Times [s] of snapshots."""
+    return np.array([snapshot.time for snapshot in snapshots])
+
+
+def neighbors_of(engine):
+    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
+    state = engine.state
+    begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
+    partner, ids = state.neighbors.partner.to_numpy(), state.particles.id.to_numpy()
+    found = []
+    for i in range(state.count):
+        for j in partner[begin[i] : end[i]]:
+            same = j >= 0 and i // state.plan.chunk_size == j // state.plan.chunk_size
+            found.append((ids[i], ids[j] if j >= 0 else j, same))
+    return found
+
+
+def prepared_simulation(scene, step=0):
+    """A simulation whose first search is done, at the time of step number `step`."""
+    simulation = Simulation(scene)
+    simulation.engine.state.clock.step_count = step
+    simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))
+    simulation.engine.refresh()
+    return simulation

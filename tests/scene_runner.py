@@ -1,0 +1,20 @@
+"""Runs of shipped scenes that are watched: frames of the particles at a regular interval, and what was not met."""
+
+from pathlib import Path
+
+from granflow import Simulation, load_scene
+from granflow.observe import every
+
+SCENES = Path(__file__).parents[1] / "scenes"
+
+
+def run_shipped_scene(name, out, interval=1e3, overrides=()):
+    """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the sentences that were not met."""
+    frames = []
+    observer = every(interval, frames.append, wants=("particles",))
+    scene = load_scene(SCENES / f"{name}.yaml", ["output.interval=1000 s", *overrides])
+    simulation = Simulation(scene, threads=2, out=out, observers=[observer])
+    result = simulation.run()
+    simulation.free()
+    assert result.expectations
+    return frames, [sentence for sentence, met in result.expectations if not met]

@@ -1,0 +1,90 @@
+"""What is measured from the frames of a run is what the run itself measured."""
+
+import csv
+
+import meshio
+import numpy as np
+import pytest
+from scene_builders import box, build_scene, particle_group
+
+from granflow.cli.main import main
+from granflow.simulation import Simulation
+
+INDICES = {
+    "mix": {"kind": "lacey", "cell": 0.02, "at_least": 2, "groups": ["red"]},
+    "web": {"kind": "fabric"},
+    "bed": {"kind": "coordination"},
+    "heap": {"kind": "repose", "surface": "plane"},
+}
+FIELDS = {"bed": {"cells": [2, 2, 2], "region": {"min": [0.0] * 3, "max": [0.04] * 3}, "stages": ["last"]}}
+
+
+@pytest.fixture(scope="module")
+def out(taichi_f64, tmp_path_factory):
+    """A run of two groups thrown about in a box, with frames of contacts, indices and fields."""
+    path = tmp_path_factory.mktemp("run")
+    random = np.random.default_rng(1)
+    positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+    groups = {
+        name: particle_group(positions[cut], 0.01, velocity=random.normal(0.0, 0.3, positions[cut].shape))
+        for name, cut in {"red": slice(0, 32), "blue": slice(32, 64)}.items()
+    }
+    scene = build_scene(
+        groups, walls=box(0.0392), pair={"friction": 0.4}, gravity=[0.0, 0.0, -9.81],
+        numerics={"max_overlap": 0.3}, run={"velocity_max": 2.0},
+        stages=[{"name": "first", "duration": 0.001}, {"name": "last", "duration": 0.002}],
+        output={"interval": 0.001, "contacts": True, "metrics": INDICES, "fields": FIELDS},
+    )  # fmt: skip
+    simulation = Simulation(scene, out=path)
+    simulation.run()
+    simulation.free()
+    return path
+
+
+def neighbors_of(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_measured_indices_are_those_of_the_run(out, tmp_path):
+    """To the seven digits of the frames."""
+    assert main(["measure", str(out), "--out", str(tmp_path)]) == 0
+    measured, series = neighbors_of(tmp_path / "metrics.csv"), neighbors_of(out / "timeseries.csv")
+    assert len(measured) == len(series) >= 4
+    assert len(measured[0]) == 2 + 1 + 4 + 3 + 2
+    for one, other in zip(measured, series, strict=True):
+        assert one["stage"] == other["stage"]
+        for name in set(one) - {"stage"}:
+            assert float(one[name]) == pytest.approx(float(other[name]), rel=1e-4, abs=1e-6, nan_ok=True), name
+    assert 0.0 < float(measured[-1]["fabric_zz.web"]) < 1.0
+
+
+def test_measured_fields_are_those_of_the_run(out, tmp_path):
+    assert main(["measure", str(out), "--out", str(tmp_path)]) == 0
+    names = sorted(path.name for path in out.glob("fields_*.vtu"))
+    assert names == sorted(path.name for path in tmp_path.glob("fields_*.vtu"))
+    for name in ("fields_bed_mean.vtu", names[0]):
+        one, other = (meshio.read(folder / name).cell_data for folder in (tmp_path, out))
+        for field, (values,) in other.items():
+            np.testing.assert_allclose(one[field][0], values, rtol=1e-4, atol=1e-5 * np.nanmax(np.abs(values)))
+
+
+def test_other_indices_may_be_asked_for(out, tmp_path, capsys):
+    requested = ["--set", "output.metrics={pile: {kind: coordination}}", "--set", "output.fields={}"]
+    assert main(["measure", str(out), "--out", str(tmp_path), *requested]) == 0
+    assert set(neighbors_of(tmp_path / "metrics.csv")[0]) == {
+        "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile", "rattler_share.pile",
+    }  # fmt: skip
+    assert "rattler_share.pile" in capsys.readouterr().out
+
+
+def test_what_cannot_be_measured_is_said(out, tmp_path, capsys):
+    nothing = ["--set", "output.metrics={}", "--set", "output.fields={}"]
+    assert main(["measure", str(out), *nothing]) == 2
+    assert "Nothing is asked for" in capsys.readouterr().err
+    assert main(["measure", str(tmp_path)]) == 2
+    assert "no directory of a run" in capsys.readouterr().err
+    for name in ("particles.pvd", "particles_0000.vtu", "scene_as_run.yaml"):
+        (tmp_path / name).write_bytes((out / name).read_bytes())
+    assert main(["measure", str(tmp_path)]) == 2
+    assert "has no frames of contacts" in capsys.readouterr().err

@@ -1,0 +1,113 @@
+"""Rims shared by surfaces of revolution: counted once outside, not at all in a corner."""
+
+import numpy as np
+import pytest
+from walls.surfaces import on_device
+
+from granflow.walls import FAR_AWAY, cone, cylinder, disc, half_space, join_shared_edges
+
+APART = 0.03
+
+
+def contacts(shapes, point, reach=APART):
+    """Which shapes a small grain at the point (x, 0, z) touches; checked on the device and in the twin."""
+    points = np.array([[point[0], 0.0, point[1]]])
+    found = []
+    for index, shape in enumerate(shapes):
+        distance, _ = shape.kind.reference_closest(points, shape.parameters)
+        on_the_device, _, _ = on_device(shape, points)
+        assert on_the_device[0] == pytest.approx(distance[0], abs=1e-15)
+        if distance[0] < reach:
+            found.append(index)
+    return found
+
+
+def hopper(flip):
+    """Cone over an outlet tube; with `flip` the tube's axis points the other way."""
+    tube_ends = [[0, 0, -0.2], [0, 0, 0]]
+    return [cone([0, 0, 0], [0, 0, 1], 0.1, 0.6), cylinder(*(tube_ends[::-1] if flip else tube_ends), 0.1)]
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_convex_rim_is_one_contact(taichi_f64, flip):
+    """The mouth of the orifice seen from inside: between the normals of cone and tube only the rim is near."""
+    shapes = join_shared_edges(hopper(flip), [0, 0])
+    cone_normal = np.array([-2.0, 1.0]) / np.sqrt(5)
+    tube_normal = np.array([-1.0, 0.0])
+    middle = cone_normal + tube_normal
+    edge = np.array([0.1, 0.0])
+    assert len(contacts(hopper(flip), edge + 0.02 * middle / np.linalg.norm(middle))) == 2
+    assert len(contacts(shapes, edge + 0.02 * middle / np.linalg.norm(middle))) == 1
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_concave_corner_is_its_two_faces(taichi_f64, flip):
+    """Outside the hopper, in the corner between cone and tube, both faces are near and the rim is nobody's."""
+    shapes = join_shared_edges(hopper(flip), [0, 0])
+    assert contacts(shapes, (0.12, -0.001)) == [0, 1]
+    assert contacts(shapes, (0.12, -0.02)) == [1]
+    assert contacts(hopper(flip), (0.12, -0.02)) == [0, 1]
+
+
+def test_every_point_feels_exactly_the_nearest_of_a_convex_rim(taichi_f64):
+    """All round the rim: the union of surfaces is at its true distance, and no two contacts share a foot."""
+    shapes = join_shared_edges(hopper(False), [0, 0])
+    angle = np.linspace(0, 2 * np.pi, 721)
+    points = np.stack([0.1 + 0.02 * np.cos(angle), 0 * angle, 0.02 * np.sin(angle)], axis=1)
+    free = np.array([on_device(shape, points)[0] for shape in hopper(False)])
+    joined = np.array([on_device(shape, points)[0] for shape in shapes])
+    np.testing.assert_allclose(joined.min(axis=0), free.min(axis=0), rtol=1e-15)
+    feet = [points - d[:, None] * on_device(s, points)[1] for d, s in zip(joined, shapes, strict=True)]
+    both = np.all(joined < FAR_AWAY, axis=0)
+    assert both.any()
+    assert np.linalg.norm(feet[0] - feet[1], axis=1)[both].min() > 1e-6
+
+
+def test_gate_closing_a_cone(taichi_f64):
+    shapes = join_shared_edges(
+        [cone([0, 0, 0], [0, 0, 1], 0.1, 0.6), disc([0, 0, 0], [0, 0, -1], 0.1)], ["still", "still"]
+    )
+    assert contacts(shapes, (0.099, 0.01)) == [0, 1]
+    assert contacts(shapes, (0.05, 0.01)) == [1]
+    assert len(contacts(shapes, (0.11, -0.01))) == 1
+    opened = join_shared_edges(shapes[:1], ["still"])
+    assert contacts(opened, (0.1, -0.01)) == [0]
+
+
+def test_split_cylinder_is_one_cylinder(taichi_f64):
+    """Two halves end to end: at the joint one contact and no gap."""
+    shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 0.5], 0.2), cylinder([0, 0, 0.5], [0, 0, 1], 0.2)], [0, 0])
+    for z in (0.499, 0.5, 0.501):
+        assert len(contacts(shapes, (0.19, z))) == 1
+    assert len(contacts(shapes, (0.19, 1.01))) == 1
+
+
+def test_three_at_one_rim(taichi_f64):
+    """Cone, tube and a shelf that runs outward: only the two next to the widest opening can own the rim."""
+    shapes = join_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
+    assert (
+        sum(shape[name] for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)) == 1
+    )
+    assert len(contacts(shapes, (0.085, 0.003))) == 1
+    assert contacts(shapes, (0.11, -0.01)) == [1, 2]
+
+
+def test_tube_standing_on_a_plate_keeps_its_end_to_itself(taichi_f64):
+    shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 1], 0.2), disc([0, 0, 0], [0, 0, 1], 0.5)], [0, 0])
+    assert contacts(shapes, (0.2, -0.01)) == [1]
+    assert contacts(shapes, (0.19, 0.01)) == [0, 1]
+
+
+def test_walls_that_move_apart_share_nothing(taichi_f64):
+    free = hopper(False)
+    for groups in ([0, 1], ["still", ("still", "gate")]):
+        for shape, before in zip(join_shared_edges(free, groups), free, strict=True):
+            np.testing.assert_array_equal(shape.parameters, before.parameters)
+
+
+def test_other_kinds_pass_through_and_joining_twice_is_joining_once(taichi_f64):
+    shapes = [half_space([0, 0, 0], [0, 0, 1]), *hopper(True)]
+    once = join_shared_edges(shapes, [0, 0, 0])
+    assert once[0] is shapes[0]
+    for first, second in zip(once, join_shared_edges(once, [0, 0, 0]), strict=True):
+        np.testing.assert_array_equal(first.parameters, second.parameters)
