@@ -118,10 +118,8 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     description = _too_far(diagnosis, plan, time, plan.travel_limit)
     if diagnosis.pair is None:
-        return (
-            f"{description} "
-            f"{remedy(plan.scene, diagnosis.participant.speed, SPEED_MARGIN * diagnosis.participant.speed, plan.travel_limit)}"
-        )
+        speed = diagnosis.participant.speed
+        return f"{description} {remedy(plan.scene, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely it was shot out of this overlap"
     )

@@ -40,13 +40,18 @@ def planned_outlets(scene: Scene) -> tuple[PlannedOutlet, ...]:
         if isinstance(outlet, BoxOutlet):
             low, high = np.array(outlet.box.min), np.array(outlet.box.max)
             outlets.append(PlannedOutlet(name, low, high, low, np.zeros(3), inf))
+        elif isinstance(outlet, DiscOutlet):
+            disc = outlet.disc
+            outlets.append(_behind_plane(name, disc.center, disc.normal, disc.radius))
         else:
-            is_disc = isinstance(outlet, DiscOutlet)
-            point = outlet.disc.center if is_disc else outlet.half_space.point
-            normal = np.array(outlet.disc.normal if is_disc else outlet.half_space.normal)
-            radius = outlet.disc.radius if is_disc else inf
-            outlets.append(PlannedOutlet(name, None, None, np.array(point), normal / np.linalg.norm(normal), radius))
+            outlets.append(_behind_plane(name, outlet.half_space.point, outlet.half_space.normal, inf))
     return tuple(outlets)
+
+
+def _behind_plane(name: str, point: Sequence[float], normal: Sequence[float], radius: float) -> PlannedOutlet:
+    """The outlet behind a plane through `point` [m], within `radius` [m] of the axis along `normal`."""
+    direction = np.array(normal)
+    return PlannedOutlet(name, None, None, np.array(point), direction / np.linalg.norm(direction), radius)
 
 
 def outlet_of(outlets: Sequence[PlannedOutlet], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:

@@ -47,7 +47,7 @@ Outlet = Annotated[
     | Annotated[DiscOutlet, Tag("<disc>")],
     choose_by(
         choose_by_field(box=BoxOutlet, half_space=HalfSpaceOutlet, disc=DiscOutlet),
-        "it must be {box: {min: [..], max: [..]}} {half_space: {point: [..], normal: [..]}} or "
+        "it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal: [..]}} or "
         "{disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]

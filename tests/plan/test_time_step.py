@@ -169,7 +169,7 @@ def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
 
 
 PAIRS = ("glass-glass", "glass-steel")
-PLACE = TEXT.split("place: ")[1].split("\n")[0]
+PLACE = TEXT.split("insert: ")[1].split("\n")[0]
 ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, insert: {PLACE}}}"
 ZERO = [f"pairs.{pair}.restitution=0" for pair in PAIRS]
 
