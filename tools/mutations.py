@@ -215,11 +215,11 @@ MUTATIONS = (
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
-        "displacement of a servo wall",
+        "displacement of a driven wall",
         "granflow/device/wall_dynamics.py",
         "if not way <= far:",
         "if not way <= 2.0 * far:",
-        (f"{LIMITS}test_the_displacement_of_a_servo_wall_has_the_same_limits",),
+        (f"{LIMITS}test_the_displacement_of_a_driven_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
     Mutation(

@@ -57,7 +57,7 @@ class StabilityMonitor:
         """Energy above what there can be, over the largest energy put in so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
         accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2]))
-        return energy_gain / accounting.energy_put_in if energy_gain else 0.0
+        return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
     def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
         """Energy above what there can be [J]; 0 where that cannot be told."""

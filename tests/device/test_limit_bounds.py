@@ -133,25 +133,23 @@ def test_a_position_that_is_not_finite_stops_the_run(flying, speed, limit):
     assert after_one_step(flying, STEP * speed)[0] == limit
 
 
-def servo_after_one_step(displacement):
-    """As `after_one_step`, of a wall far from its force, whose speed is its `velocity_max`."""
-    motion = {"kind": "servo", "direction": [0, 0, 1], "force": 1e6, "velocity_max": displacement / STEP}
+def test_the_displacement_of_a_driven_wall_has_the_same_limits(taichi_f64):
+    """A free wall without forces keeps its velocity, which is set before each step."""
     scene = build_scene(
-        {"ball": particle_group([0.0, 0.0, 0.5])}, walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": motion}},
+        {"ball": particle_group([0.0, 0.0, 0.5])},
+        walls={"lid": plane([0, 0, 0], [0, 0, 1]) | {"motion": {"kind": "free", "direction": [0, 0, 1], "mass": 1.0}}},
         numerics={"skin": SKIN}, run={"duration": 1.0, "time_step": STEP, "velocity_max": 1.0},
     )  # fmt: skip
     simulation = Simulation(scene)
     simulation.engine.set_walls([True], [[ForceControlled()]])
-    simulation.engine.refresh()
-    rebuilds = simulation.engine.timing.rebuild_count
-    simulation.engine.advance(1)
-    found = ABORT_REASONS.get(simulation.engine.stepper.abort_code), simulation.engine.timing.rebuild_count > rebuilds
+
+    def after(displacement):
+        simulation.engine.state.wall_dynamics.velocity[0] = displacement / STEP
+        rebuilds = simulation.engine.timing.rebuild_count + 1  # that of the refresh
+        return limit_exceeded(simulation, steps=1), simulation.engine.timing.rebuild_count > rebuilds
+
+    assert after(0.5 * SKIN * (1 - NEAR)) == (None, False)
+    assert after(0.5 * SKIN * (1 + NEAR)) == (None, True)
+    assert after(SKIN * (1 - NEAR)) == (None, True)
+    assert after(SKIN * (1 + NEAR))[0] == "wall"
     simulation.free()
-    return found
-
-
-def test_the_displacement_of_a_servo_wall_has_the_same_limits(taichi_f64):
-    assert servo_after_one_step(0.5 * SKIN * (1 - NEAR)) == (None, False)
-    assert servo_after_one_step(0.5 * SKIN * (1 + NEAR)) == (None, True)
-    assert servo_after_one_step(SKIN * (1 - NEAR)) == (None, True)
-    assert servo_after_one_step(SKIN * (1 + NEAR))[0] == "wall"
