@@ -7,7 +7,7 @@ point on a wall; W: kernel, and L its mean along the branch.
     density rho = sum m W         momentum rho V = sum m v W         contact stress = sum f b L
     kinetic stress = -sum m (v - V)(v - V) W = rho V V - sum m v v W
 
-Stresses are positive in tension. See docs/fields.md for all of them.
+Stresses are positive in tension. See docs/coarse_graining.md for all of them.
 """
 
 from collections.abc import Mapping
