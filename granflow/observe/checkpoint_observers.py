@@ -13,8 +13,8 @@ ROWS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lists that grow during a run, by key, and what each of their entries holds."""
 
-LOOK = ("id", "mass", "position", "distance", "kind")
-"""Arrays of the last look of a flow meter."""
+LAST_SAMPLE = ("id", "mass", "position", "distance", "part")
+"""Arrays of the last sample of a flow meter."""
 
 
 def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
@@ -32,9 +32,9 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
     for name, template in fresh.items():
         feeds[name].mapping(template)
         due = feeds[name]["due_count"].whole(0, counts[name])
-        waiting = feeds[name]["waiting"]
-        size = waiting.value.size if isinstance(waiting.value, np.ndarray) else 0
-        waiting.distinct(size, high=due - 1)
+        queued = feeds[name]["queued"]
+        size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
+        queued.distinct(size, high=due - 1)
         feeds[name]["batch_count"].whole()
         feeds[name]["next_time"].number(0.0)
 
@@ -42,8 +42,8 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
 def _check_like(part: Part, template: Any) -> None:
     """The same keys and types as in `template`; what is empty or None there may have grown."""
     key = part.key.rsplit("/", 1)[-1]
-    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LOOK):
-        _check_look(part)
+    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LAST_SAMPLE):
+        _check_sample(part)
     elif key == "total":
         _check_sums(part)
     elif isinstance(template, dict) and template:
@@ -81,12 +81,12 @@ def _check_plain(part: Part, template: Any) -> None:
         part.text()
 
 
-def _check_look(part: Part) -> None:
-    part.mapping(LOOK)
+def _check_sample(part: Part) -> None:
+    part.mapping(LAST_SAMPLE)
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
-    part["kind"].wholes(count)
+    part["part"].wholes(count)
     for name in ("mass", "distance"):
         part[name].reals(count)
     part["position"].reals(count, 3)

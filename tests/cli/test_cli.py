@@ -31,6 +31,9 @@ def stand_ins(monkeypatch, tmp_path):
             calls.simulation = options
             self.plan = types.SimpleNamespace(warnings=calls.warnings)
 
+        def request_stop(self, error):
+            raise error
+
         def run(self, until=None):
             calls.until = until
             if calls.raises:
@@ -226,7 +229,7 @@ def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
         (out / name).touch()
     (tmp_path / "link").symlink_to(out)
     bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
-    beads = types.SimpleNamespace(insertion=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu"))
+    beads = types.SimpleNamespace(insert=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu"))
     given = {
         "start_from": empty_scene(start_from=str(tmp_path / "link")),
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),

@@ -166,7 +166,7 @@ def test_a_scene_has_its_indices_by_name():
         meter.update(snapshot)
     values = [meters[path].readings()["lacey_index"] for path in ways]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
-    assert meters["grains"].readings()["coordination_number"] == 3.0
+    assert meters["particles"].readings()["coordination_number"] == 3.0
     there = particles["position"][:, 0] <= 0.5
     volume = 4.0 / 3.0 * np.pi * (particles["radius"][there] ** 3).sum()
     expected = [there.sum(), particles["mass"][there].sum(), volume]
@@ -183,7 +183,7 @@ def test_upwards_is_against_gravity():
     particles = particles_of(
         count, position=turned, radius=radius[chosen], fixed=np.zeros(count), coordination_number=np.full(count, 4)
     )
-    meter = metric_meters(scene)["heap"]
+    meter = metric_meters(scene)["bed"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
 
