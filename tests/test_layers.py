@@ -15,6 +15,7 @@ LAYERS = (
     "snapshot",
     "regular_files",
     "visible_text",
+    "vtu_file",
     "laws",
     "walls",
     "scene",

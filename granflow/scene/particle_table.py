@@ -12,7 +12,7 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.regular_files import read_regular_text
 from granflow.scene.units import UnitError, to_si
-from granflow.walls.vtu_file import VtuError, read_vtu
+from granflow.vtu_file import VtuError, read_vtu
 
 LARGEST_FILE = 2**30
 """Bytes; some ten million particles."""

@@ -11,8 +11,8 @@ import meshio
 import numpy as np
 
 from granflow.regular_files import read_regular
+from granflow.vtu_file import VtuError, read_vtu
 from granflow.walls.obj_file import ObjError, read_obj
-from granflow.walls.vtu_file import VtuError, read_vtu
 
 LARGEST_FILE = 256 * 2**20
 """Bytes of a mesh file; reading that takes seconds."""

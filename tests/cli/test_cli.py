@@ -25,7 +25,7 @@ def stand_ins(monkeypatch, tmp_path):
     calls = types.SimpleNamespace(raises=None, judged=(), warnings=())
 
     class Simulation:
-        time = 0.25
+        time = checkpoint_time = 0.25
 
         def __init__(self, scene, **options):
             calls.simulation = options
@@ -118,6 +118,7 @@ def test_run_passes_on_what_is_asked(stand_ins, capsys):
         "threads": 2,
         "out": Path("here"),
         "progress": True,
+        "allow_long": False,
     }
     assert stand_ins.until == 1.0
     shown = capsys.readouterr().out
@@ -128,7 +129,7 @@ def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
     main(["run", "scenes/hopper.yaml"])
     assert stand_ins.simulation == {
         **{"arch": "cpu", "threads": None},
-        **{"out": Path("out/hopper"), "progress": True},
+        **{"out": Path("out/hopper"), "progress": True, "allow_long": False},
     }
 
 

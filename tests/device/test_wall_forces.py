@@ -121,7 +121,7 @@ def test_a_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
 def test_measuring_changes_nothing(taichi_f64):
     """The same bits with loads and without, for which nothing is compiled or allocated."""
     with_wall_forces = run_and_sample(standing(), 0.002)
-    simulation = Simulation(standing(loads=False, interval=0.002).model_copy(update={"expect": ()}))
+    simulation = Simulation(standing(wall_forces=False, interval=0.002).model_copy(update={"expect": ()}))
     simulation.run()
     assert simulation.engine.state.control.impulses is None
     assert simulation.snapshot().impulses == {}

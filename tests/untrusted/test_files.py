@@ -18,8 +18,8 @@ from granflow.errors import SceneError
 from granflow.regular_files import open_regular, read_regular, resolved
 from granflow.scene.particle_table import read_table
 from granflow.visible_text import visible
+from granflow.vtu_file import read_vtu
 from granflow.walls.mesh_file import MeshFileError, read_triangles
-from granflow.walls.vtu_file import read_vtu
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
 

@@ -11,7 +11,7 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.regular_files import open_regular
 from granflow.scene.units import UnitError, to_si
-from granflow.walls.vtu_file import read_vtu
+from granflow.vtu_file import read_vtu
 
 SAME_TIME = 1e-9
 """Largest difference of times, relative, at which frames of grains, walls and contacts belong together."""
