@@ -85,25 +85,10 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     @ti.func
     def pair_force(
-        constants,
-        radius_eff,
-        mass_eff,
-        inertia_eff,
-        overlap,
-        normal,
-        normal_half,
-        velocity_tangential,
-        overlap_rate_half,
-        rate,
-        arm,
-        arm_partner,
-        angular_velocity,
-        spin_partner,
-        normal_history,
-        tangential_displacement,
-        rolling_displacement,
-        dt,
-    ):
+        constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
+        overlap_rate_half, rate, arm, arm_partner, angular_velocity, spin_partner,
+        normal_history, tangential_displacement, rolling_displacement, dt
+    ):  # fmt: skip
         normal_force, viscous, normal_history_new = normal_force_of(
             constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
         )

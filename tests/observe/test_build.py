@@ -11,12 +11,12 @@ TRIANGLES = {"floor": (np.zeros((3, 3)), np.array([[0, 1, 2]]))}
 
 
 def scene_of(**output):
-    meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None, sides=None, by=None)
+    meter = SimpleNamespace(point=(0, 0, 0), normal=(0, 0, -1), radius=None, sides=None, group_by=None)
     block = {
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
         "energy_budget": False, "flow_meters": {"outlet": meter}, "fields": {}, "metrics": {}, **output,
     }  # fmt: skip
-    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), shear=None, leaving="error")
+    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), lees_edwards=None, on_exit="error")
     return SimpleNamespace(
         output=SimpleNamespace(**block), domain=domain, walls={}, measured_walls=(), flow_meter_parts=lambda name: ()
     )
@@ -41,8 +41,8 @@ def test_series_has_its_own_interval(tmp_path):
 
 def test_stage_durations_are_the_longest_possible():
     stages = [
-        SimpleNamespace(name="fill", duration=1.0, at_most=None),
-        SimpleNamespace(name="settle", duration=None, at_most=2.0),
+        SimpleNamespace(name="fill", duration=1.0, max_duration=None),
+        SimpleNamespace(name="settle", duration=None, max_duration=2.0),
     ]
     assert stage_durations(SimpleNamespace(stages=stages)) == [("fill", 1.0), ("settle", 2.0)]
     assert stage_durations(SimpleNamespace(stages=[], run=SimpleNamespace(duration=4.0))) == [("run", 4.0)]

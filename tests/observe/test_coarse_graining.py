@@ -63,7 +63,7 @@ def test_a_cell_holds_the_mean_of_the_kernel_over_it():
     grid, kernel = CoarseGrid((-1.2,) * 3, (1.3,) * 3, (5, 4, 3)), GaussianKernel(0.3, 3.0)
     found = grid.deposit(kernel, insertion, np.ones((1, 1)))[:, 0] / grid.cell_volume
     steps = (np.arange(30) + 0.5) / 30 - 0.5
-    inner = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * grid.cell
+    inner = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * grid.cell_size
     r = grid.centers()[:, None, :] + inner - insertion
     top = (np.sqrt(2.0 * np.pi) * width * erf(cutoff / np.sqrt(2.0))) ** -3
     there = (np.abs(r) < cutoff * width).all(axis=2)
@@ -117,7 +117,7 @@ def test_stress_of_a_column_at_rest_is_the_weight_above():
     grid = CoarseGrid((-0.05, -0.05, -0.1), (0.05, 0.05, 0.5), (1, 1, 600))
     kernel = GaussianKernel(radius, 3.0)
     fields = fields_from(accumulate(particles, contacts, grid, kernel))
-    weight = GRAVITY * fields["density"] * grid.cell[2] * section
+    weight = GRAVITY * fields["density"] * grid.cell_size[2] * section
     above = np.cumsum(weight[::-1])[::-1] - 0.5 * weight
     z = grid.centers()[:, 2]
     inside = z > kernel.reach
@@ -145,7 +145,7 @@ def test_velocity_and_temperature_of_uniform_shear():
     fields = fields_from(accumulate(particles, None, grid, kernel))
     # A lattice of spacing a is as good as a continuum up to exp(-2 pi^2 w^2 / a^2), and the step at the cut-off: 0.2 %.
     np.testing.assert_allclose(fields["velocity"][:, 0], rate * grid.centers()[:, 1], rtol=2e-3)
-    expected = rate**2 * (kernel.variance + grid.cell[1] ** 2 / 12.0) / 3.0
+    expected = rate**2 * (kernel.variance + grid.cell_size[1] ** 2 / 12.0) / 3.0
     np.testing.assert_allclose(fields["granular_temperature"], expected, rtol=1e-2)
     assert "contact_stress" not in fields
 
@@ -174,7 +174,7 @@ def test_fields_wrap_around_a_periodic_axis():
     kernel = GaussianKernel(0.15, 3.0)
     first = fields_from(accumulate(particles, contacts, grid, kernel))["density"].reshape(3, 4, 5)
     assert grid.cell_volume * first.sum() == pytest.approx(particles["mass"].sum(), rel=1e-12)
-    moved = particles["position"] + [grid.cell[0], 0.0, 0.0]
+    moved = particles["position"] + [grid.cell_size[0], 0.0, 0.0]
     second = fields_from(accumulate(particles | {"position": moved}, contacts, grid, kernel))["density"].reshape(
         3, 4, 5
     )
@@ -208,7 +208,7 @@ def test_frames_and_their_mean_hold_the_fields(tmp_path):
     assert set(one.cell_data) == set(FIELD_QUANTITIES)
     corners = one.points[one.cells_dict["hexahedron"]]
     np.testing.assert_allclose(corners.mean(axis=1), grid.centers(), atol=1e-12)
-    np.testing.assert_allclose(np.ptp(corners, axis=1), np.tile(grid.cell, (grid.cell_count, 1)))
+    np.testing.assert_allclose(np.ptp(corners, axis=1), np.tile(grid.cell_size, (grid.cell_count, 1)))
     first, second = (data.cell_data["momentum"][0] for data in (one, other))
     np.testing.assert_allclose(mean.cell_data["momentum"][0], 0.5 * (first + second), rtol=1e-5)
     density, velocity = (mean.cell_data[name][0] for name in ("density", "velocity"))

@@ -18,7 +18,7 @@ def requested(quantity, **bound):
     ("expectation", "sentence", "met"),
     [
         (
-            requested("mass_flow.outlet", distance=(0.1, 0.2)),
+            requested("mass_flow.outlet", between=(0.1, 0.2)),
             "mass_flow.outlet is 0.153 kg/s, as expected between 0.1 and 0.2 kg/s.",
             True,
         ),
