@@ -90,8 +90,8 @@ def cache(options: argparse.Namespace) -> int:
     """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
     from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
-    cached = clear_cache() if options.clear_cache else cache_contents()
-    done = "deleted" if options.clear_cache else "kept"
+    cached = clear_cache() if options.clear else cache_contents()
+    done = "deleted" if options.clear else "kept"
     say(f"{cache_folder()}: {cached.kernel_count} compiled kernels, {cached.size / 1e6:.1f} MB {done}.")
     say(f"{VARIABLE} names another folder.")
     return 0

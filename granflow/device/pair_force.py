@@ -93,12 +93,8 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
             constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
         )
         force = normal_force * normal
-        torque, torque_partner, tangential_displacement_new, rolling_displacement_new = (
-            0.0 * normal,
-            0.0 * normal,
-            tangential_displacement,
-            rolling_displacement,
-        )
+        torque, torque_partner = 0.0 * normal, 0.0 * normal
+        tangential_displacement_new, rolling_displacement_new = tangential_displacement, rolling_displacement
         friction_loss, rolling_loss = 0.0 * overlap, 0.0 * overlap
         if ti.static(features.rotation):
             normal_load = normal_force

@@ -16,9 +16,10 @@ SPEED_INCREASE = 1.1
 class StabilityMonitor:
     """Checks every snapshot: is the step still stable for the speeds there are, is energy conserved?
 
-    With the energy budget, the magnitude of its error must stay below LARGEST_ERROR. Without, kinetic and potential
-    energy must not exceed those at the start and of particles inserted since; what is above is taken over the same
-    scale, the largest energy put in so far. That requires a start without contacts, walls at rest and no cohesion.
+    With the energy budget, the magnitude of its error must stay below LARGEST_ERROR, in one of two moments that follow
+    each other: in a first contact little energy is put in yet. Without, kinetic and potential energy must not exceed
+    those at the start and of particles inserted since; what is above is taken over the same scale, the largest energy
+    put in so far. That requires a start without contacts, walls at rest and no cohesion.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -27,6 +28,7 @@ class StabilityMonitor:
         self._fastest = plan.velocity_max
         self._rounding = ROUNDING[plan.scene.run.precision]
         self._initial_energy = 0.0
+        self._above_since: float | None = None
         self._enabled = not plan.features.energy_budget and _conserves_energy(plan)
         self._started = False
 
@@ -41,7 +43,9 @@ class StabilityMonitor:
         """See what stands at `time` [s]: kinetic, rotational, potential energy [J], totals, largest speed [m/s]."""
         self._check_speed(time, speed)
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
-        if abs(share) > LARGEST_ERROR:
+        earlier = self._above_since
+        self._above_since = None if not abs(share) > LARGEST_ERROR else time if earlier is None else earlier
+        if earlier is not None and self._above_since is not None and time > earlier:
             self._enabled = False
             self._warn_once(
                 "energy",

@@ -13,7 +13,7 @@ ROWS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lists that grow during a run, by key, and what each of their entries holds."""
 
-LOOK = ("id", "mass", "position", "distance", "kind")
+LOOK = ("id", "mass", "position", "distance", "part")
 """Arrays of the last look of a flow meter."""
 
 
@@ -27,16 +27,16 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
 
 def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
     """Check the state of every stream by group; `counts`: particles of each group. Raises CheckpointError."""
-    feeds = Part.of(checkpoint)["insertion"]
-    feeds.mapping(fresh)
+    inserters = Part.of(checkpoint)["insertion"]
+    inserters.mapping(fresh)
     for name, template in fresh.items():
-        feeds[name].mapping(template)
-        due = feeds[name]["due_count"].whole(0, counts[name])
-        waiting = feeds[name]["waiting"]
-        size = waiting.value.size if isinstance(waiting.value, np.ndarray) else 0
-        waiting.distinct(size, high=due - 1)
-        feeds[name]["batch_count"].whole()
-        feeds[name]["next_time"].number(0.0)
+        inserters[name].mapping(template)
+        due = inserters[name]["due_count"].whole(0, counts[name])
+        queued = inserters[name]["queued"]
+        size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
+        queued.distinct(size, high=due - 1)
+        inserters[name]["batch_count"].whole()
+        inserters[name]["next_time"].number(0.0)
 
 
 def _check_like(part: Part, template: Any) -> None:
@@ -86,7 +86,7 @@ def _check_look(part: Part) -> None:
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
-    part["kind"].wholes(count)
+    part["part"].wholes(count)
     for name in ("mass", "distance"):
         part[name].reals(count)
     part["position"].reals(count, 3)

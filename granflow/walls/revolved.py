@@ -181,7 +181,7 @@ REVOLVED = ShapeKind(
         *("end_neighbor_r", "end_neighbor_z", "end_owned"),
     ),
     closest=closest_on_revolved,
-    bare_distance=revolved_distance,
+    surface_distance=revolved_distance,
     reference_closest=reference_closest_on_revolved,
     triangles=revolved_triangles,
     reach_about=revolved_reach,

@@ -21,7 +21,7 @@ class ShapeKind:
                        Distance [m] from the surface to the point and unit normal from the surface to the
                        point. Negative distances exist for `half_space` only. FAR_AWAY where the nearest
                        point is an edge that another wall answers for.
-    bare_distance      ti.func (point, parameters) -> distance of the surface alone, shared rims not
+    surface_distance   ti.func (point, parameters) -> distance of the surface alone, shared rims not
                        considered: what a list of near walls must be built from, because a point beyond a
                        rim can be above the face a moment later.
     reference_closest  numpy twin of `closest`, over points (n, 3): -> (distance (n,), normal (n, 3))
@@ -35,7 +35,7 @@ class ShapeKind:
     name: str
     parameter_names: tuple[str, ...]
     closest: Callable
-    bare_distance: Callable
+    surface_distance: Callable
     reference_closest: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     triangles: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
     reach_about: Callable[[np.ndarray, np.ndarray, np.ndarray], float]

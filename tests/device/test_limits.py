@@ -205,7 +205,7 @@ def test_spheres_that_begin_in_each_other_are_said_to(taichi_f64):
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_wall_is_named_with_its_velocity(taichi_f64, moves):
     motion = {"motion": {"kind": "translation", "velocity": [0, 0, 50.0]}} if moves else {}
-    ball = particle_group([[0.0, 0.0, 0.007]], velocity=[0.0, 0.0, 0.0 if moves else -50.0])
+    ball = particle_group([[0.0, 0.0, 0.0072]], velocity=[0.0, 0.0, 0.0 if moves else -50.0])
     message = reported(
         build_scene(
             groups(ball), walls={"piston": plane([0, 0, 0], [0, 0, 1], "steel") | motion},

@@ -5,7 +5,10 @@ import pytest
 from scene_builders import box, build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
+from granflow.device.accounting import Accounting, put_in
+from granflow.device.stability_monitor import StabilityMonitor
 from granflow.observe import every
+from granflow.plan import plan_for
 from granflow.simulation import Simulation
 
 MASS = 2500.0 * np.pi / 6 * 0.01**3
@@ -49,11 +52,37 @@ def doubled_speeds(simulation, snapshot):
 def test_energy_from_nowhere_is_warned_of(taichi_f64, energy):
     """Four times the kinetic energy is three times the energy put in more, less what is in contacts."""
     output = {"interval": 1.0, "energy": energy}
-    scene = gas(pair={"restitution": 1.0}, numerics={"max_overlap": 0.9}, output=output)
+    scene = gas(pair={"restitution": 1.0}, numerics={"max_overlap": 0.8}, output=output)
     warnings = warned(scene, doubled_speeds)
     share = float(warnings["energy"].partition("energy error is ")[2].partition("%")[0])
     assert 260.0 < share < 300.1
     assert "Lower run.time_step" in warnings["energy"]
+
+
+@pytest.mark.parametrize(("errors", "warns"), [
+    ((0.0051, 0.0051), True), ((-0.0051, -0.0051), True), ((0.0049, 0.0049), False), ((0.0051, 0.0049, 0.0051), False),
+])  # fmt: skip
+def test_an_energy_error_above_half_a_percent_in_two_rows_is_warned_of(errors, warns):
+    monitor = StabilityMonitor(
+        plan_for(
+            build_scene({"ball": particle_group([[0.0, 0.0, 0.0]])}, output={"interval": 1.0, "energy_budget": True})
+        )
+    )
+    for number, error in enumerate(errors):
+        totals = {"energy_error": error, "contact_count": 0.0}
+        for _ in range(2):  # a frame and a row of one moment count once
+            monitor.check(0.1 * number, (1.0, 0.0, 0.0), Accounting(), totals, 0.0)
+    assert ("energy" in monitor.warnings) == warns
+
+
+@pytest.mark.parametrize(("height", "put"), [(0.0, 5.0), (-3.0, 8.0), (4.0, 5.0)])
+def test_energy_put_in_is_the_largest_supply_whatever_the_origin(height, put):
+    """A sphere of 2 kg in a field of 1 m/s2 starts with 5 J, and falls or rises: 1.5 m down add 3 J, up none."""
+    for origin in (0.0, 1e3):
+        accounting = Accounting(inserted_energy=5.0 + 2.0 * origin)
+        largest = max(put_in(accounting, 2.0 * origin), put_in(accounting, 2.0 * origin + height))
+        assert largest == pytest.approx(put)
+        assert put_in(accounting, 2.0 * origin + 5.0, (2.0, -7.0)) == pytest.approx(2.0)
 
 
 def test_speeds_too_high_for_the_step_are_noticed_with_the_step_they_need(taichi_f64):
@@ -62,8 +91,8 @@ def test_speeds_too_high_for_the_step_are_noticed_with_the_step_they_need(taichi
     scene = build_scene(
         {"ball": particle_group([[0.0, 0.0, 0.9]])},
         walls={"floor": plane([0, 0, -1], [0, 0, 1])},
-        gravity=[0.0, 0.0, -1000.0],
-        run={"duration": 0.03, "velocity_max": 0.01, "time_step": step},
+        gravity=[0.0, 0.0, -100.0],
+        run={"duration": 0.02, "velocity_max": 0.01, "time_step": step},
         numerics={"skin": 0.05},
     )
     sentence = warned(scene)["speed"]

@@ -129,7 +129,7 @@ MISFITS = {
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
     FILE.replace(
         "start.csv", "../x"
-    ): "18:31: particles.beads.insert.file is ../x, but the file must lie in the scene's "
+    ): "18:32: particles.beads.insert.file is ../x, but the file must lie in the scene's "
     "folder, or below it; give its path from there.",
 }
 

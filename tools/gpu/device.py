@@ -67,7 +67,7 @@ def _gpu_bandwidth(count: int) -> dict[str, float]:
     builder = ti.FieldsBuilder()
     a, b, c = (ti.field(ti.f32) for _ in range(3))
     for field in (a, b, c):
-        builder.dense(ti.i, count).insertion(field)
+        builder.dense(ti.i, count).place(field)
     tree = builder.finalize()
 
     @ti.kernel
