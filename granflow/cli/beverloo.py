@@ -13,7 +13,7 @@ def beverloo(options: argparse.Namespace) -> int:
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
-    given = (data, options.particle_diameter, options.bulk_density, options.gravity)
+    given = (data, options.diameter, options.bulk_density, options.gravity)
     fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
     if len(set(data.opening)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))
@@ -28,10 +28,12 @@ def add_beverloo(verbs: Any) -> None:
     summary = "fit Beverloo's law of discharge to runs with several openings, or to a table"
     parser = verbs.add_parser("beverloo", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(
-        "places", metavar="OUT|FILE.csv", type=Path, nargs="+",
+        "paths", metavar="OUT|FILE.csv", type=Path, nargs="+",
         help="runs whose flow meter has the radius of the opening, or tables with the columns opening and mass_flow",
     )  # fmt: skip
-    parser.add_argument("--grain", required=True, type=quantity("length"), help="diameter of the grains, such as 5mm")
+    parser.add_argument(
+        "--diameter", required=True, type=quantity("length"), help="diameter of the particles, such as 5mm"
+    )
     parser.add_argument(
         "--bulk-density", required=True, type=quantity("density"), help="of the bed, such as '1500 kg/m3'"
     )

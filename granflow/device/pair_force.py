@@ -85,35 +85,16 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     @ti.func
     def pair_force(
-        constants,
-        radius_eff,
-        mass_eff,
-        inertia_eff,
-        overlap,
-        normal,
-        normal_half,
-        velocity_tangential,
-        overlap_rate_half,
-        rate,
-        arm,
-        arm_partner,
-        angular_velocity,
-        spin_partner,
-        normal_history,
-        tangential_displacement,
-        rolling_displacement,
-        dt,
-    ):
+        constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
+        overlap_rate_half, rate, arm, arm_partner, angular_velocity, spin_partner,
+        normal_history, tangential_displacement, rolling_displacement, dt
+    ):  # fmt: skip
         normal_force, viscous, normal_history_new = normal_force_of(
             constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
         )
         force = normal_force * normal
-        torque, torque_partner, tangential_displacement_new, rolling_displacement_new = (
-            0.0 * normal,
-            0.0 * normal,
-            tangential_displacement,
-            rolling_displacement,
-        )
+        torque, torque_partner = 0.0 * normal, 0.0 * normal
+        tangential_displacement_new, rolling_displacement_new = tangential_displacement, rolling_displacement
         friction_loss, rolling_loss = 0.0 * overlap, 0.0 * overlap
         if ti.static(features.rotation):
             normal_load = normal_force

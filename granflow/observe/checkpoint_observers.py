@@ -13,8 +13,8 @@ ROWS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lists that grow during a run, by key, and what each of their entries holds."""
 
-LAST_SAMPLE = ("id", "mass", "position", "distance", "part")
-"""Arrays of the last sample of a flow meter."""
+LOOK = ("id", "mass", "position", "distance", "part")
+"""Arrays of the last look of a flow meter."""
 
 
 def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
@@ -27,23 +27,23 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
 
 def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
     """Check the state of every stream by group; `counts`: particles of each group. Raises CheckpointError."""
-    feeds = Part.of(checkpoint)["insertion"]
-    feeds.mapping(fresh)
+    inserters = Part.of(checkpoint)["insertion"]
+    inserters.mapping(fresh)
     for name, template in fresh.items():
-        feeds[name].mapping(template)
-        due = feeds[name]["due_count"].whole(0, counts[name])
-        queued = feeds[name]["queued"]
+        inserters[name].mapping(template)
+        due = inserters[name]["due_count"].whole(0, counts[name])
+        queued = inserters[name]["queued"]
         size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
         queued.distinct(size, high=due - 1)
-        feeds[name]["batch_count"].whole()
-        feeds[name]["next_time"].number(0.0)
+        inserters[name]["batch_count"].whole()
+        inserters[name]["next_time"].number(0.0)
 
 
 def _check_like(part: Part, template: Any) -> None:
     """The same keys and types as in `template`; what is empty or None there may have grown."""
     key = part.key.rsplit("/", 1)[-1]
-    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LAST_SAMPLE):
-        _check_sample(part)
+    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LOOK):
+        _check_look(part)
     elif key == "total":
         _check_sums(part)
     elif isinstance(template, dict) and template:
@@ -81,8 +81,8 @@ def _check_plain(part: Part, template: Any) -> None:
         part.text()
 
 
-def _check_sample(part: Part) -> None:
-    part.mapping(LAST_SAMPLE)
+def _check_look(part: Part) -> None:
+    part.mapping(LOOK)
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)

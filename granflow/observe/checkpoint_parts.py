@@ -72,7 +72,7 @@ class Part:
         """The values of a list, of that length if given."""
         if not isinstance(self.value, list) or length not in (None, len(self.value)):
             raise self.unlike("a list" if length is None else f"a list of {length}")
-        return [self._within(str(metric), value) for metric, value in enumerate(self.value)]
+        return [self._within(str(index), value) for index, value in enumerate(self.value)]
 
     def number(self, low: float = -inf, high: float = inf) -> float:
         """A number in [low, high], both possibly infinite; never NaN."""

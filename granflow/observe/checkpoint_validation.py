@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 
 from granflow.observe.checkpoint import Checkpoint
-from granflow.observe.checkpoint_contacts import check_contacts
+from granflow.observe.checkpoint_neighbors import check_neighbors
 from granflow.observe.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
 from granflow.plan import Plan
 from granflow.scene import Scene
@@ -56,7 +56,7 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     _check_accounting(engine["accounting"], count, plan)
     _check_timing(engine["clocks"])
     _check_particles(engine["particles"], engine["accounting"], plan, before)
-    check_contacts(engine["neighbors"], count, plan)
+    check_neighbors(engine["neighbors"], count, plan)
     _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_energy_budget(engine["energy_budget"], plan)
 
@@ -159,14 +159,14 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
     if "fixed" in arrays:
         particles["fixed"].wholes(count, high=1)
     if "material" in arrays:
-        known = {name: metric for metric, name in enumerate(plan.materials)}
+        known = {name: index for index, name in enumerate(plan.materials)}
         expected = np.array([known.get(name, 0) for name in before.materials])[number]
         if np.any(particles["material"].wholes(count, high=plan.material_count - 1) != expected):
-            raise particles["material"].wrong("differs from the materials of the accounting")
-    _check_positions(particles, count, plan)
+            raise particles["material"].wrong("differs from the materials in accounting")
+    _check_places(particles, count, plan)
 
 
-def _check_positions(particles: Part, count: int, plan: Plan) -> None:
+def _check_places(particles: Part, count: int, plan: Plan) -> None:
     """Particles were inside the domain at the last search, and have gone no farther than the skin since."""
     place = particles["position"].reals(count, 3).astype(float)
     there = particles["position_at_rebuild"].reals(count, 3).astype(float)
@@ -179,13 +179,17 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
 
 
 def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
-    """Driven walls, unless they are others: that has a message of its own."""
-    saved = [each.text() for each in dynamics["controlled_motions"].items()]
-    if saved != [each.key for each in plan.controlled_motions]:
+    """Force-controlled walls; other walls than those of the plan have a message of their own."""
+    if [each.text() for each in dynamics["controlled_motions"].items()] != [
+        each.key for each in plan.controlled_motions
+    ]:
         return
     count = len(plan.controlled_motions)
-    vectors = ("offset", "offset_at_rebuild", "velocity", "work_on_particles", "work")
-    names = (*vectors, "was_active", "wall_force") if count else ()
+    names = (
+        ("offset", "offset_at_rebuild", "velocity", "work_on_particles", "work", "wall_force", "was_active")
+        if count
+        else ()
+    )
     dynamics.mapping(("controlled_motions", *names))
     for name in names:
         if name == "was_active":

@@ -219,7 +219,7 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
 def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
     """First and last index of every stage, the first being the last of the stage before."""
     names = [stage for _, stage, _ in history]
-    ends = [metric for metric in range(len(names)) if metric + 1 == len(names) or names[metric] != names[metric + 1]]
+    ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
     return list(pairwise([0, *ends]))
 
 

@@ -45,8 +45,8 @@ def plan_fingerprint(plan: Plan) -> dict[str, Any]:
 def mesh_digest(plan: Plan) -> str:
     """Digest of what numbers the triangles of mesh walls and says where they are; empty without any."""
     digest = hashlib.sha256(str(len(plan.walls)).encode())
-    for metric, mesh in plan.meshes.items():
-        digest.update(f"{metric} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
+    for index, mesh in plan.meshes.items():
+        digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
     return digest.hexdigest() if plan.meshes else ""
 
 
@@ -61,9 +61,9 @@ class Change:
         """Whether forces must be worked out anew before the next step: walls or pairs are others."""
         return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
 
-    def moves_stage_end(self, metric: int) -> bool:
+    def moves_stage_end(self, index: int) -> bool:
         """Whether the end of that stage has been moved."""
-        return any(each.key.startswith((f"stages.{metric}.", "run.duration")) for each in self.differences)
+        return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
 def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:

@@ -158,14 +158,14 @@ class WallFrames(Frames):
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
         wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
         point_count = 0
-        for metric, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
+        for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
             if pose is None or not pose.present:
                 continue
             points.append(pose.moved(rest_points))
             corners.append(rest_corners + point_count)
-            walls.append(np.full(len(rest_corners), metric, np.int32))
-            wall_forces.append(self._traction_and_pressure(snapshot, metric, name, len(rest_corners)))
+            walls.append(np.full(len(rest_corners), index, np.int32))
+            wall_forces.append(self._traction_and_pressure(snapshot, index, name, len(rest_corners)))
             point_count += len(rest_points)
         cell_data = {"wall": np.concatenate(walls)}
         if self._measured:
@@ -174,12 +174,12 @@ class WallFrames(Frames):
         return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
 
     def _traction_and_pressure(
-        self, snapshot: Snapshot, metric: int, name: str, count: int
+        self, snapshot: Snapshot, index: int, name: str, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Traction (count, 3) and pressure (count,) [Pa] on a wall; not numbers where its loads are not asked for."""
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
-        return traction_and_pressure(snapshot.contacts or {}, metric, self._areas[name], self._measured[name])
+        return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

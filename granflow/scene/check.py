@@ -348,7 +348,9 @@ def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
         elif wall not in measured:
             yield (
                 path,
-                Fault((), f"output.wall_forces does not ask for {wall}; write loads: true, or add it to the list"),
+                Fault(
+                    (), f"output.wall_forces does not ask for {wall}; write wall_forces: true, or add it to the list"
+                ),
             )
         elif "pressure" in quantity and isinstance(scene_parts.scene.walls.get(wall), Plane):
             yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")

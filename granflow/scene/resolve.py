@@ -28,7 +28,7 @@ ROUNDING_SHARE = 1e-9
 
 
 def resolve_scene(scene: Scene, read: bool = False) -> Scene:
-    """The scene with every count, at size 1. Raises SceneError.
+    """The scene with every count, at scale 1. Raises SceneError.
 
     `read`: have files of particles read again of which is said already what they hold, where they are there.
     """
@@ -66,18 +66,20 @@ def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
     for name, group in scene.particles.items():
         if group.insert.kind in ("positions", "file"):
             raise SceneError(
-                f"{scene.locate('scale')}: size is {scene.scale:g}, but the positions of particles.{name} are "
+                f"{scene.locate('scale')}: scale is {scene.scale:g}, but the positions of particles.{name} are "
                 f"given one "
-                "by one; leave size out."
+                "by one; leave scale out."
             )
     scaled_scene = scaled(scene, scene.scale)
     kept = tuple(each for each in scene.expect if each.any_scale)
-    prefix = f"size {scene.scale:g}"
+    prefix = f"scale {scene.scale:g}"
     times = f"{scene.scale:g} times those written, numbers and masses of particles {scene.scale**3:.4g} times"
     remarks = [f"{prefix}: lengths of the equipment are {times}; diameters, velocities and times are as written."]
     if len(kept) < len(scene.expect):
-        remarks.append(f"{prefix}: {len(scene.expect) - len(kept)} of expect were made for size 1, and are not judged.")
-    return scaled_scene.model_copy(update={"size": 1.0, "expect": kept}), remarks
+        remarks.append(
+            f"{prefix}: {len(scene.expect) - len(kept)} of expect were made for scale 1, and are not judged."
+        )
+    return scaled_scene.model_copy(update={"scale": 1.0, "expect": kept}), remarks
 
 
 def scaled(part: Any, factor: float) -> Any:

@@ -171,7 +171,7 @@ class LeesEdwards(Model):
     def faults(self) -> Iterator[Fault]:
         """Two axes."""
         if self.flow == self.gradient:
-            yield Fault(("gradient",), "velocity_along is the same axis; give another")
+            yield Fault(("gradient",), "flow is the same axis; give another")
 
 
 class Domain(Box):
@@ -182,7 +182,7 @@ class Domain(Box):
     )
     lees_edwards: LeesEdwards | None = Field(None, description="uniform shear through two periodic axes")
     on_exit: Literal["delete", "error", "expand"] = Field(
-        description="what becomes of particles whose center leaves the domain: delete (and count), error, or grow: "
+        description="what becomes of particles whose center leaves the domain: delete (and count), error, or expand: "
         "nothing, the domain grows with them"
     )
 
@@ -327,7 +327,7 @@ class ExpectationSpec(Model):
     above: AnyQuantity | None = Field(None, description="it must be above this")
     equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
     tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_scale: Flag = Field(False, description="judge it whatever the size of the scene, not only at size 1")
+    any_scale: Flag = Field(False, description="judge it whatever the size of the scene, not only at scale 1")
 
     def faults(self) -> Iterator[Fault]:
         """Exactly one comparison, with a tolerance for equals."""

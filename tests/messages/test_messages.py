@@ -124,7 +124,7 @@ OVERRIDES = [
     ("stages.5.duration=3", "stages is a list of items 0 to 2, so 5 is not in it."),
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so first is not in it."),
     (
-        "contact.normal.restitution_at=peak",
+        "contact.normal.restitution_at=max_overlap",
         "contact.normal is zhou, which has nothing inside to set; set contact.normal as a whole.",
     ),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),

@@ -147,7 +147,7 @@ def test_a_scene_has_its_indices_by_name():
     ways = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
     scene = scene_with(
         **{path: {"kind": "lacey", "cell": 0.2, "region": region, path: of} for path, of in ways.items()},
-        bed={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
+        heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
     )  # fmt: skip
     kind = np.arange(5000) % 2
@@ -178,7 +178,7 @@ def test_upwards_is_against_gravity():
     points, radius = bed(np.radians(24.0), "wedge")
     chosen = points[:, 0] < 0.3
     turned = points[chosen][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
-    scene = scene_with(bed={"kind": "repose", "surface": "plane"})
+    scene = scene_with(heap={"kind": "repose", "surface": "plane"})
     count = int(chosen.sum())
     particles = particles_of(
         count, position=turned, radius=radius[chosen], fixed=np.zeros(count), coordination_number=np.full(count, 4)

@@ -1,8 +1,8 @@
 """granflow's command line in a process that is killed at its n-th write, or whose clock is set while it runs.
 
-    python victim.py kill N VERB ...      SIGKILL before write number N; a row of the time series only half written
-    python victim.py count - VERB ...     print to stderr how many writes there are
-    python victim.py clock - VERB ...     the computer's time jumps to and fro by hours at every look
+    python fault_injection.py kill N VERB ...      SIGKILL before write number N; a row of the time series only half written
+    python fault_injection.py count - VERB ...     print to stderr how many writes there are
+    python fault_injection.py clock - VERB ...     the computer's time jumps to and fro by hours at every look
 
 Writes are: a file brought to the disk, a file given its name, a file removed or cut, a piece of the time series or of a
 PVD file.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from resume.runs import files_of
 
-FAULT_INJECTION = str(Path(__file__).with_name("victim.py"))
+FAULT_INJECTION = str(Path(__file__).with_name("fault_injection.py"))
 STARTED = 120.0
 """Seconds to wait at most until a process has written its first frame."""
 

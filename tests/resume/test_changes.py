@@ -29,7 +29,7 @@ def changed(**overrides):
         ({"walls__gate__stages": "[fill, shake]"}, "walls.gate.stages was [fill] and is [fill, shake]"),
         ({"walls__floor__motion__0__end": "1 s"}, "walls.floor.motion.0.end was left out and is 1.0"),
         ({"stages__2__duration": "1 s"}, "stages.2.duration was 0.006666666666666667 and is 1.0"),
-        ({"numerics__overlap_limit": "0.5"}, "numerics.max_overlap was 0.3 and is 0.5"),
+        ({"numerics__max_overlap": "0.5"}, "numerics.max_overlap was 0.3 and is 0.5"),
         ({"output__checkpoint__keep": "5"}, "output.checkpoint.keep was 100 and is 5"),
         ({"expect": "[{quantity: particle_count, above: 3}]"}, "expect was [] and is left out"),
     ],
@@ -54,10 +54,10 @@ def test_what_may_change(override, message):
         {"walls__gate__material": "steel"},
         {"walls__floor__point": "[0, 0, 1 mm]"},
         {"run__precision": "f32"},
-        {"domain__leaving": "error"},
+        {"domain__on_exit": "error"},
         {"stages__0__duration": "1 s"},
-        {"output__energy": "false"},
-        {"output__meters": "{}"},
+        {"output__energy_budget": "false"},
+        {"output__flow_meters": "{}"},
     ],
 )
 def test_what_may_not_change_is_named(override):

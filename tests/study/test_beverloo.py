@@ -47,7 +47,7 @@ def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
     rows = [f"{1e3 * opening!r} mm,{flow!r}" for opening, flow in zip(OPENING.tolist(), flows().tolist(), strict=True)]
     path.write_text("\n".join(["opening,mass_flow", *rows]) + "\n", encoding="utf-8")
     np.testing.assert_allclose(read_discharges([path]).opening, OPENING)
-    assert main(["beverloo", str(path), "--grain", "4mm", "--bulk-density", "1500"]) == 0
+    assert main(["beverloo", str(path), "--diameter", "4mm", "--bulk-density", "1500"]) == 0
     shown = capsys.readouterr().out
     assert "0.58 ±" in shown and "1.4 ±" in shown and "2.5 given" in shown and "2.5 ±" in shown
 

@@ -207,7 +207,7 @@ def test_the_log_tells_sessions_warnings_and_reasons(run):
     (run / "run.log").write_text("a line of nobody's\n" + LOG + AGAIN)
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
-    assert (first.began, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
+    assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
     assert (second.arch, second.resumed_from) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
     assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
         ("06", "warning"),
