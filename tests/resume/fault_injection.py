@@ -1,6 +1,6 @@
 """granflow's command line in a process that is killed at its n-th write, or whose clock is set while it runs.
 
-    python fault_injection.py kill N VERB ...      SIGKILL before write number N; a row of the time series only half written
+    python fault_injection.py kill N VERB ...      SIGKILL before write number N, a row of the time series half written
     python fault_injection.py count - VERB ...     print to stderr how many writes there are
     python fault_injection.py clock - VERB ...     the computer's time jumps to and fro by hours at every look
 
