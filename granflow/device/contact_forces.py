@@ -1,7 +1,7 @@
-"""Contact forces of one chunk of particles: walls one contact at a time, grains in batches where a CPU does the work.
+"""Contact forces on one chunk of particles: wall contacts one at a time, particle contacts in batches on a CPU.
 
-Sums are written `a[i] = a[i] + b`: Taichi makes `a[i] += b` on a field an atomic operation, which costs more than the
-whole contact law and is not needed within a chunk.
+Sums are written `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which costs more than
+the whole contact model and is not needed within a chunk.
 """
 
 from typing import Any
@@ -32,7 +32,7 @@ from granflow.device.walls import build_wall_geometry, build_wall_of
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, slot, j, pose, time_step) -> (force on i, torque on i) of one slot."""
+    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one contact."""
     plan, particles, control = state.plan, state.particles, state.control
     features, real = plan.features, state.backend.real
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
@@ -169,8 +169,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
 def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
-    Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
-    Writes:  force, torque, history, losses, impulses, push, guard
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
+    Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
     plan, particles, neighbors = state.plan, state.particles, state.neighbors
     features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
@@ -192,7 +192,7 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def particle_forces(chunk, i, pose, dt):
-        """Weight, walls, and where nothing is batched the other grains."""
+        """Weight, wall forces and, without batches, particle contact forces."""
         force = particles.mass[i] * ti.Vector(gravity, dt=real)
         torque = 0.0 * force
         if ti.static(plan.has_walls):
