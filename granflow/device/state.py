@@ -49,7 +49,7 @@ class FieldBlock:
     def together(self, count: int, *fields: Any) -> None:
         """Place fields side by side, entry by entry: whoever reads one of a particle reads the others."""
         wanted = [field for field in fields if field is not None]
-        self._builder.dense(ti.i, count).position_real(*wanted)
+        self._builder.dense(ti.i, count).place(*wanted)
         self.fields += wanted
 
     def parts(self, count: int) -> Any:
@@ -59,7 +59,7 @@ class FieldBlock:
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
         """A field [part, entry] with the entries of one part side by side; its numbers do not survive growing."""
         field = ti.field(dtype)
-        parts.dense(ti.j, length).position_real(field)
+        parts.dense(ti.j, length).place(field)
         return field
 
     def finish(self) -> None:
@@ -74,7 +74,7 @@ class FieldBlock:
 
     def _placed(self, field: Any, shape: tuple[int, ...]) -> Any:
         axes = ti.i if len(shape) == 1 else ti.ij
-        self._builder.dense(axes, shape).position_real(field)
+        self._builder.dense(axes, shape).place(field)
         self.fields.append(field)
         return field
 
