@@ -127,7 +127,7 @@ class EngineCheckpoint:
             before, now = (", ".join(each) or "none" for each in (saved["controlled_motions"], controlled_motions))
             raise GranflowError(
                 f"The force-controlled wall motions are {before} in the checkpoint and {now} in the scene. A resumed "
-                "run can change the parameters of such a motion but not add or remove one; use stages to start or end it."
+                "run can change the parameters of such a motion but not add or remove one; use stages for that."
             )
         load_wall_dynamics_state(
             self.engine.state, {name: values for name, values in saved.items() if name != "controlled_motions"}

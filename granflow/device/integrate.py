@@ -1,6 +1,6 @@
-"""Motion of one chunk of particles: the leapfrog form of velocity Verlet.
+"""Time integration of one chunk of particles: the leapfrog form of velocity Verlet.
 
-Before a step, positions and forces stand at t, velocities and spins half a step earlier:
+Before a step, positions and forces are at t, velocities and angular velocities half a step earlier:
 
     v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
 """
@@ -17,8 +17,8 @@ from granflow.device.state import State
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
 
-    Reads:   force, torque, mass, radius, fixed, position_at_search
-    Writes:  velocity, velocity_now, spin, position, search_wanted, guard
+    Reads:   force, torque, mass, radius, fixed, position_at_rebuild
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort
     """
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size

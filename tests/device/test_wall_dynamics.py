@@ -178,7 +178,7 @@ def test_a_wall_too_fast_for_a_step_stops_the_run(taichi_f64):
         update={"force": 1e4}),)})  # fmt: skip
     scene = scene.model_copy(update={"walls": dict(scene.walls) | {"piston": pulled}})
     with pytest.raises(
-        RunError, match="wall piston .* in one step of .* above the limit .* Give it more mass or damping"
+        RunError, match="wall piston .* in one step of .* above the limit .* Increase its mass or damping"
     ):
         Simulation(scene).run()
 
