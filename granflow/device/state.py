@@ -17,7 +17,7 @@ from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT, Shape
 
 CPU_STRIDE = 512
-"""Minimum number of loop iterations that Taichi assigns to a CPU thread: loops over chunks are longer by this factor."""
+"""Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
 
 CACHE_LINE = 16
 """Integers per cache line; contended counters occupy separate lines."""
@@ -27,7 +27,7 @@ WALL_BATCH = 256
 
 
 class FieldBlock:
-    """Fields that are allocated and freed together: one block for the state, as each block costs a look-up in kernels."""
+    """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
 
     def __init__(self) -> None:
         self._builder = ti.FieldsBuilder()
@@ -118,7 +118,7 @@ class Particles:
 class CellSort:
     """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ widely.
 
-    `class_order`: particles by class and cell, from `class_start` of a cell; the cells of a class begin at `first_cell`.
+    `class_order`: particles by class and cell, from `class_start` of a cell; those of a class begin at `first_cell`.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, particles: Particles) -> None:
@@ -147,7 +147,7 @@ SCAN_BLOCK = 1024
 class NeighborList:
     """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
 
-    `partner` holds the index of a particle, or -1 - wall; walls are at list_begin..list_walls_end, before the particles.
+    `partner` holds the index of a particle, or -1 - wall; walls are first, at list_begin..list_walls_end.
     A pair within a chunk is in one list, a pair across two chunks in both. `in_contact` is 1 for entries with a contact
     history. `saved` holds a copy of those entries while the particles are sorted.
     """
@@ -240,11 +240,11 @@ class Walls:
 
 
 class WallDynamicsFields:
-    """Force-controlled walls, an entry per motion: offset along its direction [m] and velocity half a step behind [m/s].
+    """Force-controlled walls, an entry per motion: offset along its direction [m], velocity [m/s] half a step behind.
 
-    `active`: 1 if the motion is active in the step that ends at a pose; `was_active`: in the previous step; `wall_force`
-    [N]: force of the particles summed by each chunk; `work_on_particles` [J]: work on the particles; `work` [J]: work of
-    all other forces on a free wall.
+    `active`: 1 if the motion is active in the step that ends at a pose; `was_active`: in the previous step;
+    `wall_force` [N]: force of the particles summed by each chunk; `work_on_particles` [J]: work on the particles;
+    `work` [J]: work of all other forces on a free wall.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan) -> None:
@@ -335,7 +335,7 @@ class State:
         return -(-self.count // self.plan.chunk_size)
 
     def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
-        """Reallocate all fields with a larger list capacity per chunk, build all kernels again, then restore the values.
+        """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
 
         `build` may launch kernels on empty ranges: the restored values overwrite their output.
         """

@@ -11,7 +11,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.barrier import build_barrier, seconds_per_look
+from granflow.device.barrier import build_barrier, seconds_per_poll
 from granflow.device.cell_grid import update_cell_grids
 from granflow.device.contact_forces import build_forces
 from granflow.device.deletion import check_coordinates
@@ -114,8 +114,8 @@ class Stepper:
         self._save_contacts(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         if state.backend.on_cpu:
-            self._seconds_per_look = seconds_per_look(state.control)
-            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_look)
+            self._seconds_per_poll = seconds_per_poll(state.control)
+            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_poll)
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, pose: int = 0) -> None:
@@ -187,7 +187,7 @@ class Stepper:
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, step: int) -> None:
-        """Rebuild neighbor lists and compute forces after step number `step`, after particles or walls were added or removed."""
+        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed."""
         self.place_walls(step)
         self.rebuild_neighbor_lists()
         self.forces(history_step=0.0)
@@ -208,8 +208,8 @@ class Stepper:
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.
 
-        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive time step, after
-        a neighbor-list rebuild, which adds candidate pairs.
+        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive time step,
+        after a neighbor-list rebuild, which adds candidate pairs.
         """
         done, rebuilds = 0, self.timing.rebuild_count
         is_adaptive = self.state.plan.adaptive_time_step is not None
@@ -284,12 +284,12 @@ class Stepper:
         self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_look)
+        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
         if not 0.8 * self._patience < spins < 1.25 * self._patience:
             state.control.patience[0] = self._patience = spins
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
-        """One launch: `steps` steps on a CPU, one on a GPU. With `moving` or `forcing` = 0, one step of the other phase only."""
+        """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
         state = self.state
         workers = 1 if state.count <= SINGLE_WORKER_PARTICLES else self._worker_tuner.next_size
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
