@@ -86,25 +86,10 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     @ti.func
     def pair_force(
-        constants,
-        radius_eff,
-        mass_eff,
-        inertia_eff,
-        overlap,
-        normal,
-        normal_half,
-        velocity_tangential,
-        overlap_rate_half,
-        rate,
-        arm,
-        arm_partner,
-        angular_velocity,
-        spin_partner,
-        normal_history,
-        tangential_displacement,
-        rolling_displacement,
-        dt,
-    ):
+        constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
+        overlap_rate_half, rate, arm, arm_partner, angular_velocity, spin_partner, normal_history,
+        tangential_displacement, rolling_displacement, dt,
+    ):  # fmt: skip
         normal_force, viscous, normal_history_new = normal_force_of(
             constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
         )
@@ -152,16 +137,9 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                 )
                 torque, torque_partner = torque + torque_rolling, torque_partner - torque_rolling
         return (
-            force,
-            torque,
-            torque_partner,
-            normal_history_new,
-            tangential_displacement_new,
-            rolling_displacement_new,
-            friction_loss,
-            rolling_loss,
-            viscous * rate * dt,
-        )
+            force, torque, torque_partner, normal_history_new, tangential_displacement_new, rolling_displacement_new,
+            friction_loss, rolling_loss, viscous * rate * dt,
+        )  # fmt: skip
 
     return pair_force
 
