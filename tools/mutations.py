@@ -167,8 +167,8 @@ MUTATIONS = (
     Mutation(
         "work of walls",
         "granflow/device/accounting.py",
-        'removed - losses["wall_work"] - sum',
-        'removed + losses["wall_work"] - sum',
+        'works = (losses["wall_work"], *',
+        'works = (-losses["wall_work"], *',
         (BOOKS,),
     ),
     Mutation(
@@ -181,44 +181,44 @@ MUTATIONS = (
     Mutation(
         "energy brought in",
         "granflow/device/accounting.py",
-        "books.removed_energy - books.brought_energy",
-        "books.removed_energy + books.brought_energy",
+        "accounting.removed_energy - accounting.inserted_energy",
+        "accounting.removed_energy + accounting.inserted_energy",
         (BOOKS,),
     ),
     # Limits on the device
     Mutation(
         "overlap limit, batched",
         "granflow/device/simd_pair_force.py",
-        "deepest = reach - plan.max_overlap * smaller",
-        "deepest = reach - 4.0 * plan.max_overlap * smaller",
+        "distance_limit = reach - plan.max_overlap * radius_min",
+        "distance_limit = reach - 4.0 * plan.max_overlap * radius_min",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
         "granflow/device/contact_forces.py",
-        "if overlap > plan.max_overlap * smaller:",
-        "if overlap > 4.0 * plan.max_overlap * smaller:",
+        "if overlap > plan.max_overlap * radius_min:",
+        "if overlap > 4.0 * plan.max_overlap * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "overlap over the larger radius",
         "granflow/device/contact_forces.py",
-        "smaller = ti.min(smaller, particles.radius[j])",
-        "smaller = ti.max(smaller, particles.radius[j])",
+        "radius_min = ti.min(radius_min, particles.radius[j])",
+        "radius_min = ti.max(radius_min, particles.radius[j])",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "rebuild after a whole skin",
         "granflow/device/integrate.py",
-        "near, far = (0.5 * plan.skin) ** 2",
-        "near, far = plan.skin ** 2",
+        "rebuild_limit, step_limit = (0.5 * plan.skin) ** 2",
+        "rebuild_limit, step_limit = plan.skin ** 2",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
         "displacement of a driven wall",
         "granflow/device/wall_dynamics.py",
-        "if not way <= far:",
-        "if not way <= 2.0 * far:",
+        "if not step_displacement <= step_limit:",
+        "if not step_displacement <= 2.0 * step_limit:",
         (f"{LIMITS}test_the_displacement_of_a_driven_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
@@ -275,8 +275,8 @@ MUTATIONS = (
     Mutation(
         "image below",
         "granflow/device/periodic_box.py",
-        "ti.select(between[axis] < -half, width",
-        "ti.select(between[axis] < -width, width",
+        "ti.select(branch[axis] < -half, width",
+        "ti.select(branch[axis] < -width, width",
         (f"{PERIODIC}test_rows_hold_exactly_the_near_pairs_of_nearest_images",),
     ),
     Mutation(

@@ -12,7 +12,7 @@ from granflow.device.contact_history import build_end_contact, build_read_histor
 from granflow.device.limits import ABORT_OVERLAP
 from granflow.device.mesh_contact_history import (
     CONTACT_ORDER,
-    build_claim_history,
+    build_acquire_history,
     build_release_history,
     transfers_history,
 )
@@ -39,8 +39,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
     add_boundary_work = build_boundary_work(state)
     wall_of, transfers = build_wall_of(state), with_wall and transfers_history(state)
-    release_history, claim_history = (
-        (build_release_history(state), build_claim_history(state)) if transfers else (None, None)
+    release_history, acquire_history = (
+        (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
     pair_force, read_history, write_history, end_contact = (
         build_pair_force(plan, False),
@@ -54,7 +54,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def partner_spin(i, j, pose):
+    def angular_velocity_of_partner(i, j, pose):
         angular_velocity = 0.0 * particles.velocity[i]
         if ti.static(features.rotation and not with_wall):
             angular_velocity = particles.angular_velocity[j]
@@ -63,7 +63,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         return angular_velocity
 
     @ti.func
-    def own_angular_velocity(i):
+    def angular_velocity_of(i):
         angular_velocity = 0.0 * particles.velocity[i]
         if ti.static(features.rotation):
             angular_velocity = particles.angular_velocity[i]
@@ -119,7 +119,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if overlap > 0.0:
             check_overlap(i, j, overlap)
             if ti.static(transfers):
-                claim_history(i, list_index, j, pose)
+                acquire_history(i, list_index, j, pose)
             normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
             (
                 force,
@@ -144,8 +144,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
                 rate,
                 arm,
                 arm_partner,
-                own_angular_velocity(i),
-                partner_spin(i, j, pose),
+                angular_velocity_of(i),
+                angular_velocity_of_partner(i, j, pose),
                 normal_history,
                 tangential_displacement,
                 rolling_displacement,

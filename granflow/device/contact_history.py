@@ -7,7 +7,7 @@ import taichi as ti
 from granflow.device.state import State
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
-"""State of a neighbor-list entry: no contact; in contact; or history that another entry may claim in this step."""
+"""State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
 
 
 def build_read_history(state: State) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.limits import GUARD_FAR
+from granflow.device.limits import ABORT_FAR
 from granflow.device.state import State
 from granflow.plan.capacities import BOUNDS
 from granflow.plan.outlets import PlannedOutlet
@@ -23,7 +23,7 @@ def check_coordinates(state: State) -> None:
     if max(float(np.abs(corner).max()) for corner in corners) <= state.plan.coordinate_limit:
         return
     position = np.nan_to_num(np.abs(state.particles.position.to_numpy()[: state.count]), nan=0.0)
-    state.control.abort[0] = GUARD_FAR
+    state.control.abort[0] = ABORT_FAR
     state.control.abort_particle[0] = int(state.particles.id[int(position.max(axis=1).argmax())])
 
 

@@ -7,7 +7,7 @@ from granflow.plan import Plan
 from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
 
-ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, GUARD_FAR = 1, 2, 3, 4, 5, 6
+ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = 1, 2, 3, 4, 5, 6
 """Codes: a displacement per step above the limit, a position that is not finite, an overlap above the limit, a particle
 outside a domain with `on_exit: error` (set by the host), a force-controlled wall above its displacement limit, and a
 particle so far from the origin that the precision does not resolve its position (set by the host)."""
@@ -18,7 +18,7 @@ ABORT_REASONS = {
     ABORT_OVERLAP: "overlap",
     ABORT_LEFT_DOMAIN: "left_domain",
     ABORT_WALL: "wall",
-    GUARD_FAR: "far",
+    ABORT_FAR: "far",
 }
 
 NO_PARTICLE = 2**31 - 1

@@ -1,7 +1,7 @@
 """Transfers the contact history if a contact slides from one triangle of a mesh to the next.
 
-The wall entries of a particle are evaluated in three passes: existing contacts; then new contacts, which may claim the
-history that a contact of the first pass released; then the released entries, whose unclaimed history is cleared.
+The wall entries of a particle are evaluated in three passes: existing contacts; then new contacts, which may acquire
+the history that a contact of the first pass released; then the released entries, whose remaining history is cleared.
 """
 
 from typing import Any
@@ -46,8 +46,8 @@ def build_release_history(state: State) -> Any:
     return release_history
 
 
-def build_claim_history(state: State) -> Any:
-    """Device function (i, list index, j, pose): a new contact claims the nearest released history on its wall.
+def build_acquire_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): a new contact acquires the nearest released history on its wall.
 
     Reads:   position, neighbor lists, mesh
     Writes:  history, in_contact
@@ -68,7 +68,7 @@ def build_claim_history(state: State) -> Any:
         return found
 
     @ti.func
-    def claim_history(i, list_index, j, pose):
+    def acquire_history(i, list_index, j, pose):
         t = triangle_of(j)
         if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
             source = released_near(i, t, pose)
@@ -78,7 +78,7 @@ def build_claim_history(state: State) -> Any:
                     neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
                 neighbors.in_contact[source] = NO_CONTACT
 
-    return claim_history
+    return acquire_history
 
 
 def _build_separation(state: State) -> Any:

@@ -87,7 +87,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     @ti.func
     def pair_force(
         constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
-        overlap_rate_half, rate, arm, arm_partner, angular_velocity, spin_partner, normal_history,
+        overlap_rate_half, rate, arm, arm_partner, angular_velocity, angular_velocity_partner, normal_history,
         tangential_displacement, rolling_displacement, dt,
     ):  # fmt: skip
         normal_force, viscous, normal_history_new = normal_force_of(
@@ -108,7 +108,10 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
             stiffness = law.tangential_stiffness(constants, radius_eff, overlap, normal_history_new)
             ratio = stiffness_ratio(overlap, overlap_rate_half, dt)
             if ti.static(features.friction):
-                slip = dt * (velocity_tangential - (arm * angular_velocity + arm_partner * spin_partner).cross(normal))
+                slip = dt * (
+                    velocity_tangential
+                    - (arm * angular_velocity + arm_partner * angular_velocity_partner).cross(normal)
+                )
                 rotated = rotated_displacement(tangential_displacement, normal, normal_half)
                 friction_limit = constants[friction_index] * normal_load
                 tangential, tangential_displacement_new = elastic_plastic_spring(
@@ -131,7 +134,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                     inertia_eff,
                     normal,
                     normal_half,
-                    angular_velocity - spin_partner,
+                    angular_velocity - angular_velocity_partner,
                     rolling_displacement,
                     dt,
                 )

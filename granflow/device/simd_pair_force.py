@@ -148,7 +148,7 @@ def _build_gather(state: State) -> Any:
             batch.mass_partner[worker, entry] = contact_mass(j)
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
-                store_vector(batch.spin_partner, worker, entry, particles.angular_velocity[j])
+                store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
             normal_history, tangential_displacement, rolling_displacement = read(list_index)
             number = pair_number(i, j)
             if ti.static(has_prepare):
@@ -220,9 +220,9 @@ def _build_evaluate(state: State) -> Any:
                 worker, entry, dt
             )
             radius_eff, mass_eff, inertia_eff = effective(worker, entry)
-            angular_velocity, spin_partner = (
+            angular_velocity, angular_velocity_partner = (
                 load_vector(batch.angular_velocity, worker, entry, 3),
-                load_vector(batch.spin_partner, worker, entry, 3),
+                load_vector(batch.angular_velocity_partner, worker, entry, 3),
             )
             normal_history, tangential_displacement = (
                 load_vector(batch.normal_history, worker, entry, size),
@@ -253,7 +253,7 @@ def _build_evaluate(state: State) -> Any:
                 arm,
                 arm_partner,
                 angular_velocity,
-                spin_partner,
+                angular_velocity_partner,
                 normal_history,
                 tangential_displacement,
                 rolling_displacement,
@@ -261,7 +261,7 @@ def _build_evaluate(state: State) -> Any:
             )
             store_vector(batch.branch, worker, entry, force)
             store_vector(batch.angular_velocity, worker, entry, torque)
-            store_vector(batch.spin_partner, worker, entry, torque_partner)
+            store_vector(batch.angular_velocity_partner, worker, entry, torque_partner)
             store_vector(batch.normal_history, worker, entry, normal_history)
             store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
             store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
@@ -316,7 +316,7 @@ def _build_scatter(state: State) -> Any:
             if j >= first and j < last:
                 particles.force[j] = particles.force[j] - force
                 if ti.static(features.rotation):
-                    particles.torque[j] = particles.torque[j] + vector_of(batch.spin_partner, worker, entry)
+                    particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, i, j, entry)

@@ -196,7 +196,10 @@ class PairBatch:
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
         self.branch, self.velocity_rel_half = columns(3), columns(3)
         self.velocity_rel = columns(3 * features.rate_dependent)
-        self.angular_velocity, self.spin_partner = columns(3 * features.rotation), columns(3 * features.rotation)
+        self.angular_velocity, self.angular_velocity_partner = (
+            columns(3 * features.rotation),
+            columns(3 * features.rotation),
+        )
         self.normal_history = columns(plan.history.get("normal", 0))
         self.tangential_displacement, self.rolling_displacement = (
             columns(plan.history.get("tangential", 0)),

@@ -48,7 +48,7 @@ def build_wall_dynamics(state: State) -> Any:
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
     controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
-    rebuild_limit, farthest = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
+    rebuild_limit, step_limit = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
 
     @ti.func
     def controlled_velocity(r: ti.template(), force_on_wall, dt):
@@ -79,14 +79,14 @@ def build_wall_dynamics(state: State) -> Any:
             )
 
     @ti.func
-    def ways_of(wall: ti.template(), dt):
+    def displacements_of(wall: ti.template(), dt):
         """Largest displacement since the rebuild, and in this step [m]."""
-        displacement, step_way = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         for r in ti.static(range(len(controlled_motions))):
             if ti.static(controlled_motions[r].wall == wall):
                 displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
-                step_way += ti.abs(dt * fields.velocity[r])
-        return displacement, step_way
+                step_displacement += ti.abs(dt * fields.velocity[r])
+        return displacement, step_displacement
 
     @ti.func
     def move_walls(chunks, pose, dt_real):
@@ -102,10 +102,10 @@ def build_wall_dynamics(state: State) -> Any:
             fields.was_active[r] = fields.active[pose, r]
             fields.offset[r] = fields.offset[r] + dt * velocity
         for r in ti.static(range(len(controlled_motions))):
-            displacement, step_way = ways_of(controlled_motions[r].wall, dt)
+            displacement, step_displacement = displacements_of(controlled_motions[r].wall, dt)
             if not displacement <= rebuild_limit:
                 control.rebuild_requested[0] = 1
-            if not step_way <= farthest:
+            if not step_displacement <= step_limit:
                 ti.atomic_max(control.abort[0], ABORT_WALL)
 
     return move_walls

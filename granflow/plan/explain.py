@@ -38,7 +38,7 @@ def explain(plan: Plan) -> str:
     width = plan.scene.run.precision
     memory = estimate_memory(plan, width)
     sections = {
-        "Features: what is computed, and why": [_feature_row(reason) for reason in plan.reasons],
+        "Features": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
@@ -137,7 +137,7 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     )
     yield ExplainRow("contacts", size(memory.neighbor_lists), f"{near_text}, increased if necessary")
     yield ExplainRow("one contact", size(memory.per_neighbor), f"stores {_history_text(plan)}")
-    yield ExplainRow("search cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
+    yield ExplainRow("cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
     if memory.meshes:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield ExplainRow("total", size(memory.total), "")

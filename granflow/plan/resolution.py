@@ -34,7 +34,9 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     if farthest <= coordinate_limit(precision, radius_min):
         return
-    better = "Use --precision mixed, or move" if precision == "f32" and _mixed_serves(farthest, radius_min) else "Move"
+    better = (
+        "Use --precision mixed, or move" if precision == "f32" and _mixed_resolves(farthest, radius_min) else "Move"
+    )
     key = ("run", "precision") if scene.is_given("run", "precision") else ("domain",)
     raise SceneError(
         f"{scene.locate(*key)}: run.precision is {precision}, but it resolves positions only to "
@@ -44,5 +46,5 @@ def refuse_coarse(scene: Scene, radius_min: float) -> None:
     )
 
 
-def _mixed_serves(farthest: float, radius_min: float) -> bool:
+def _mixed_resolves(farthest: float, radius_min: float) -> bool:
     return farthest <= coordinate_limit("mixed", radius_min)

@@ -34,11 +34,11 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
     _refuse_no_step(plan)
     steps = duration_of(plan) / plan.time_step
     if steps > CLOCK_STEPS:
-        raise SceneError(f"{_what(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves.")
+        raise SceneError(f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves.")
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
         raise SceneError(
-            f"{_what(plan, duration_of(plan) / plan.longest_time_step)} and {_writes(plan):.3g} frames, rows and "
+            f"{_steps_text(plan, duration_of(plan) / plan.longest_time_step)} and {_writes(plan):.3g} frames, rows and "
             f"checkpoints for {plan.particle_capacity} particles: {_in_years(seconds)} of wall-clock time at least. "
             f"Check the units of durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
         )
@@ -83,7 +83,7 @@ def _rounded_up(step: float) -> float:
     return float(f"{1.05 * step:.2g}")
 
 
-def _what(plan: Plan, steps: float) -> str:
+def _steps_text(plan: Plan, steps: float) -> str:
     """Location and number of the steps, and the reason for their length."""
     scene = plan.scene
     given = not isinstance(scene.run.time_step, str)

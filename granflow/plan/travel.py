@@ -19,7 +19,7 @@ so that the overlap limit stops the run. Two particles pass each other only with
 Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default L = 0.1.
 """
 
-SPARE = 0.9
+STEP_MARGIN = 0.9
 """Time step that a message suggests, relative to the limit."""
 
 
@@ -33,23 +33,23 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
         if speed * step > limit:
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
-            what = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+            statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
+            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float) -> None:
     """Raise SceneError if a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
     for name, speed in speeds.items():
         if speed * step > limit:
-            what = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
-            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+            statement = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
     """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s]."""
     if speed * step > limit:
-        what = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
-        raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+        statement = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
+        raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
@@ -65,8 +65,8 @@ def share_of(limit: float, radius_min: float) -> str:
     return f"{limit / radius_min:.2g} of the smallest radius {radius_min:.3g} m"
 
 
-def remedy(scene: Scene, speed: float, to_plan_for: float, limit: float) -> str:
+def remedy(scene: Scene, speed: float, planned_speed: float, limit: float) -> str:
     """Remedy for a displacement per step above the limit [m]: a shorter given step, or a higher planned velocity."""
     if isinstance(scene.run.time_step, str):
-        return f"Set run.velocity_max to {to_plan_for:.3g} m/s, or lower the speed."
-    return f"Lower run.time_step to {SPARE * limit / speed:.2g} s, or lower the speed."
+        return f"Set run.velocity_max to {planned_speed:.3g} m/s, or lower the speed."
+    return f"Lower run.time_step to {STEP_MARGIN * limit / speed:.2g} s, or lower the speed."
