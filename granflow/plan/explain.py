@@ -131,11 +131,11 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     list_entries, particles = plan.chunk_capacity * plan.list_capacity_per_chunk, plan.particle_capacity
     each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
-    near_text = (
+    list_text = (
         f"{size(memory.neighbor_lists / particles)} per particle: capacity for "
         f"{list_entries / particles:.3g} candidate pairs"
     )
-    yield ExplainRow("contacts", size(memory.neighbor_lists), f"{near_text}, increased if necessary")
+    yield ExplainRow("contacts", size(memory.neighbor_lists), f"{list_text}, increased if necessary")
     yield ExplainRow("one contact", size(memory.per_neighbor), f"stores {_history_text(plan)}")
     yield ExplainRow("cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
     if memory.meshes:

@@ -93,8 +93,8 @@ def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
         share = _size(mesh) / smallest
-        what = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
-        raise MeshFileError(f"{what}: increase scale, which is {wall.scale:g} now")
+        statement = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+        raise MeshFileError(f"{statement}: increase scale, which is {wall.scale:g} now")
     if share > REFUSED_SIZE_RATIO:
         raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 
@@ -116,7 +116,7 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
     """Notes for the user on a mesh wall; `smallest`: diameter [m] of the smallest particle."""
     x, y, z = mesh.size
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
-    for count, what, warning in (
+    for count, text, warning in (
         (mesh.quad_count, "quadrilateral{} split into triangles", False),
         (mesh.divided_count, "triangle{} split at vertices of others on their edges", False),
         (mesh.adjacency.open_count, "open edge{}: not watertight, which is valid for a hopper or a plate", False),
@@ -125,7 +125,7 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
         (mesh.duplicate_count, "duplicate triangle{} removed", True),
     ):
         if count:
-            yield MeshNote(name, f"{count} {what.format('s' if count > 1 else '')}", warning)
+            yield MeshNote(name, f"{count} {text.format('s' if count > 1 else '')}", warning)
     suspicion = _suspicion(scene, name, mesh, smallest)
     if suspicion:
         yield MeshNote(name, suspicion, True)

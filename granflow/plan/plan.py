@@ -125,8 +125,8 @@ class Plan:
     def history(self) -> dict[str, int]:
         """Contact history: name of the field -> number of components."""
         sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
-        remembered = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
-        sizes["rolling"] = 3 * (self.features.rolling in remembered)
+        saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
+        sizes["rolling"] = 3 * (self.features.rolling in saved_models)
         return {name: size for name, size in sizes.items() if size}
 
     @property
