@@ -146,8 +146,8 @@ MUTATIONS = (
     Mutation(
         "checksum ignored",
         "granflow/observe/checkpoint.py",
-        "if _checksum(file) != file.read():",
-        "if not file.read():",
+        "if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
+        "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         (f"{CHECKPOINT}test_every_bit_counts",),
     ),
     Mutation(
@@ -253,8 +253,8 @@ MUTATIONS = (
     Mutation(
         "work of the spring",
         "granflow/laws/mindlin.py",
-        "0.5 * (before * carried - force)",
-        "0.5 * (before * carried + force)",
+        "0.5 * (stiffness_before * rotated - force)",
+        "0.5 * (stiffness_before * rotated + force)",
         (f"{SPRINGS}test_spring_of_a_steady_contact_that_sticks_loses_nothing",),
     ),
     Mutation(
