@@ -24,7 +24,7 @@ LIMITS = "tests/device/test_limit_bounds.py::"
 OVERLAP = f"{LIMITS}test_the_overlap_limit_holds_for_each_kind_of_contact"
 WALL_TIME = "tests/device/test_wall_velocity_time.py"
 SPRINGS = "tests/laws/test_springs.py::"
-LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_twin"
+LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_reference"
 PERIODIC = "tests/device/test_periodic.py::"
 SHAPES = "tests/walls/test_shapes.py::test_known_by_hand"
 
