@@ -1,1 +1,1 @@
-"""Everything that runs on the device; Taichi begins here."""
+"""Taichi code: fields, kernels and everything that runs on the device."""

@@ -1,4 +1,4 @@
-"""What is counted on the host: who came, who left, and the energy they brought or took."""
+"""Accounting on the host: inserted and deleted particles with their energies, and the energy budget."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -13,12 +13,15 @@ LARGEST_ERROR = 5e-3
 """Magnitude of the energy error above which a run warns."""
 
 ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
-"""Rounding of the energy budget over the potential energies in it, by precision: of masses, in f32 of positions too."""
+"""Rounding error of the energy budget, relative to its potential energies, by precision.
+
+It results from the masses; in f32 also from the positions.
+"""
 
 
 @dataclass
 class Accounting:
-    """Counts since the start, and facts about every particle by its id."""
+    """Counts since the start, and `material` and `group` of every particle by its id."""
 
     inserted_count: int = 0
     deleted_count: int = 0
@@ -27,11 +30,11 @@ class Accounting:
     removed_energy: float = 0.0
     removed_kinetic_energy: float = 0.0
     energy_put_in: float = 0.0
-    """Largest energy [J] put in so far, of all snapshots; see `put_in`."""
+    """Largest energy input [J] of all snapshots so far; see `put_in`."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
-    """Count and mass [kg] of what every outlet took."""
+    """Count and mass [kg] of the particles deleted by each outlet."""
     queued_count: int | None = None
-    """Particles that wait for room to come in; None where none come in."""
+    """Particles queued for insertion; None without insertion."""
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
 
@@ -44,9 +47,10 @@ class Accounting:
 
 
 def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
-    """Kinetic, rotational and gravitational energy [J] of particles; fixed ones have none.
+    """Kinetic, rotational and gravitational energy [J] of the particles; a fixed particle contributes none.
 
-    `arrays`: mass (n,), radius (n,), position (n, 3), velocity (n, 3) and, if they turn, spin (n, 3).
+    `arrays`: mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
+    angular_velocity (n, 3) [rad/s].
     """
     mass = arrays["mass"].astype(float) * mobility_mask(arrays)
     kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
@@ -58,12 +62,12 @@ def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tup
 
 
 def put_in(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
-    """Energy [J] that gravity, initial motion, insertion, walls and images have put in.
+    """Energy [J] put in by gravity, initial motion, insertion, walls and periodic images.
 
         E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
 
-    with the mechanical energy of inserted particles, the potential energies of particles now and of those deleted, and
-    the works of walls and of images of a sheared box. It does not depend on the origin of the potential.
+    with the mechanical energy of inserted particles, the potential energies of present and of deleted particles, and
+    the work of the walls and of the images of a sheared box. It does not depend on the origin of the potential.
     """
     given = accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
     return max(given, 0.0) + sum(max(work, 0.0) for work in works)
@@ -77,8 +81,9 @@ def energy_budget_totals(
         residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
         energy_error = residual / max(E_in over all snapshots so far, rounding / LARGEST_ERROR)
 
-    The largest E_in, not the present one: a bouncing sphere at its highest point has given all of it back. Where less
-    is put in than rounding of the potential energies blurs, that is the scale, so that rounding is no error.
+    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest point has
+    returned all of it. If E_in is below the rounding error of the potential energies, the rounding error is the scale,
+    so that rounding does not count as an energy error.
     """
     assert state.control.losses is not None
     losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""The only place that starts Taichi: architecture, precision, threads. Once per process."""
+"""Starts Taichi with architecture, precision and threads, once per process. No other module does."""
 
 import atexit
 import logging
@@ -23,9 +23,10 @@ Precision = Literal["f64", "f32", "mixed"]
 
 @dataclass(frozen=True)
 class Backend:
-    """What was started. `real` is the type of forces and velocities, `position_real` that of positions.
+    """The settings that Taichi runs with.
 
-    `threads`: CPU threads requested; `worker_count`: CPU threads that take part in a loop.
+    `real`: type of forces and velocities; `position_real`: type of positions. `threads`: requested CPU threads;
+    `worker_count`: CPU threads that take part in a loop.
     """
 
     arch: str
@@ -37,7 +38,7 @@ class Backend:
 
     @property
     def on_cpu(self) -> bool:
-        """True where kernels run on the host's own cores."""
+        """True if kernels run on the cores of the host."""
         return self.arch == "cpu"
 
 
@@ -45,17 +46,17 @@ _started: Backend | None = None
 
 
 def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
-    """Start Taichi, or return what runs already if it is the same.
+    """Start Taichi, or return the running backend if its settings are the same.
 
-    Raises GranflowError where the architecture is absent or lacks float64, or where this process has already
-    started with other settings (a second start would invalidate every field).
+    Raises GranflowError if the architecture is absent or lacks float64, or if this process has started Taichi with
+    other settings (a second start would invalidate every field).
     """
     global _started
     if _started is not None:
         _refuse_change(_started, arch, precision, threads)
         return _started
     wanted = getattr(ti, arch)
-    ti.set_logging_level(ti.ERROR)  # looking for a device that is not there is no matter for warnings
+    ti.set_logging_level(ti.ERROR)  # the search for an absent device is no reason for a warning
     if not _available(arch):
         raise GranflowError(
             f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."
@@ -71,7 +72,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
-    with redirect_stdout(StringIO()):  # Taichi announces itself with a bare print
+    with redirect_stdout(StringIO()):  # Taichi prints its version
         ti.init(
             arch=wanted,
             default_fp=real,
@@ -88,15 +89,15 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
 
 
 def _end_in(folder: Path) -> None:
-    """End Taichi, which writes its kernels then, and delete them."""
+    """Stop Taichi, which then writes its kernel cache, and delete the temporary folder."""
     ti.reset()
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def _position_in_source(context: Any, node: Any) -> str:
-    """File and line of a node, for messages, in place of Taichi's own.
+    """File and line of a syntax tree node for error messages; replaces the function of Taichi.
 
-    Taichi draws the source line wrapped and underlined for every node of every kernel, needed or not: 0.5 s a start.
+    The function of Taichi formats the source line of every node of every kernel, needed or not: 0.5 s per start.
     """
     line = f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
     return line + context.src[node.lineno - 1] + "\n"
@@ -111,7 +112,7 @@ def _available(arch: Arch) -> bool:
 
 
 def _arch_name(requested: Arch) -> str:
-    """Name of the architecture that really runs: Taichi falls back to the CPU without an exception."""
+    """Name of the architecture in use. Taichi falls back to the CPU without an exception."""
     running = ti.lang.impl.current_cfg().arch
     for name in ("cuda", "vulkan", "metal"):
         if running == getattr(ti, name):
@@ -129,5 +130,5 @@ def _refuse_change(running: Backend, arch: Arch, precision: Precision, threads: 
         return
     raise GranflowError(
         f"Taichi already runs in this process on {running.arch} with {running.precision}; "
-        f"start {arch} with {precision} in a process of its own."
+        f"start {arch} with {precision} in a separate process."
     )

@@ -1,8 +1,8 @@
-"""A barrier that a worker can leave: no launch blocks on a core that other work has taken.
+"""A barrier that a worker can leave: no launch blocks on a core that another process uses.
 
-A worker that waits longer than `control.patience` looks leaves the launch; the others continue without it. The
-operating system then has a free core for the worker that was interrupted. A worker that has left returns with the
-next launch. Because workers can leave, a launch also ends if Taichi's pool has fewer threads than workers.
+A worker that polls the barrier more than `control.patience` times leaves the launch; the others continue without it.
+The operating system then has a free core for the interrupted worker. A worker that has left returns with the next
+launch. Because workers can leave, a launch also ends if the thread pool of Taichi has fewer threads than workers.
 """
 
 import time
@@ -14,17 +14,17 @@ from granflow.device.state import CACHE_LINE, CPU_STRIDE, Control
 
 ARRIVAL_BITS = 16
 LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1
-"""The counter of one barrier holds arrivals in its low bits and leavers above them: one atomic operation decides
-whether a worker leaves before or after the last arrival."""
+"""The counter of a barrier holds the arrivals in its low bits and the departures above them: one atomic operation
+decides whether a worker leaves before or after the last arrival."""
 
-CALIBRATION_LOOKS = 2_000
+CALIBRATION_POLLS = 2_000
 
 
 def build_barrier(control: Control) -> tuple[Any, Any, Any]:
     """Device functions (barrier number): arrive, which returns 1 for the last worker; release; wait.
 
     The last worker calls `release`; the others call `wait`, which returns 1 if the worker must leave the launch.
-    Barriers are numbered from 1. Two counters alternate, so that a late attempt to leave never reaches the next one.
+    Barriers are numbered from 1. Two counters alternate, so that a late departure never changes the next barrier.
 
     Reads:  patience
     Writes: arrived, released, worker_count
@@ -49,10 +49,10 @@ def build_barrier(control: Control) -> tuple[Any, Any, Any]:
 
     @ti.func
     def wait(number):
-        looks, left = 0, 0
+        polls, left = 0, 0
         while left == 0 and ti.atomic_add(control.released[CACHE_LINE], 0) < number:
-            looks += 1
-            if looks == control.patience[0]:
+            polls += 1
+            if polls == control.patience[0]:
                 before = ti.atomic_add(control.arrived[counter(number)], LEAVE)
                 left = ti.cast((before & ARRIVALS) < control.worker_count[0], ti.i32)
         return left
@@ -60,22 +60,22 @@ def build_barrier(control: Control) -> tuple[Any, Any, Any]:
     return arrive, release, wait
 
 
-def seconds_per_look(control: Control) -> float:
-    """Wall seconds of one look at the barrier by a worker that waits: the shortest of three measurements."""
+def seconds_per_poll(control: Control) -> float:
+    """Wall-clock time [s] of one poll of the barrier by a waiting worker: the shortest of three measurements."""
 
     @ti.kernel
-    def look(looks: ti.i32):
+    def poll(polls: ti.i32):
         for task in range(CPU_STRIDE):
             if task == 0:
-                look_count = 0
-                while look_count < looks and ti.atomic_add(control.released[CACHE_LINE], 0) < looks:
-                    look_count += 1
+                poll_count = 0
+                while poll_count < polls and ti.atomic_add(control.released[CACHE_LINE], 0) < polls:
+                    poll_count += 1
 
     control.released[CACHE_LINE] = 0
-    look(0)
+    poll(0)
     seconds = []
     for _ in range(3):
         began = time.perf_counter()
-        look(CALIBRATION_LOOKS)
+        poll(CALIBRATION_POLLS)
         seconds.append(time.perf_counter() - began)
-    return min(seconds) / CALIBRATION_LOOKS
+    return min(seconds) / CALIBRATION_POLLS

@@ -1,7 +1,7 @@
-"""Search cells over the particles that are there.
+"""Cell grid over the particles.
 
-Cells lie in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is a compact lump and few pairs cross
-chunks.
+Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is compact and few pairs connect
+two chunks.
 """
 
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from granflow.plan.plan import BLOCK_CELLS
 BLOCK_SIDE = 8
 
 OUTLIER_SHARE = 1 / 16
-"""Share of the parts of the particles whose farthest may stand off the grid at each end, where it has to."""
+"""Share of the parts of the particle list that may be outside the grid at each end; see `_grid_for_particles`."""
 
 VOLUME_RATIO = 1 / 2
-"""Share of their volume that cells must shrink to for stragglers to be left out."""
+"""Ratio of cell volumes below which the grid excludes outliers."""
 
 
 @dataclass(frozen=True)
 class CellGrid:
-    """Cells along each axis, their sides (3,) [m] and the low corner (3,) [m] of all of them."""
+    """Number of cells along each axis, cell sides (3,) [m] and the low corner (3,) [m] of the grid."""
 
     low: np.ndarray
     side: np.ndarray
@@ -34,21 +34,21 @@ class CellGrid:
 
     @property
     def blocks(self) -> tuple[int, ...]:
-        """Blocks along each axis."""
+        """Number of blocks along each axis."""
         return tuple(-(-cells // BLOCK_SIDE) for cells in self.cells)
 
     @property
     def cell_count(self) -> int:
-        """Cells in all blocks."""
+        """Number of cells in all blocks."""
         return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
 
     @classmethod
     def over(
         cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int, periodic: Sequence[int] = ()
     ) -> "CellGrid":
-        """Smallest grid of cells at least `side` wide over a box, made coarser until it has few enough cells.
+        """Smallest grid of cells at least `side` [m] wide over a box, coarsened to at most `cell_limit` cells.
 
-        Along periodic axes cells are as wide as fill the box exactly, elsewhere as wide as asked, in whole blocks.
+        Along periodic axes the cells fill the box exactly. Along the other axes they are `side` wide, in whole blocks.
         """
         is_periodic = np.isin(np.arange(3), periodic)
         while True:
@@ -62,7 +62,7 @@ class CellGrid:
 
 
 def update_cell_grids(state: State) -> list[CellGrid]:
-    """Write the grid to sort by, or where sizes differ widely one for each class, of which the first is to sort by.
+    """Write the grid for sorting. If particle sizes differ widely, write one per size class; the first is for sorting.
 
     Reads:   low, high (see `build_bounds`)
     Writes:  grid_low, cell_side, cells, first_cell, radius
@@ -88,10 +88,10 @@ def update_cell_grids(state: State) -> list[CellGrid]:
 
 
 def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side: float, limit: int) -> CellGrid:
-    """A grid over the particles there are, whose parts reach from `lows` to `highs` (parts, 3) [m], both sorted.
+    """A grid over all particles, given the sorted corners `lows`, `highs` (parts, 3) [m] of their parts.
 
-    Where a few fly so far that cells would have to be much larger than asked, the grid is laid without them; they
-    count as in the cell at its edge that is nearest to where they are.
+    If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then assigned to
+    the nearest cell at the edge of the grid.
     """
     grid = _grid_over(state, lows[0], highs[-1], side, limit)
     if np.any(np.delete(grid.side, state.plan.periodic_box.axes) > side):
@@ -102,7 +102,7 @@ def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side:
 
 
 def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, limit: int) -> CellGrid:
-    """The grid over a box and in the domain, if that does not grow; over all of the domain along periodic axes."""
+    """The grid over a box clipped to the domain, unless the domain expands; the whole domain along periodic axes."""
     plan, periodic_axes = state.plan, list(state.plan.periodic_box.axes)
     if plan.scene.domain.on_exit != "expand":
         low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
@@ -112,7 +112,7 @@ def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, lim
 
 
 def build_cell_number() -> Any:
-    """Device function: cell coordinates, and cells along each axis, to the number of the cell in block order."""
+    """Device function (x, y, z, cells): cell coordinates and cells along each axis -> cell number in block order."""
 
     @ti.func
     def cell_number(x, y, z, cells):

@@ -1,9 +1,9 @@
-"""What on the device decides how a run goes on, out of it and back in, to the last bit.
+"""Saves and restores the device state that determines how a run continues, bit for bit.
 
-Taken are the particles in their present order, with velocities half a step behind, the contact rows as they stand
-(the order of partners is the order of sums), what contacts remember, and what the ledger has added up. Nothing is
-searched or evaluated for it, so that a checkpoint leaves no trace in the run. Capacities are not kept: a row too long
-for the first guess makes room for itself.
+The state holds the particles in their present order with velocities half a step behind, the neighbor lists with the
+order of their entries (it is the order of the sums), the contact histories and the totals of the energy budget.
+Saving rebuilds and evaluates nothing, so that a checkpoint does not influence the run. Capacities are not saved: a
+neighbor list that is longer than the first estimate increases the capacity.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from granflow.errors import GranflowError
 from granflow.walls.motion import Motion
 
 SavedState = dict[str, Any]
-"""Numbers, texts and numpy arrays in dictionaries within dictionaries."""
+"""Numbers, texts and numpy arrays in nested dictionaries."""
 
 PARTICLE_FIELDS = (
     *(
@@ -51,14 +51,14 @@ CLOCKS = (
 
 
 class EngineCheckpoint:
-    """Takes one engine's state, and puts it into a new engine; compiles its kernels when they are first needed."""
+    """Saves the state of one engine and restores it into a new engine. Compiles its kernels at first use."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self._build_tables()
 
     def _build_tables(self) -> None:
-        """Tables know the fields, which growing replaces."""
+        """Build the field tables; repeated after the engine has replaced fields by larger ones."""
         particles, neighbors = self.engine.state.particles, self.engine.state.neighbors
         self._growth_count = self.engine.timing.growth_count
         fields = {name: getattr(particles, name) for name in PARTICLE_FIELDS}
@@ -69,7 +69,7 @@ class EngineCheckpoint:
         self._entries = FieldTable({"partner": neighbors.partner, **flags, **neighbors.history})
 
     def state_dict(self) -> SavedState:
-        """Everything of the engine that decides how it goes on; what the scene says is not in it."""
+        """The state of the engine that determines how it continues, without the data of the scene."""
         if self._growth_count != self.engine.timing.growth_count:
             self._build_tables()
         engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
@@ -92,9 +92,9 @@ class EngineCheckpoint:
         }
 
     def load_state_dict(self, saved: SavedState, motions: Sequence[Sequence[Motion]]) -> None:
-        """Bring a new engine to where the kept one stood, given the motions of its walls.
+        """Restore the saved state into a new engine, given the motions of its walls.
 
-        Raises GranflowError where it needs other arrays.
+        Raises GranflowError if the scene needs other arrays than the saved state has.
         """
         engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
         state.count = saved["particle_count"]
@@ -116,7 +116,7 @@ class EngineCheckpoint:
         engine.mark_resumed(saved["steps_since_update"])
 
     def _energy_budget(self) -> dict[str, Any]:
-        """Fields of the energy ledger and of the loads on walls by name."""
+        """Fields of the energy budget and of the wall forces by name."""
         control = self.engine.state.control
         fields = {"losses": control.losses, "boundary_work": control.boundary_work, "impulses": control.impulses}
         return {name: field for name, field in fields.items() if field is not None}
@@ -126,22 +126,22 @@ class EngineCheckpoint:
         if saved["controlled_motions"] != controlled_motions:
             before, now = (", ".join(each) or "none" for each in (saved["controlled_motions"], controlled_motions))
             raise GranflowError(
-                f"The walls that grains move were {before} and would be {now}. In a run that goes on "
-                "such a motion can get other numbers, but neither come nor go; let it start and end by stages."
+                f"The force-controlled wall motions are {before} in the checkpoint and {now} in the scene. A resumed "
+                "run can change the parameters of such a motion but not add or remove one; use stages for that."
             )
         load_wall_dynamics_state(
             self.engine.state, {name: values for name, values in saved.items() if name != "controlled_motions"}
         )
 
     def _neighbor_lists(self) -> dict[str, np.ndarray]:
-        """Length of every row (n,), how many of it are walls (n,), and all slots row after row."""
+        """Length of each neighbor list (n,), number of its wall entries (n,), and the entries of all lists in order."""
         lists = self._lists.take(np.arange(self.engine.state.count))
         length = lists["end"] - lists["begin"]
         entries = self._entries.take(_consecutive(lists["begin"], length))
         return {"list_length": length, "list_walls": lists["middle"] - lists["begin"], **entries}
 
     def _load_neighbor_lists(self, saved: dict[str, np.ndarray]) -> None:
-        """Rows one after the other in the segment of their chunk, which grows if it must."""
+        """Write the lists one after the other into the segment of their chunk; increase the capacity if necessary."""
         state, length = self.engine.state, saved["list_length"].astype(np.int64)
         chunk = np.arange(state.count) // state.plan.chunk_size
         per_chunk = np.bincount(chunk, weights=length, minlength=1).astype(np.int64)
@@ -156,24 +156,27 @@ class EngineCheckpoint:
 
 
 def _consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Numbers begin, begin + 1, ... of every row, one row after the other."""
+    """Numbers begin, begin + 1, ... of each list, one list after the other."""
     before = np.cumsum(length) - length
     return np.repeat(begin - before, length) + np.arange(int(length.sum()))
 
 
 def _named(saved: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The arrays of these names. Raises GranflowError if there are others, or not all."""
+    """The arrays with these names. Raises GranflowError if an array is missing or unknown."""
     if set(saved) != set(names):
         present, needed = (", ".join(sorted(each)) or "none" for each in (saved, names))
         raise GranflowError(
             f"The checkpoint holds the arrays {present}, but this scene needs {needed}. Friction, rolling friction, "
-            "the energy ledger and wall loads cannot be switched on or off in a run that goes on."
+            "the energy budget and wall forces cannot be switched on or off in a resumed run."
         )
     return dict(saved)
 
 
 class FieldTable:
-    """Fields of one length: some entries of all of them to the host and back, side by side, whole numbers apart."""
+    """Fields of the same length: copies selected entries of all fields to the host and back.
+
+    The reals form one table and the integers another.
+    """
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         self.fields = dict(fields)
@@ -182,20 +185,20 @@ class FieldTable:
         self._halves = [_FieldTableHalf(half) for half in (reals, integers) if half]
 
     def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
-        """Arrays (k,) or (k, numbers) by name: the entries of those indices (k,)."""
+        """Arrays (k,) or (k, components) by name: the entries with these indices (k,)."""
         found: dict[str, np.ndarray] = {}
         for half in self._halves:
             found |= half.take(np.ascontiguousarray(entries, np.int32))
         return found
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write those arrays to the entries of those indices (k,)."""
+        """Write these arrays to the entries with these indices (k,)."""
         for half in self._halves:
             half.put(np.ascontiguousarray(entries, np.int32), arrays)
 
 
 class _FieldTableHalf:
-    """Fields that share a table: reals in the widest of their types, which holds each exactly, or whole numbers."""
+    """Fields that share a table: reals in the widest of their types, which represents each exactly, or integers."""
 
     def __init__(self, fields: dict[str, Any]) -> None:
         self._fields = fields

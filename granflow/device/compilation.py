@@ -1,4 +1,4 @@
-"""Compilation of kernels: C++ code that holds the interpreter lock for seconds, so that no Python signal handler runs.
+"""Compilation of kernels. It holds the interpreter lock for seconds, so that no Python signal handler runs.
 
 The command line sets `around` to a context in which signals end the process without Python.
 """
@@ -11,9 +11,9 @@ around: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """Taichi's function (program, configuration, capabilities, kernel), with the first call for a kernel in `around`.
+    """Wraps a Taichi function (program, configuration, capabilities, kernel); the first call per kernel uses `around`.
 
-    Taichi calls it at every launch; later calls only look the kernel up.
+    Taichi calls the function at every launch; only the first call of a kernel compiles it.
     """
     compiled: set[int] = set()
 

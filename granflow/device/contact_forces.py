@@ -1,7 +1,7 @@
-"""Contact forces of one chunk of particles: walls one contact at a time, grains in batches where a CPU does the work.
+"""Contact forces on one chunk of particles: wall contacts one at a time, particle contacts in batches on a CPU.
 
-Sums are written `a[i] = a[i] + b`: Taichi makes `a[i] += b` on a field an atomic operation, which costs more than the
-whole contact law and is not needed within a chunk.
+Sums are written `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which costs more than
+the whole contact model and is not needed within a chunk.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ from granflow.device.contact_history import build_end_contact, build_read_histor
 from granflow.device.limits import ABORT_OVERLAP
 from granflow.device.mesh_contact_history import (
     CONTACT_ORDER,
-    build_claim_history,
+    build_acquire_history,
     build_release_history,
     transfers_history,
 )
@@ -32,15 +32,15 @@ from granflow.device.walls import build_wall_geometry, build_wall_of
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, slot, j, pose, time_step) -> (force on i, torque on i) of one slot."""
+    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one contact."""
     plan, particles, control = state.plan, state.particles, state.control
     features, real = plan.features, state.backend.real
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
     pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
     add_boundary_work = build_boundary_work(state)
     wall_of, transfers = build_wall_of(state), with_wall and transfers_history(state)
-    release_history, claim_history = (
-        (build_release_history(state), build_claim_history(state)) if transfers else (None, None)
+    release_history, acquire_history = (
+        (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
     pair_force, read_history, write_history, end_contact = (
         build_pair_force(plan, False),
@@ -54,7 +54,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def partner_spin(i, j, pose):
+    def angular_velocity_of_partner(i, j, pose):
         angular_velocity = 0.0 * particles.velocity[i]
         if ti.static(features.rotation and not with_wall):
             angular_velocity = particles.angular_velocity[j]
@@ -63,7 +63,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         return angular_velocity
 
     @ti.func
-    def own_angular_velocity(i):
+    def angular_velocity_of(i):
         angular_velocity = 0.0 * particles.velocity[i]
         if ti.static(features.rotation):
             angular_velocity = particles.angular_velocity[i]
@@ -119,7 +119,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
         if overlap > 0.0:
             check_overlap(i, j, overlap)
             if ti.static(transfers):
-                claim_history(i, list_index, j, pose)
+                acquire_history(i, list_index, j, pose)
             normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
             (
                 force,
@@ -144,8 +144,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
                 rate,
                 arm,
                 arm_partner,
-                own_angular_velocity(i),
-                partner_spin(i, j, pose),
+                angular_velocity_of(i),
+                angular_velocity_of_partner(i, j, pose),
                 normal_history,
                 tangential_displacement,
                 rolling_displacement,
@@ -169,8 +169,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
 def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
-    Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows, walls
-    Writes:  force, torque, history, losses, impulses, push, guard
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
+    Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
     plan, particles, neighbors = state.plan, state.particles, state.neighbors
     features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
@@ -192,7 +192,7 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def particle_forces(chunk, i, pose, dt):
-        """Weight, walls, and where nothing is batched the other grains."""
+        """Weight, wall forces and, without batches, particle contact forces."""
         force = particles.mass[i] * ti.Vector(gravity, dt=real)
         torque = 0.0 * force
         if ti.static(plan.has_walls):

@@ -1,4 +1,4 @@
-"""What one contact slot remembers: read, written and forgotten."""
+"""Contact history of one neighbor-list entry: read, written and cleared."""
 
 from typing import Any
 
@@ -7,11 +7,11 @@ import taichi as ti
 from granflow.device.state import State
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
-"""A slot without contact, with one, and with the memory of one that another slot may take over in this step."""
+"""State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
 
 
 def build_read_history(state: State) -> Any:
-    """Device function (slot) -> (normal memory, lateral displacement, rolling angle); zeros where nothing is kept."""
+    """Device function (list index) -> (normal history, tangential and rolling displacement); absent ones are 0."""
     history, real = state.neighbors.history, state.backend.real
     size = max(state.plan.law.history_count, 1)
 
@@ -34,7 +34,7 @@ def build_read_history(state: State) -> Any:
 
 
 def build_write_history(state: State) -> Any:
-    """Device function (slot, normal memory, lateral displacement, rolling angle): keep them; the slot is touching."""
+    """Device function (list index, normal history, tangential and rolling displacement): write them; set IN_CONTACT."""
     neighbors, history = state.neighbors, state.neighbors.history
 
     @ti.func
@@ -52,7 +52,7 @@ def build_write_history(state: State) -> Any:
 
 
 def build_end_contact(state: State) -> Any:
-    """Device function: empty a slot whose partners are apart; returns the plastic work of a contact that ended [J]."""
+    """Device function: clear the entry of an open contact; returns the plastic work [J] of a contact that has ended."""
     plan, law, neighbors = state.plan, state.plan.law, state.neighbors
     names = list(neighbors.history)
 

@@ -1,4 +1,4 @@
-"""One record per contact, for files. Its arrays exist only where contacts are asked for."""
+"""Contact output: one record per contact. Its arrays exist only if the scene requests contacts."""
 
 from collections.abc import Callable
 
@@ -12,11 +12,11 @@ from granflow.device.walls import build_wall_geometry, triangles_of, walls_of
 from granflow.laws.complete_force import complete_force
 
 AT_LIMIT = 1.0 - 1e-6
-"""Share of the Coulomb limit from which on a contact counts as sliding."""
+"""Share of the Coulomb limit above which a contact counts as sliding."""
 
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Owner, slot and partner (below 0: `walls_of`) of all in the rows; pairs across two chunks stand there twice."""
+    """Owner, list index, partner (negative: `walls_of`) of all candidate pairs; pairs across two chunks occur twice."""
     neighbors = state.neighbors
     begin, end = (f.to_numpy()[: state.count] for f in (neighbors.list_begin, neighbors.list_end))
     owner = np.repeat(np.arange(state.count), end - begin)
@@ -26,7 +26,7 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class ContactOutput:
-    """Forces and overlaps of all contacts, evaluated where the particles stand, histories left as they are."""
+    """Forces and overlaps of all contacts at the present positions; the contact histories do not change."""
 
     def __init__(self, state: State) -> None:
         self.state, self.block = state, FieldBlock()
@@ -39,7 +39,7 @@ class ContactOutput:
         self._evaluate = _build_evaluate(state, self)
 
     def take(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Every contact once, as in Snapshot.contacts; `arrays` holds id and position in the device's order."""
+        """All contacts, each once, as in Snapshot.contacts; `arrays` holds id and position in device order."""
         owner, list_index, partner, numbers = self._pairs()
         found = dict(zip(QUANTITIES, numbers.T, strict=True))
         normal_history = self._history(list_index, found["overlap"])
@@ -71,7 +71,7 @@ class ContactOutput:
         )
 
     def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Owner, slot, partner and recorded numbers of every contact, each pair once."""
+        """Owner, list index, partner and recorded quantities of all contacts, each pair once."""
         state = self.state
         if state.count:
             self._evaluate(state.count, state.clock.time_step)
@@ -81,7 +81,7 @@ class ContactOutput:
         return owner[is_contact], list_index[is_contact], partner[is_contact], numbers[is_contact]
 
     def _history(self, list_index: np.ndarray, overlap: np.ndarray) -> dict[str, np.ndarray]:
-        """Largest overlap and restitution that the law remembers; the overlap itself and 1 where it does not."""
+        """Maximum overlap and restitution from the history; without a history, the overlap itself and 1."""
         names, history = self.state.plan.law.history_names, self.state.neighbors.history
         found = {"overlap_max": overlap, "restitution": np.ones(len(list_index))}
         for index, name in enumerate(names):

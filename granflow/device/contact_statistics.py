@@ -1,4 +1,4 @@
-"""What is measured for snapshots and never during a step: contact statistics and energies."""
+"""Contact statistics and contact energies for snapshots; no step evaluates them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ COUNT, OVERLAP_SUM, OVERLAP_LARGEST, ELASTIC, PLASTIC = range(len(STATISTICS))
 
 
 class ContactStatistics:
-    """Kernels that look at every contact once, compiled when first used."""
+    """Kernels that evaluate each contact once; compiled at first use."""
 
     def __init__(self, state: State) -> None:
         self.state = state
@@ -25,7 +25,7 @@ class ContactStatistics:
         self._measure = _build_measure(state, self.statistics)
 
     def measure(self) -> dict[str, float]:
-        """Contacts of all particles at pose 0; fills `coordination`."""
+        """Statistics of all contacts at pose 0; fills `coordination`."""
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
@@ -77,7 +77,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
 
 
 def build_energies(state: State) -> Any:
-    """Device function: energy a contact can give back and energy it has taken for good [J]; 0 without the ledger."""
+    """Device function: elastic and dissipated energy [J] of a contact; 0 without the energy budget."""
     plan, law, neighbors = state.plan, state.plan.law, state.neighbors
     energy_budget, history_size = plan.features.energy_budget, max(state.plan.law.history_count, 1)
     real = state.backend.real

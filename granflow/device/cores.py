@@ -1,4 +1,4 @@
-"""How many cores this process may use: affinity, cgroup quota and Slurm decide, not the size of the machine."""
+"""Number of cores available to this process: limited by affinity, cgroup quota and Slurm."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -11,7 +11,7 @@ SLURM = "SLURM_CPUS_PER_TASK"
 def worker_count(requested: int | None, affinity: int | None = None, quota: int | None = None) -> tuple[int, str]:
     """CPU threads to start, and a warning or an empty text. `affinity`, `quota`: cores, in place of the system's.
 
-    Taichi starts no more threads than the machine has cores, and more threads than cores only wait for each other.
+    Taichi starts at most one thread per core of the machine, and surplus threads only delay each other.
     """
     affinity = affinity or allowed_cores()
     if requested is None:
@@ -23,13 +23,13 @@ def worker_count(requested: int | None, affinity: int | None = None, quota: int 
 
 
 def allowed_cores() -> int:
-    """Cores on which the operating system schedules this process, at most those of the machine."""
+    """Cores on which the operating system schedules this process, at most the cores of the machine."""
     machine = os.cpu_count() or 1
     return min(len(os.sched_getaffinity(0)), machine) if hasattr(os, "sched_getaffinity") else machine
 
 
 def quota_cores(root: Path = Path("/"), environment: Mapping[str, str] = os.environ) -> int | None:
-    """Cores by the smallest of the cgroup quotas and SLURM_CPUS_PER_TASK, rounded up; None if nothing limits them."""
+    """Cores by the smallest of the cgroup quotas and SLURM_CPUS_PER_TASK, rounded up; None without a limit."""
     limits = [ceil(limit) for limit in _cgroup_limits(root)]
     slurm = environment.get(SLURM, "")
     if slurm.isdecimal() and int(slurm) > 0:
@@ -38,7 +38,7 @@ def quota_cores(root: Path = Path("/"), environment: Mapping[str, str] = os.envi
 
 
 def _cgroup_limits(root: Path) -> Iterator[float]:
-    """Quota over period [cores] of every cgroup around this process, of version 2 (cpu.max) and version 1."""
+    """Quota over period [cores] of each cgroup that contains this process, of version 2 (cpu.max) and version 1."""
     mount = root / "sys/fs/cgroup"
     for controllers, path in _cgroups(root / "proc/self/cgroup"):
         base = mount / controllers if controllers else mount
@@ -51,7 +51,7 @@ def _cgroup_limits(root: Path) -> Iterator[float]:
 
 
 def _cgroups(listing: Path) -> Iterator[tuple[str, str]]:
-    """Controllers (empty in version 2) and path of the cgroups that can limit the processor."""
+    """Controllers (empty in version 2) and path of the cgroups that can limit CPU time."""
     for line in _text(listing).splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -62,7 +62,7 @@ def _cgroups(listing: Path) -> Iterator[tuple[str, str]]:
 
 
 def _upward(base: Path, path: str) -> Iterator[Path]:
-    """The directory of a cgroup and those of all cgroups around it; in a container only the last one may exist."""
+    """Directories of a cgroup and of all its parents; in a container possibly only the last one exists."""
     parts = [part for part in path.split("/") if part not in ("", "..")]
     for count in range(len(parts), -1, -1):
         yield base.joinpath(*parts[:count])

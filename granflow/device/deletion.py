@@ -1,4 +1,4 @@
-"""Who leaves: asked of every particle at a search, and of nobody in between."""
+"""Particle deletion. Checked at neighbor-list rebuilds only."""
 
 from math import inf
 from typing import Any
@@ -6,31 +6,31 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.device.limits import GUARD_FAR
+from granflow.device.limits import ABORT_FAR
 from granflow.device.state import State
 from granflow.plan.capacities import BOUNDS
 from granflow.plan.outlets import PlannedOutlet
 
 
 def check_coordinates(state: State) -> None:
-    """Set the guard where a particle of a domain that grows is too far from the origin for the precision.
+    """Set the abort code if a particle in an expanding domain is too far from the origin for the precision.
 
-    Reads:   low, high (see `build_bounds`), and position, id if one is
-    Writes:  guard, guard_particle
+    Reads:   low, high (see `build_bounds`); position, id if the limit is exceeded
+    Writes:  abort, abort_particle
     """
     count = min(state.count, BOUNDS)
     corners = (field.to_numpy()[:count] for field in (state.cell_sort.low, state.cell_sort.high))
     if max(float(np.abs(corner).max()) for corner in corners) <= state.plan.coordinate_limit:
         return
     position = np.nan_to_num(np.abs(state.particles.position.to_numpy()[: state.count]), nan=0.0)
-    state.control.abort[0] = GUARD_FAR
+    state.control.abort[0] = ABORT_FAR
     state.control.abort_particle[0] = int(state.particles.id[int(position.max(axis=1).argmax())])
 
 
 def build_remains(state: State) -> Any:
-    """Device function (i): whether particle i is still in the domain, and in no outlet.
+    """Device function (i): true if particle i is in the domain and not in an outlet.
 
-    A position that is no number is nowhere; fixed grains stay in outlets. Reads: position, fixed
+    A position that is NaN is outside; an outlet does not delete fixed particles. Reads: position, fixed
     """
     in_outlet = _build_in_outlet(state)
     position, real, periodic_box = state.particles.position, state.backend.position_real, state.plan.periodic_box
@@ -53,7 +53,7 @@ def build_remains(state: State) -> Any:
 
 
 def _build_in_outlet(state: State) -> Any:
-    """Device function (i): whether particle i is in an outlet, and free to leave through it."""
+    """Device function (i): true if particle i is in an outlet and not fixed."""
     particles, fixed_particles = state.particles, state.plan.features.fixed_particles
     in_one_outlet = [_build_in_one_outlet(outlet, state.backend.position_real) for outlet in state.plan.outlets]
 
@@ -70,7 +70,7 @@ def _build_in_outlet(state: State) -> Any:
 
 
 def _build_in_one_outlet(outlet: PlannedOutlet, real: Any) -> Any:
-    """Device function (point): whether it is in one outlet."""
+    """Device function (point): true if the point [m] is in one outlet."""
     is_box, has_radius = outlet.low is not None, outlet.radius < inf
     lows, highs = ([] if corner is None else corner.tolist() for corner in (outlet.low, outlet.high))
     point, normal, radius = outlet.point.tolist(), outlet.normal.tolist(), outlet.radius

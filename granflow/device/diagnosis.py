@@ -1,4 +1,4 @@
-"""Who is behind a guard that tripped: found on the host from what stands on the device, after the run has stopped."""
+"""Diagnoses an aborted run on the host: finds the particles or walls that exceeded the limit."""
 
 from dataclasses import dataclass
 
@@ -31,15 +31,15 @@ from granflow.walls.motion import pose
 FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")
 
 TINY_MASS = 1e-300
-"""Mass [kg] of places that hold no particle yet."""
+"""Mass [kg] of unused array entries."""
 
 
 @dataclass(frozen=True)
 class CandidatePairs:
-    """Near pairs, n of them, where they stand.
+    """The n candidate pairs at their positions.
 
-    Indices of owner and partner (-1 - wall), overlap over the smaller radius, approach and velocity of the partner's
-    surface (n, 3) [m/s].
+    Indices of owner and partner (-1 - wall), overlap over the smaller radius, approach velocity [m/s] and velocity of
+    the partner's surface (n, 3) [m/s].
     """
 
     owner: np.ndarray
@@ -52,22 +52,21 @@ class CandidatePairs:
 def diagnose(
     code: int, particle: int, state: State, host_copy: HostCopy, time: float, prepared_simulation: bool
 ) -> Diagnosis:
-    """The trip of a guard at `time` [s], with the pair most at fault if those that tripped it touch anything.
+    """Diagnosis of an abort at `time` [s], with the contact pair of the largest overlap, if there is a contact.
 
-    `prepared_simulation`: whether any step was taken, not only forces found where the particles begin.
+    `prepared_simulation`: true if a step was taken; false if only the initial forces were computed.
     """
     if code == ABORT_WALL:
         return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, prepared_simulation)
     arrays = host_copy.copy_to_host(FIELDS, 0, state.particles.capacity)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
-    if (
-        code == ABORT_OVERLAP and prepared_simulation
-    ):  # forces are of where the particles stand: a step ahead of the time
+    if code == ABORT_OVERLAP and prepared_simulation:
+        # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
         time += state.clock.time_step
     found = np.flatnonzero(arrays["id"] == particle)
-    index = int(found[0])  # one that left the domain stands right behind the others
+    index = int(found[0])  # a deleted particle is directly behind the others
     participant = _participant(state.plan, arrays, index)
     candidates = _candidate_pairs(code, state, arrays, time)
     involved = (candidates.owner == index) | (candidates.partner == index)
@@ -78,7 +77,7 @@ def diagnose(
 
 
 def _fastest_wall(state: State) -> Participant:
-    """The driven wall that moves fastest."""
+    """The force-controlled wall with the highest velocity."""
     velocities = controlled_velocities(state)
     index = int(np.nan_to_num(np.linalg.norm(velocities, axis=1), nan=np.inf).argmax())
     wall = state.plan.walls[index]
@@ -86,7 +85,7 @@ def _fastest_wall(state: State) -> Participant:
 
 
 def _participant(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Participant:
-    """One particle as messages name it."""
+    """One particle as messages describe it."""
     velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
     return Participant(
         f"particle {arrays['id'][index]}",
@@ -102,7 +101,7 @@ def _vector(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], time: float) -> CandidatePairs:
-    """All listed pairs where they stand; after a jump, where they stood before it."""
+    """All candidate pairs at their present positions; after a jump, at the positions before it."""
     owner, _list_index, partner = candidate_pairs(state)
     position, velocity = arrays["position"], arrays["velocity"]
     if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT):
@@ -146,7 +145,7 @@ def _wall_gaps(
 
 
 def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int) -> ContactPair:
-    """The worst of the near pairs, and the longest step that is stable for it as it is now.
+    """The worst candidate pair, and the longest time step that is stable for its present state.
 
     impact^2 = approach^2 + (4/5) k d^2.5 / M        (elastic energy of a Hertz contact)
     """
@@ -179,7 +178,7 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
 
 
 def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
-    """How many others the busier of the two touches."""
+    """Number of contacts of the participant that has more."""
     touching = candidates.overlap > 0.0
     pairs = {
         (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)

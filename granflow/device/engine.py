@@ -1,4 +1,4 @@
-"""The device as the simulation sees it: insert grains, set walls, advance, take a snapshot."""
+"""Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
 from collections.abc import Sequence
 from math import ceil, pi
@@ -27,11 +27,11 @@ from granflow.snapshot import Snapshot, WallPose
 from granflow.walls.motion import Motion, pose
 
 TIME_TOLERANCE = 1e-6
-"""Share of a step by which a moment may miss a time that it is meant to be."""
+"""Tolerance for reaching a requested time, as a fraction of the time step."""
 
 
 class Engine:
-    """One plan running on one backend, with time kept by the state's clock."""
+    """One plan on one backend; the clock of the state counts steps and time."""
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
@@ -46,7 +46,7 @@ class Engine:
         self._started = False
 
     def _build_host_access(self) -> None:
-        """Kernels that move data in and out; they know the fields, which growing replaces."""
+        """Build the kernels that access fields from the host; repeated after fields are replaced by larger ones."""
         self._host_access_growth = self.timing.growth_count
         self._host_copy = HostCopy(self.state)
         self._contact_statistics = ContactStatistics(self.state)
@@ -65,7 +65,7 @@ class Engine:
 
     @property
     def host_copy(self) -> HostCopy:
-        """Copies between host arrays and particles."""
+        """Copies between host arrays and particle fields."""
         self._follow_growth()
         return self._host_copy
 
@@ -82,41 +82,41 @@ class Engine:
 
     @property
     def step_count(self) -> int:
-        """Steps done."""
+        """Number of completed steps."""
         return self.state.clock.step_count
 
     @property
     def time_step(self) -> float:
-        """Time step [s] now."""
+        """Present time step [s]."""
         return self.state.clock.time_step
 
     @property
     def mean_time_step(self) -> float:
-        """Time step [s], the mean of all steps done where it follows the scene."""
+        """Time step [s]; with an adaptive time step, the mean over all completed steps."""
         is_adaptive = self.plan.adaptive_time_step is not None and self.step_count > 0
         return self.time / self.step_count if is_adaptive else self.plan.time_step
 
     def steps_to(self, time: float) -> int:
-        """Steps of the present length that end at this time [s] or just behind it."""
+        """Number of steps of the present length that end at this time [s] or just after it."""
         return ceil((time - self.time) / self.time_step - TIME_TOLERANCE)
 
     def reached(self, time: float) -> bool:
-        """Whether the present moment is the one nearest to this time [s], or later."""
+        """True if the present time is the step nearest to this time [s], or later."""
         return self.time >= time - 0.5 * self.time_step
 
     @property
     def timing(self) -> Timing:
-        """Wall seconds by phase."""
+        """Wall-clock time [s] by phase."""
         return self.stepper.timing
 
     @property
     def aborted(self) -> bool:
-        """Whether a guard tripped."""
+        """True if the run exceeded a limit."""
         return bool(self.stepper.abort_code)
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """The guard that tripped, if one did, with who is behind it: that is looked up anew at every call."""
+        """Diagnosis of an aborted run, computed again at every call; None if the run has not aborted."""
         code = self.stepper.abort_code
         if not code:
             return None
@@ -124,7 +124,7 @@ class Engine:
         return diagnose(code, particle, self.state, self.host_copy, self.time, self._started)
 
     def insert(self, new: ParticleData) -> None:
-        """Put grains in at the present time; their forces come with the next `refresh`."""
+        """Insert particles at the present time; the next `refresh` computes their forces."""
         if not len(new):
             return
         scene, accounting, count = self.plan.scene, self.accounting, len(new)
@@ -151,7 +151,7 @@ class Engine:
         accounting.group.append(new.group)
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
-        """Say which walls are there and how they move; takes effect with the next `refresh`."""
+        """Set which walls are present and their motions; takes effect with the next `refresh`."""
         self.state.wall_motions = tuple(tuple(each) for each in motions)
         for index, is_present in enumerate(present):
             self.state.walls.present[index] = int(is_present)
@@ -160,10 +160,10 @@ class Engine:
         self._walls_changed = True
 
     def refresh(self) -> None:
-        """Search and forces anew, after grains or walls came or went.
+        """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.
 
-        The first one also sets velocities half a step back, where the leapfrog has them. What contacts hold with a
-        wall that appears among the grains, or vanishes, counts as brought or taken away.
+        The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall appears
+        between particles, or disappears, the energy of its contacts counts as inserted or removed.
         """
         counts_energy = self.plan.features.energy_budget and self._walls_changed
         before = self._contact_energy() if counts_energy else 0.0
@@ -177,13 +177,13 @@ class Engine:
         self._update_time_step()
 
     def _contact_energy(self) -> float:
-        """Energy that the contacts there are have taken up, to give back or for good [J]."""
+        """Elastic and dissipated energy [J] of the present contacts."""
         self.stepper.place_walls(self.step_count)
         measured = self.contact_statistics.measure()
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
-        """Do `steps` steps; fewer if a guard trips, a stop is requested or the time step changes."""
+        """Take `steps` steps; fewer after an abort, a stop request or a change of the time step."""
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
         while clock.step_count < wanted and self.time_step == before and not (self.aborted or self.stepper.interrupted):
@@ -194,7 +194,7 @@ class Engine:
                 self._advance_to_update(min(allowed, STEPS_BETWEEN_UPDATES - self.steps_since_update))
 
     def _advance_to_update(self, steps: int) -> None:
-        """Do up to `steps` steps; choose the time step anew if a look is due then."""
+        """Take up to `steps` steps; update the time step if an update is due."""
         rebuilds = self.timing.rebuild_count
         done = self.stepper.advance(steps, self.state.clock.step_count)
         self.state.clock.step_count += done
@@ -203,9 +203,9 @@ class Engine:
             self._update_time_step()
 
     def _update_time_step(self) -> None:
-        """Choose the time step for the scene as it is now, where it follows the scene.
+        """Update an adaptive time step for the present state.
 
-        Velocities, half a step behind, are brought to half a step of the new length.
+        Velocities are half a step behind; they are shifted to half a step of the new length.
         """
         adaptive_time_step = self.plan.adaptive_time_step
         self.steps_since_update = 0
@@ -222,20 +222,20 @@ class Engine:
             self.state.clock.change(step)
 
     def mark_resumed(self, steps_since_update: int) -> None:
-        """Take the run as begun: its clock, particles, walls and contacts have been put back."""
+        """Continue a resumed run: clock, particles, walls and contacts have been restored."""
         self.steps_since_update = steps_since_update
         self._started, self._walls_changed = True, False
 
     def mean_kinetic_energy(self) -> float:
-        """Mean kinetic energy per particle that can move, of centers and spins [J]."""
+        """Mean translational and rotational kinetic energy [J] per particle that is not fixed."""
         arrays = self.synchronized(("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque"))
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
         return (kinetic + rotational) / max(mobility_mask(arrays).sum(), 1.0)
 
     def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
-        """What stands on the device now.
+        """Snapshot of the present state.
 
-        `quantities` as for observers. Contacts are not surveyed if nothing rests on it.
+        `quantities` as for observers. Contact statistics are computed only if a quantity needs them.
         """
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
@@ -255,7 +255,7 @@ class Engine:
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def wall_poses(self) -> dict[str, WallPose]:
-        """Pose of every wall now, by name."""
+        """Present pose of every wall by name."""
         found, displacements = {}, controlled_displacements(self.state)
         for index, wall in enumerate(self.plan.walls):
             poses = pose(self.state.wall_motions[index], np.array([self.time]))
@@ -264,7 +264,7 @@ class Engine:
         return found
 
     def free(self) -> None:
-        """Give the device's memory back."""
+        """Free the device memory."""
         self._free_host_access()
         self.state.free()
 
@@ -272,7 +272,7 @@ class Engine:
         return self.plan.materials.index(material) if material in self.plan.materials else 0
 
     def _on_deleted(self, first: int, last: int) -> None:
-        """Enter particles that left the domain, or were taken by an outlet, into the books."""
+        """Add particles that left the domain or entered an outlet to the accounting."""
         arrays = self.host_copy.copy_to_host(
             ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed"), first, last
         )
@@ -287,7 +287,7 @@ class Engine:
         self.accounting.removed_kinetic_energy += kinetic + rotational
 
     def _count_outlets(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
-        """Which outlet took each deleted particle (n,), -1 for none; their counts and masses go into the books."""
+        """Index of the outlet of each deleted particle (n,), -1 for none; adds counts and masses to the accounting."""
         position, outlets = arrays["position"], self.plan.outlets
         if not outlets:
             return np.full(len(position), -1)
@@ -302,9 +302,9 @@ class Engine:
         return outlet_index
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields on the host, velocities and spins brought forward to the time of the positions.
+        """Fields on the host, with velocities and angular velocities at the time of the positions.
 
-        Before the first step they are those of the start: a run that aborts there has not set them half a step back.
+        Before the first step they are the initial values: a run that aborts there has not shifted them yet.
         """
         arrays = self.host_copy.copy_to_host((*names, "fixed"))
         if not self._started:

@@ -1,4 +1,4 @@
-"""Fixed grains on the device: they stay where they are, and others meet them as something infinitely heavy."""
+"""Fixed particles on the device: they do not move, and other particles collide with them as with an infinite mass."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ import taichi as ti
 from granflow.device.state import State
 
 FROZEN_MASS_FACTOR = 2.0**60
-"""Times heavier than it is a fixed grain counts in contacts: its partner's share is lost in rounding, in f64 too."""
+"""Mass factor of a fixed particle in contacts: the term of its partner's mass is below rounding, also in f64."""
 
 
 def build_mobility(state: State) -> Any:
-    """Device function (i): 1, or 0 for a grain that is fixed."""
+    """Device function (i): 1, or 0 for a fixed particle."""
     particles, real = state.particles, state.backend.real
 
     @ti.func
@@ -26,7 +26,7 @@ def build_mobility(state: State) -> Any:
 
 
 def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass of a grain as its contacts feel it [kg]."""
+    """Device function (i): mass [kg] of a particle in its contacts."""
     particles, real = state.particles, state.backend.real
 
     @ti.func
@@ -40,7 +40,7 @@ def build_contact_mass(state: State) -> Any:
 
 
 def build_can_touch(state: State) -> Any:
-    """Device function (i, j): whether the two can touch; fixed grains meet neither each other nor walls (j < 0)."""
+    """Device function (i, j): false for two fixed particles, and for a fixed particle and a wall (j < 0)."""
     particles = state.particles
 
     @ti.func
@@ -57,6 +57,6 @@ def build_can_touch(state: State) -> Any:
 
 
 def mobility_mask(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """1 (n,), or 0 for grains that are fixed; `arrays` are particle fields, `fixed` only where a scene has such."""
+    """1 (n,), or 0 for fixed particles; `arrays` are particle fields, with `fixed` only if some are fixed."""
     fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
     return 1.0 - np.asarray(fixed, float)

@@ -1,4 +1,4 @@
-"""Particles in and out of the device: grains that arrive, ranges that leave, everything for a snapshot."""
+"""Copies particles to and from the device: insertion, deleted ranges, and snapshots."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,10 +21,10 @@ class HostCopy:
         self._copies: dict[tuple[str, ...], FieldCopy] = {}
 
     def append(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put n more particles behind those that are there.
+        """Append n particles behind the present ones.
 
-        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,), mass (n,), position
-        (n, 3), velocity (n, 3) half a step back, spin (n, 3).
+        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,) [m], mass (n,) [kg],
+        position (n, 3) [m], velocity (n, 3) [m/s] half a step back, angular_velocity (n, 3) [rad/s].
         """
         state, particles = self.state, self.state.particles
         count = len(arrays["radius"])
@@ -47,11 +47,11 @@ class HostCopy:
         state.count += count
 
     def kick(self, time: float) -> None:
-        """Advance velocities and spins by `time` [s] under the present forces; backwards if it is negative."""
+        """Advance velocities and angular velocities by `time` [s] under the present forces; backwards if negative."""
         self._kick(self.state.count, time)
 
     def copy_to_host(self, names: tuple[str, ...], first: int = 0, last: int | None = None) -> dict[str, np.ndarray]:
-        """Host copies of particle fields from index `first` to before `last` (the present count)."""
+        """Host copies of particle fields from index `first` up to `last`, exclusive (default: the particle count)."""
         count = (self.state.count if last is None else last) - first
         if names not in self._copies:
             self._copies[names] = FieldCopy(self.state, names)
@@ -59,9 +59,9 @@ class HostCopy:
 
 
 class FieldCopy:
-    """Some fields of the particles to the host by one kernel, side by side in one table of reals and one of integers.
+    """Copies some particle fields to the host with one kernel, as columns of one table of reals and one of integers.
 
-    Taichi's `to_numpy` compiles a kernel, and copies the whole capacity, for every field.
+    The `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity.
     """
 
     def __init__(self, state: State, names: tuple[str, ...]) -> None:
@@ -77,7 +77,7 @@ class FieldCopy:
         self._copy = _build_copy(list(self._fields.values()), [part.start for part in self._columns.values()])
 
     def take(self, first: int, count: int) -> dict[str, np.ndarray]:
-        """Arrays (count,) or (count, 3) by name, from index `first` on."""
+        """Arrays (count,) or (count, 3) by name, from index `first`."""
         reals = np.zeros((count, max(self._widths[False], 1)), self._real)
         integers = np.zeros((count, max(self._widths[True], 1)), np.int32)
         if count:
@@ -95,7 +95,7 @@ def _is_integer(field: Any) -> bool:
 
 
 def _component_count(field: Any) -> int:
-    """Numbers in one entry of a field."""
+    """Number of components of a field entry."""
     return int(getattr(field, "n", 1))
 
 

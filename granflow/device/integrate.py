@@ -1,6 +1,6 @@
-"""Motion of one chunk of particles: the leapfrog form of velocity Verlet.
+"""Time integration of one chunk of particles: the leapfrog form of velocity Verlet.
 
-Before a step, positions and forces stand at t, velocities and spins half a step earlier:
+Before a step, positions and forces are at t, velocities and angular velocities half a step earlier:
 
     v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
 """
@@ -17,13 +17,13 @@ from granflow.device.state import State
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
 
-    Reads:   force, torque, mass, radius, fixed, position_at_search
-    Writes:  velocity, velocity_now, spin, position, search_wanted, guard
+    Reads:   force, torque, mass, radius, fixed, position_at_rebuild
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort
     """
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size
     mobility = build_mobility(state)
-    rebuild_limit, farthest = (0.5 * plan.skin) ** 2, plan.travel_limit**2
+    rebuild_limit, step_limit = (0.5 * plan.skin) ** 2, plan.travel_limit**2
 
     @ti.func
     def request_abort(code, i):
@@ -39,8 +39,8 @@ def build_integrate(state: State) -> Any:
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
             particles.velocity[i] = velocity
-            way = dt * velocity
-            position = particles.position[i] + way
+            step_displacement = dt * velocity
+            position = particles.position[i] + step_displacement
             particles.position[i] = position
             if ti.static(features.rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
@@ -53,7 +53,7 @@ def build_integrate(state: State) -> Any:
                 rebuild = 1
             elif not displacement_squared <= rebuild_limit:
                 request_abort(ABORT_NOT_FINITE, i)
-            if way.dot(way) > farthest:
+            if step_displacement.dot(step_displacement) > step_limit:
                 request_abort(ABORT_DISPLACEMENT, i)
         if rebuild == 1:
             control.rebuild_requested[0] = 1

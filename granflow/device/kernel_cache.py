@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept between runs, so that the second start is fast. Knows files only, not Taichi."""
+"""The folder that keeps compiled kernels between runs, for fast later starts. File operations only, no Taichi."""
 
 import logging
 import os
@@ -12,21 +12,21 @@ VARIABLE = "GRANFLOW_CACHE"
 KERNELS = "*.tic"
 INDEX, LOCK = "ticache.tcb", "ticache.lock"
 TEMPORARY = "granflow_kernels_"
-"""Prefix of a folder for one process, deleted at its end."""
+"""Prefix of a temporary folder for one process, deleted at its end."""
 STALE_LOCK = 60.0
-"""Seconds. Taichi holds its lock for a moment; one that a killed process left would switch the cache off for good."""
+"""Age [s] of an abandoned lock. Taichi holds its lock briefly; the lock of a killed process would disable the cache."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What lies in the folder: kernels, and the bytes of all files."""
+    """Contents of the folder: number of kernels, and size [bytes] of all files."""
 
     kernel_count: int
     size: int
 
 
 def cache_folder() -> Path:
-    """The folder named by GRANFLOW_CACHE, or granflow/kernels in the cache folder of the platform."""
+    """The folder in GRANFLOW_CACHE, or granflow/kernels in the cache folder of the platform."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named).expanduser().absolute()
@@ -40,7 +40,7 @@ def cache_folder() -> Path:
 
 
 def usable_folder() -> Path:
-    """The folder, made if need be; a temporary one, and a warning, where nothing can be written into it.
+    """The cache folder, created if necessary. If it is not writable: a warning, and a temporary folder.
 
     Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
     """
@@ -52,7 +52,7 @@ def usable_folder() -> Path:
         writable = False
     if not writable:
         logging.getLogger("granflow").warning(
-            "granflow: %s cannot be written, so kernels are compiled anew in every run. Set %s to another folder.",
+            "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another folder.",
             folder, VARIABLE,
         )  # fmt: skip
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
@@ -61,13 +61,13 @@ def usable_folder() -> Path:
 
 
 def cache_contents() -> Contents:
-    """Kernels and bytes in the folder; none where there is no folder."""
+    """Number of kernels and size of the folder; zeros without a folder."""
     sizes = [_size(path) for path in _files()]
     return Contents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
 
 
 def clear_cache() -> Contents:
-    """Delete what Taichi put into the folder, nothing else; returns what that was."""
+    """Delete the files of Taichi in the folder and no others; returns their number and size."""
     removed = cache_contents()
     for path in _files():
         path.unlink(missing_ok=True)
@@ -82,7 +82,7 @@ def _files() -> list[Path]:
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
-    except FileNotFoundError:  # another process cleared it meanwhile
+    except FileNotFoundError:  # another process has deleted it
         return 0
 
 

@@ -1,4 +1,4 @@
-"""The fastest approach now: what a time step that follows the scene is chosen by."""
+"""Maximum impact velocity of the present state, from which an adaptive time step is computed."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from granflow.device.walls import build_wall_geometry
 
 
 class MaxImpactVelocity:
-    """A look at every near pair and wall; a maximum, so that threads and order do not matter."""
+    """Evaluates all candidate pairs and walls. The result is a maximum, independent of threads and order."""
 
     def __init__(self, state: State) -> None:
         self.state = state
@@ -23,7 +23,7 @@ class MaxImpactVelocity:
         self._scan = _build_scan(state, self._squares)
 
     def measure(self) -> float:
-        """Largest approach velocity [m/s] that any near pair has now, or had before its overlap took it up."""
+        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present overlaps."""
         state = self.state
         if not state.count:
             return 0.0
@@ -50,7 +50,7 @@ def _build_scan(state: State, squares: Any) -> Any:
 
 
 def _build_square(state: State) -> Any:
-    """Device function: square of the approach velocity with the energy of a pair's motion and overlap (Zhou, Eq. 5).
+    """Device function: squared impact velocity with the kinetic and elastic energy of a pair (Zhou, Eq. 5).
 
     v^2 = d'^2 + 4 k d^2.5 / (5 M)
     """
@@ -74,7 +74,7 @@ def _build_square(state: State) -> Any:
 
 
 def _build_overlap_and_rate(state: State) -> Any:
-    """Device function: overlap [m], 0 or less where a pair is apart, and its rate [m/s]; walls at pose 0."""
+    """Device function: overlap [m], negative for a gap, and overlap rate [m/s] of a pair; walls at pose 0."""
     particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
     sphere_kinematics, geometry = build_sphere_kinematics(state.plan), build_wall_geometry(state)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)

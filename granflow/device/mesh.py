@@ -1,8 +1,7 @@
-"""Walls of triangles on the device: which triangles are near, and whether one of them answers for a contact.
+"""Mesh walls on the device: nearby triangles, and the triangle that owns a contact.
 
-`walls/mesh_adjacency.py` says how a contact is chosen, `walls/mesh_contact.py` is the numpy twin. Everything here is
-in the
-frame of the mesh at rest; triangles of all meshes are numbered through.
+`walls/mesh_adjacency.py` defines the owner of a contact, `walls/mesh_contact.py` is the numpy reference implementation.
+All coordinates are in the frame of the mesh at rest; triangles are numbered consecutively over all meshes.
 """
 
 from dataclasses import dataclass
@@ -24,17 +23,17 @@ class MeshGeometry:
     """Device functions of a point in the frame of the mesh."""
 
     cell: Any
-    """(wall, point) -> where the triangles that could be near begin and end in `MeshFields.cell_triangles`."""
+    """(wall, point) -> begin and end of the triangles near the point in `MeshFields.cell_triangles`."""
     from_nearest: Any
-    """(triangle, point) -> the way from the nearest point of the triangle alone to the point [m]."""
+    """(triangle, point) -> vector [m] from the nearest point of this triangle to the point."""
     may_own: Any
-    """(triangle, point, slack) -> 1 unless the triangle cannot answer for any point within `slack` [m] of this one."""
+    """(triangle, point, slack) -> 0 if the triangle owns no contact of any point within `slack` [m] of this point."""
     contact: Any
-    """(triangle, point) -> (gap [m], normal); FAR_AWAY where another triangle answers."""
+    """(triangle, point) -> (gap [m], normal); FAR_AWAY if another triangle owns the contact."""
 
 
 def build_mesh_geometry(state: State) -> MeshGeometry:
-    """Functions over the meshes of this plan."""
+    """Functions for the meshes of this plan."""
     return MeshGeometry(_build_cell(state), _build_from_nearest(state), _build_may_own(state), _build_contact(state))
 
 
@@ -88,9 +87,10 @@ def _build_from_nearest(state: State) -> Any:
 
 
 def _build_may_own(state: State) -> Any:
-    """Every length that `contact` decides by changes by no more than the point moves.
+    """Each length that `contact` compares changes by at most the displacement of the point.
 
-    Without this a sphere would list all triangles within its radius, where it can touch one or two of them.
+    Without this test the neighbor list of a sphere would hold all triangles within its radius, although only one or two
+    can own a contact.
     """
     mesh = state.mesh
 
@@ -104,7 +104,7 @@ def _build_may_own(state: State) -> Any:
         return over
 
     @ti.func
-    def beside_edge(t, k, point, slack):
+    def in_edge_region(t, k, point, slack):
         edge, from_edge_nearest = 3 * t + k, 0
         if mesh.role[edge] != NOT_OWNED:
             from_nearest = point - mesh.vertex[edge]
@@ -130,7 +130,7 @@ def _build_may_own(state: State) -> Any:
         possible = over_face(t, point, slack)
         for k in range(3):
             if possible == 0:
-                possible = ti.max(beside_edge(t, k, point, slack), above_vertex(t, k, point, slack))
+                possible = ti.max(in_edge_region(t, k, point, slack), above_vertex(t, k, point, slack))
         return possible
 
     return may_own
@@ -148,7 +148,7 @@ def _build_contact(state: State) -> Any:
         gap, gap_alone, normal = ti.cast(FAR_AWAY, real), ti.cast(FAR_AWAY, real), 0.0 * point
         row = 2 * t + ti.cast(height(t, point) < 0.0, ti.i32)
         begin, entry, end = mesh.competitor_start[row], -1, mesh.competitor_start[row + 1] - mesh.competitor_start[row]
-        while entry < end:  # this triangle itself, then its rivals: one loop, so that `contact_alone` is compiled once
+        while entry < end:  # this triangle, then its competitors: one loop, so that `contact_alone` is compiled once
             candidate = t
             if entry >= 0:
                 candidate = mesh.competitor[begin + entry]
@@ -167,9 +167,9 @@ def _build_contact(state: State) -> Any:
 
 
 def _build_contact_alone(state: State) -> Any:
-    """As `contact`, before rivals are asked."""
+    """As `contact`, before the comparison with competing faces."""
     mesh, real = state.mesh, state.backend.position_real
-    above_vertex, beside_edge = _build_above_vertex(state), _build_beside_edge(state)
+    above_vertex, in_edge_region = _build_above_vertex(state), _build_in_edge_region(state)
 
     @ti.func
     def contact_alone(t, point):
@@ -188,7 +188,7 @@ def _build_contact_alone(state: State) -> Any:
             gap = ti.abs(height)
         elif is_vertex == 0:
             for k in range(3):
-                owns, from_nearest = beside_edge(t, k, point)
+                owns, from_nearest = in_edge_region(t, k, point)
                 if owns == 1:
                     near = from_nearest
                     gap = from_nearest.norm()
@@ -206,12 +206,12 @@ def _build_contact_alone(state: State) -> Any:
     return contact_alone
 
 
-def _build_beside_edge(state: State) -> Any:
-    """Device function (t, k, point): whether the triangle answers for its edge, and the way from there to the point."""
+def _build_in_edge_region(state: State) -> Any:
+    """Device function (t, k, point): whether the triangle owns a contact at edge k, and the vector from it."""
     mesh = state.mesh
 
     @ti.func
-    def beside_edge(t, k, point):
+    def in_edge_region(t, k, point):
         edge = 3 * t + k
         from_nearest, owns = point - mesh.vertex[edge], 0
         if mesh.role[edge] != NOT_OWNED:
@@ -223,11 +223,11 @@ def _build_beside_edge(state: State) -> Any:
             from_nearest -= edge_direction * mesh.edge_direction[edge]
         return owns, from_nearest
 
-    return beside_edge
+    return in_edge_region
 
 
 def _build_above_vertex(state: State) -> Any:
-    """Device function (t, k, point): whether no edge that leaves a corner comes nearer to the point."""
+    """Device function (t, k, point): 1 if no edge at corner k is nearer to the point than the corner."""
     mesh = state.mesh
     rounding = ROUNDING * EPSILON[state.backend.position_real]
 

@@ -1,7 +1,7 @@
-"""What a contact remembers goes along when it slides from one triangle of a mesh to the next.
+"""Transfers the contact history if a contact slides from one triangle of a mesh to the next.
 
-The walls of a particle are gone through in three turns: contacts that there were before; then those that begin, which
-may take over what a contact of the first turn has left; then what nobody took is forgotten.
+The wall entries of a particle are evaluated in three passes: existing contacts; then new contacts, which may acquire
+the history that a contact of the first pass released; then the released entries, whose remaining history is cleared.
 """
 
 from typing import Any
@@ -15,21 +15,21 @@ from granflow.device.walls import build_triangle_of, build_wall_geometry
 from granflow.walls.shape import FAR_AWAY
 
 CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
-"""Which slots have their turn one after the other."""
+"""State of the entries evaluated in each pass."""
 
 
 def transfers_history(state: State) -> bool:
-    """Whether contacts with walls can go on in another slot, and have something to bring there."""
+    """True if wall contacts can move to another list entry and have a history to transfer."""
     return state.plan.features.mesh_walls and bool(state.neighbors.history)
 
 
 def build_release_history(state: State) -> Any:
-    """Device function (i, slot, j, pose): leave a slot's memory for an heir; 1 if that is done.
+    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if released.
 
-    Done where a triangle no longer answers though the sphere still reaches it: another one does, then.
+    Released if the triangle no longer owns the contact although the sphere still reaches it: another triangle does.
 
     Reads:   position, radius, mesh
-    Writes:  touching
+    Writes:  in_contact
     """
     particles, neighbors = state.particles, state.neighbors
     separation, triangle_of = _build_separation(state), build_triangle_of(state)
@@ -46,11 +46,11 @@ def build_release_history(state: State) -> Any:
     return release_history
 
 
-def build_claim_history(state: State) -> Any:
-    """Device function (i, slot, j, pose): a contact that begins takes over the memory left nearest to it on its wall.
+def build_acquire_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): a new contact acquires the nearest released history on its wall.
 
-    Reads:   position, contact rows, mesh
-    Writes:  history, touching
+    Reads:   position, neighbor lists, mesh
+    Writes:  history, in_contact
     """
     neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
     separation, triangle_of, names = _build_separation(state), build_triangle_of(state), list(neighbors.history)
@@ -68,7 +68,7 @@ def build_claim_history(state: State) -> Any:
         return found
 
     @ti.func
-    def claim_history(i, list_index, j, pose):
+    def acquire_history(i, list_index, j, pose):
         t = triangle_of(j)
         if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
             source = released_near(i, t, pose)
@@ -78,11 +78,11 @@ def build_claim_history(state: State) -> Any:
                     neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
                 neighbors.in_contact[source] = NO_CONTACT
 
-    return claim_history
+    return acquire_history
 
 
 def _build_separation(state: State) -> Any:
-    """Device function (i, triangle, pose): from the nearest point of the triangle to the particle, the wall at rest."""
+    """Device function (i, triangle, pose): vector from the nearest point of the triangle to the particle at rest."""
     geometry, wall_geometry = build_mesh_geometry(state), build_wall_geometry(state)
 
     @ti.func

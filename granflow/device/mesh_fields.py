@@ -1,4 +1,4 @@
-"""The arrays of mesh walls on the device: written once, read by `device/mesh.py`."""
+"""Device arrays of mesh walls: written once, read by `device/mesh.py`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +12,13 @@ from granflow.walls.mesh_grid import MeshGrid
 
 
 class MeshFields:
-    """Triangles, their edges (three after each other) and points of all meshes, and the grid of each mesh."""
+    """Triangles, their edges (three in a row) and vertices of all meshes, and the cell grid of each mesh."""
 
     def __init__(self, block: Any, plan: Plan, backend: Any) -> None:
         parts = mesh_parts(plan)
         real, walls = backend.position_real, len(plan.walls)
         sizes = zip(*map(_sizes, parts), strict=True)
-        triangles, points, spokes, rivals, cells, cell_triangles = (max(sum(counts), 1) for counts in sizes)
+        triangles, points, vertex_edges, competitors, cells, cell_triangles = (max(sum(counts), 1) for counts in sizes)
         self.wall = block.scalar(ti.i32, triangles)
         self.normal = block.vector(real, triangles)
         self.vertex, self.edge_direction, self.inward, self.inward_other = (
@@ -27,14 +27,17 @@ class MeshFields:
         self.length = block.scalar(real, 3 * triangles)
         self.point, self.base, self.owns_tie, self.role = (block.scalar(ti.i32, 3 * triangles) for _ in range(4))
         self.owner, self.longest = block.scalar(ti.i32, points), block.scalar(real, points)
-        self.vertex_edge_start, self.vertex_edge = block.scalar(ti.i32, points + 1), block.vector(real, spokes)
-        self.competitor_start, self.competitor = block.scalar(ti.i32, 2 * triangles + 1), block.scalar(ti.i32, rivals)
+        self.vertex_edge_start, self.vertex_edge = block.scalar(ti.i32, points + 1), block.vector(real, vertex_edges)
+        self.competitor_start, self.competitor = (
+            block.scalar(ti.i32, 2 * triangles + 1),
+            block.scalar(ti.i32, competitors),
+        )
         self.low, self.side = block.vector(real, walls), block.scalar(real, walls)
         self.shape, self.first_cell = block.vector(ti.i32, walls), block.scalar(ti.i32, walls)
         self.cell_start, self.cell_triangles = block.scalar(ti.i32, cells + 1), block.scalar(ti.i32, cell_triangles)
 
     def fill(self, plan: Plan) -> None:
-        """Write everything; none of it ever changes."""
+        """Write all arrays; they never change."""
         parts = mesh_parts(plan)
         arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
         arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
@@ -47,7 +50,7 @@ class MeshFields:
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """One mesh wall: its number among the walls, what its triangles know, its grid."""
+    """One mesh wall: index of the wall, adjacency of its triangles, cell grid."""
 
     wall: int
     adjacency: MeshAdjacency
@@ -70,7 +73,7 @@ def _numpy_type(field: Any) -> Any:
 
 
 def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
-    """Arrays of all meshes after each other, numbers shifted to what comes before."""
+    """Concatenated arrays of all meshes; indices are shifted by the number of preceding entries."""
     triangles = np.cumsum([0, *(len(each.normal) for each in adjacency)])
     points = np.cumsum([0, *(len(each.owner) for each in adjacency)])
 
@@ -93,7 +96,7 @@ def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
 
 
 def _starts(starts: list[np.ndarray]) -> np.ndarray:
-    """Beginnings of rows after each other; each of the given has one more entry than rows."""
+    """Row starts of concatenated tables; each given array has one entry more than rows."""
     counts = np.concatenate([np.diff(each) for each in starts])
     return np.concatenate([[0], np.cumsum(counts)])
 

@@ -1,6 +1,6 @@
-"""Neighbor search: particles sorted in cell order, then one row of near partners for each.
+"""Neighbor list (Verlet list): sorts particles in cell order, then builds the list of each particle.
 
-Everything is decided by integers or by one order of the sums: the same bits on any number of threads.
+Integers or a fixed order of the sums determine all results: identical bits for any number of threads.
 """
 
 from collections.abc import Callable
@@ -18,11 +18,11 @@ from granflow.device.walls import build_wall_geometry
 from granflow.plan.capacities import BOUNDS
 
 ROUNDING = 1e-5
-"""Share by which the search reaches further than it has to: cells are found by numbers that are rounded."""
+"""Relative margin of the cell range of the search, because cell coordinates are rounded."""
 
 
 def build_bounds(state: State) -> Callable[[int], None]:
-    """Box around every BOUNDS-th part of the particles, into sorting.low and sorting.high."""
+    """Kernel (count): bounding box of every BOUNDS-th particle, for each offset, into sorting.low and sorting.high."""
     position, low, high = state.particles.position, state.cell_sort.low, state.cell_sort.high
 
     @ti.kernel
@@ -39,7 +39,7 @@ def build_bounds(state: State) -> Callable[[int], None]:
 
 
 def build_cell_of_point(state: State) -> Any:
-    """Device function (point, number of the grid): cell it stands in, or the one at the edge that is nearest."""
+    """Device function (point, grid number): cell that contains the point, or the nearest cell of the grid."""
     sorting, real = state.cell_sort, state.backend.position_real
 
     @ti.func
@@ -55,10 +55,10 @@ def build_cell_of_point(state: State) -> Any:
 
 
 def build_adjacent_cells(state: State) -> tuple[Any, Any]:
-    """Device functions (cell, cells, axis) for the cells next to one along an axis.
+    """Device functions (cell, cells, axis) for the cells adjacent to one along an axis.
 
-    The first gives where they begin and end, the second the cell that a number off the grid stands for. Along a
-    periodic axis the first and the last cell are neighbors; where there are less than three, all are near.
+    The first returns the begin and end of their range, the second the cell of a coordinate outside the grid. Along a
+    periodic axis the first and the last cell are adjacent; with fewer than three cells, all are.
     """
     periodic = state.plan.periodic_box.axes
 
@@ -83,10 +83,10 @@ def build_adjacent_cells(state: State) -> tuple[Any, Any]:
 
 
 def build_cells_within(state: State) -> Any:
-    """Device function (point, reach, number of the grid): first cell along each axis that a sphere meets, and the end.
+    """Device function (point, reach, grid number): range of cells along each axis that a sphere intersects.
 
-    Along a periodic axis they may lie off the grid, but none stands for another; images along a sheared gradient are
-    looked at by themselves.
+    Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a sheared
+    gradient are searched separately.
     """
     sorting, real, periodic_box = state.cell_sort, state.backend.position_real, state.plan.periodic_box
     gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
@@ -115,7 +115,7 @@ def build_cells_within(state: State) -> Any:
 
 
 def build_sort(state: State) -> Callable[..., None]:
-    """Kernel (count, cells): order of the particles by cell, by id within a cell; those that leave come last.
+    """Kernel (count, cells): order of the particles by cell, by id within a cell; deleted particles come last.
 
     Reads:   position, id
     Writes:  cell_start, order
@@ -139,10 +139,10 @@ def build_sort(state: State) -> Callable[..., None]:
 
 
 def build_class_lists(state: State) -> Callable[..., None]:
-    """Kernel (count, cells): the sorted particles once more, by class of size and cell of its grid.
+    """Kernel (count, cells): order of the sorted particles by size class and cell of its grid.
 
     Reads:   position, radius
-    Writes:  listed_start, listed
+    Writes:  class_start, class_order
     """
     particles, sorting = state.particles, state.cell_sort
     cell_number, cell_of_point, class_of = build_cell_number(), build_cell_of_point(state), build_class_of(state)
@@ -161,7 +161,7 @@ def build_class_lists(state: State) -> Callable[..., None]:
 
 
 def build_class_of(state: State) -> Any:
-    """Device function (radius): number of the class of sizes."""
+    """Device function (radius): number of the size class."""
     real, uppers = state.backend.real, state.plan.size_classes[:-1]
 
     @ti.func
@@ -177,7 +177,7 @@ def build_class_of(state: State) -> Any:
 def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order: Any) -> Callable[..., None]:
     """Kernel (count, cells): `order` of particles by `cell_of(i, cells + 1)`, by `key(i)` within a cell.
 
-    Those of a cell stand from its `start` to the next one's; there is a cell behind the last for who has none.
+    The particles of cell c are order[start[c]:start[c + 1]]; cell `cells` collects the particles outside the grid.
     """
     sorting = state.cell_sort
 
@@ -230,9 +230,9 @@ def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order
 
 
 def build_reorder(state: State) -> Callable[[int], None]:
-    """Bring every particle to its new place, one array after the other.
+    """Kernel (count): move all particle fields to the new order, one field after the other.
 
-    They go through `position_at_rebuild` and `coordination`, which nobody reads before they are written anew.
+    `position_at_rebuild` and `coordination` serve as buffers; both are written again before they are read.
     """
     sorting, particles, fields = state.cell_sort, state.particles, state.particles.sorted_fields()
     vectors = [field for field in fields if isinstance(field, ti.MatrixField)]
@@ -270,9 +270,9 @@ def build_reorder(state: State) -> Callable[[int], None]:
 
 
 def build_save_history(state: State) -> Callable[[int], None]:
-    """Copy slots with history to `saved`, where the new rows look them up.
+    """Copy history entries to `saved`, where the new neighbor lists look them up.
 
-    `list_length_needed`: the most in a chunk.
+    `list_length_needed`: largest number of history entries of a chunk.
     """
     neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
     chunk_size, history_capacity = state.plan.chunk_size, neighbors.history_capacity_per_chunk
@@ -304,9 +304,9 @@ def build_save_history(state: State) -> Callable[[int], None]:
 
 
 def build_restore_history(state: State) -> Any:
-    """Device function: history of the pair (i, j) from before the sort, into its new slot.
+    """Device function: copy the history of the pair (i, j) from before the sort to its new list entry.
 
-    A pair that stood in the partner's row comes with its vectors turned round.
+    If the pair was in the list of the partner, its vectors change sign.
     """
     neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
     names = list(neighbors.history)
@@ -344,10 +344,10 @@ def build_restore_history(state: State) -> Any:
 
 
 def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Fill every row with the partners and walls nearer than the skin.
+    """Fill the neighbor lists with all particles and walls nearer than the skin.
 
     Reads:   position, radius, cell_start, walls
-    Writes:  row_begin, row_end, partner, history, slots_needed, position_at_search, search_due
+    Writes:  list_begin, list_end, partner, history, list_length_needed, position_at_rebuild, rebuild_due
     """
     plan, particles, sorting, neighbors = state.plan, state.particles, state.cell_sort, state.neighbors
     real, chunk_size, list_capacity = state.backend.position_real, plan.chunk_size, neighbors.list_capacity_per_chunk
@@ -399,7 +399,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 
     @ti.func
     def append_if_near(chunk, list_index, i, j, skin, image, pose):
-        """Along a sheared gradient only those whose nearest image is in the row of cells that is looked at."""
+        """Along a sheared gradient, append only partners whose nearest image is the searched one."""
         list_end = list_index
         first, last = chunk * chunk_size, (chunk + 1) * chunk_size
         if j > i or (j < first) or (j >= last):
@@ -414,7 +414,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 
     @ti.func
     def append_particles(chunk, list_index, i, skin):
-        """All in the cells around."""
+        """Append partners from the adjacent cells."""
         list_end, cells = list_index, sorting.cells[0]
         x, y, z = cell_of_point(particles.position[i])
         first_x, end_x = adjacent_cells(x, cells, 0)
@@ -435,7 +435,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 
     @ti.func
     def append_particles_by_class(chunk, list_index, i, skin, pose):
-        """Class by class, those in the cells that one of the class can reach from, row of images by row of images."""
+        """Append partners class by class, from the cells within reach, separately for each image along a gradient."""
         list_end = list_index
         for group in range(classes):
             cells, reach = sorting.cells[group], particles.radius[i] + sorting.radius[group] + skin

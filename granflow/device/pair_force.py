@@ -1,7 +1,7 @@
-"""Arithmetic of one contact, on values alone: where the partners stand and how they move in, forces and history out.
+"""Force and torque of one contact as a function of values: positions and velocities in, forces and history out.
 
-Nothing here reads or writes a field, so that the same functions serve a contact at a time and a loop over many.
-Every operation gives exactly the opposite or the same number when the partners change places.
+No function reads or writes a field, so that the scalar and the batched contact loops share them. If the partners are
+exchanged, each result is bit-identical or has exactly the opposite sign.
 """
 
 from typing import Any
@@ -14,11 +14,11 @@ from granflow.laws.rolling import directional_torque, torque_loss
 from granflow.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
-"""Eight units in the last place of 1: spheres nearer than this to touching count as apart, so no overlap is 0."""
+"""Eight units in the last place of 1: pairs with a relative overlap below this are not in contact; no overlap is 0."""
 
 
 def build_in_contact(real: Any) -> Any:
-    """Device function (square of the distance, sum of radii): whether the overlap is above rounding."""
+    """Device function (squared distance, sum of radii): true if the overlap is above rounding."""
     ratio = 1.0 - ROUNDING[real]
 
     @ti.func
@@ -29,11 +29,12 @@ def build_in_contact(real: Any) -> Any:
 
 
 def build_sphere_kinematics(plan: Plan) -> Any:
-    """Device function: two touching spheres seen from the first.
+    """Device function: kinematics of two spheres in contact, relative to the first.
 
-    Takes radii, `branch` from the second to the first [m], relative velocities half a step ago and now [m/s], step [s].
-    Returns overlap, normal, mean of it and that of a step earlier, part of the earlier velocity across the normal,
-    rate of overlap then and now (> 0 approaching), and the lever arms of both.
+    Arguments: radii [m], `branch` vector from the second to the first [m], relative velocity at the half step and now
+    [m/s], time step [s]. Returns overlap [m], normal, mean of the present and the previous normal, tangential relative
+    velocity at the half step [m/s], overlap rate at the half step and now [m/s] (positive if approaching), and the
+    lever arms of both [m].
     """
     rate_dependent = plan.features.rate_dependent
 
@@ -65,11 +66,11 @@ def effective_value(one, other):
 
 
 def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
-    """Device function: what one contact does in a step.
+    """Device function: force and torques of one contact in a step.
 
-    With `is_prepared`, the law's branches have been taken already and only its arithmetic is left (see NormalLaw).
-    Returns force on the first [N], torques on both [N m], the three histories, and the energy lost in this step to
-    friction, rolling and damping [J].
+    With `is_prepared`, the branches of the contact model have been evaluated before (see NormalLaw). Returns the force
+    on the first [N], the torques on both [N m], the three histories, and the energy [J] dissipated in this step by
+    friction, rolling and damping.
     """
     law, features = plan.law, plan.features
     normal_force_of = law.force if is_prepared else complete_force(law)
@@ -86,8 +87,8 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     @ti.func
     def pair_force(
         constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
-        overlap_rate_half, rate, arm, arm_partner, angular_velocity, spin_partner,
-        normal_history, tangential_displacement, rolling_displacement, dt
+        overlap_rate_half, rate, arm, arm_partner, angular_velocity, angular_velocity_partner, normal_history,
+        tangential_displacement, rolling_displacement, dt,
     ):  # fmt: skip
         normal_force, viscous, normal_history_new = normal_force_of(
             constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
@@ -103,7 +104,10 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
             stiffness = law.tangential_stiffness(constants, radius_eff, overlap, normal_history_new)
             ratio = stiffness_ratio(overlap, overlap_rate_half, dt)
             if ti.static(features.friction):
-                slip = dt * (velocity_tangential - (arm * angular_velocity + arm_partner * spin_partner).cross(normal))
+                slip = dt * (
+                    velocity_tangential
+                    - (arm * angular_velocity + arm_partner * angular_velocity_partner).cross(normal)
+                )
                 rotated = rotated_displacement(tangential_displacement, normal, normal_half)
                 friction_limit = constants[friction_index] * normal_load
                 tangential, tangential_displacement_new = elastic_plastic_spring(
@@ -126,31 +130,24 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                     inertia_eff,
                     normal,
                     normal_half,
-                    angular_velocity - spin_partner,
+                    angular_velocity - angular_velocity_partner,
                     rolling_displacement,
                     dt,
                 )
                 torque, torque_partner = torque + torque_rolling, torque_partner - torque_rolling
         return (
-            force,
-            torque,
-            torque_partner,
-            normal_history_new,
-            tangential_displacement_new,
-            rolling_displacement_new,
-            friction_loss,
-            rolling_loss,
-            viscous * rate * dt,
-        )
+            force, torque, torque_partner, normal_history_new, tangential_displacement_new, rolling_displacement_new,
+            friction_loss, rolling_loss, viscous * rate * dt,
+        )  # fmt: skip
 
     return pair_force
 
 
 def _build_rolling_torque(plan: Plan) -> Any:
-    """Device function: rolling torque on the first [N m], rolling history, energy lost [J].
+    """Device function: rolling torque on the first [N m], rolling history, dissipated energy [J].
 
-    The history (`rolling_displacement`) is the rolling displacement of EPSD, or for the energy ledger of CDT the
-    torque one step ago.
+    The history (`rolling_displacement`) is the rolling displacement of EPSD; with CDT and the energy budget it is the
+    torque of the previous step.
     """
     epsd, energy_budget, longest_step = (
         plan.features.rolling == "epsd",

@@ -1,4 +1,4 @@
-"""Geometry and kinematics of one near pair, read from the state, for a partner grain or a wall alike."""
+"""Geometry and kinematics of one candidate pair, read from the state, with a particle or a wall as the partner."""
 
 from typing import Any
 
@@ -12,12 +12,12 @@ from granflow.device.walls import build_wall_geometry, build_wall_of
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
-    """Device function (i, j, pose, time_step) -> what there is to know of a near pair; a wall's j is -1 - its index.
+    """Device function (i, j, pose, time_step) -> kinematics of a candidate pair; for a wall, j is -1 - index.
 
-    Returns overlap [m] (0 or less: apart), normal from j to i, mean of this normal and that of a step earlier, part of
-    the velocity of i relative to j across the normal half a step earlier, rate of overlap then and at the time of
-    the positions [m/s] (> 0 approaching), lever arms of both [m]. Grains and walls have functions of their own,
-    without a branch between them in the loops.
+    Returns overlap [m] (<= 0 without contact), normal from j to i, mean of the present and the previous normal,
+    tangential velocity of i relative to j at the half step [m/s], overlap rate at the half step and at the time of the
+    positions [m/s] (positive if approaching), lever arms of both [m]. Particles and walls have separate functions, so
+    that the loops contain no branch between them.
     """
     return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
 
@@ -106,11 +106,9 @@ def build_effective(state: State, with_wall: bool) -> Any:
 
 
 def build_any_kinematics(state: State) -> Any:
-    """Device function as those of `build_pair_kinematics`, for grains and walls alike: for surveys.
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not matter.
 
-    Where speed is no matter.
-
-    Returns (overlap, normal, rate, effective radius, effective mass).
+    Returns (overlap [m], normal, overlap rate [m/s], effective radius [m], effective mass [kg]).
     """
     has_walls = state.plan.has_walls
     particle_kinematics, particle_effective = build_pair_kinematics(state, False), build_effective(state, False)
@@ -133,7 +131,7 @@ def build_any_kinematics(state: State) -> Any:
 
 
 def build_weight(state: State) -> Any:
-    """Device function: 1 for a pair that stands in one row, 1/2 for one that stands in two."""
+    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two."""
     chunk_size = state.plan.chunk_size
 
     @ti.func
@@ -147,9 +145,9 @@ def build_weight(state: State) -> Any:
 
 
 def build_boundary_work(state: State) -> Any:
-    """Device function (chunk, i, j, force on i, pose, time_step): enter the work of the moving image of j on a pair.
+    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
 
-    W = F_ij . (velocity of the image over its original) dt, once for each pair.
+    W = F_ij . (velocity of the image relative to its original) dt, once per pair.
     """
     weight, image_velocity = build_weight(state), build_image_velocity(state)
     boundary_work: Any = state.control.boundary_work
@@ -163,7 +161,7 @@ def build_boundary_work(state: State) -> Any:
 
 
 def build_pair_number(state: State) -> Any:
-    """Device function: row of the pair constants for particle i and partner j."""
+    """Device function (i, j): row of the pair constants for particle i and partner j."""
     plan, particles, walls = state.plan, state.particles, state.walls
     features, wall_of = plan.features, build_wall_of(state)
 

@@ -1,8 +1,8 @@
-"""Where the partner of a particle stands: in a periodic box, its image that is nearest.
+"""Periodic box: minimum image, wrapping and image velocity.
 
-Positions are brought into the box at a search only; in between they may stand out of it by less than the skin. In a
-sheared box the image above moves along with its offset and its speed, the one below the other way; both are looked up
-by pose, as where walls stand.
+Positions are wrapped into the box at neighbor-list rebuilds only; between rebuilds they may be outside by less than
+the skin. In a sheared box (Lees-Edwards) the image above moves with an offset and a velocity, and the image below
+with the opposite ones; both are stored by pose, as wall positions are.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from granflow.scene.periodic_box import PeriodicBox
 
 
 def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
-    """Axes of velocity and gradient; of a box without shear, any."""
+    """Axes of flow and gradient; arbitrary for a box without shear."""
     return (
         (0, 0)
         if periodic_box.image_motion is None
@@ -24,9 +24,9 @@ def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
 
 
 def build_image_index(state: State) -> Any:
-    """Device function (one, other): 1 where the other's image above is the nearest to the one, -1 the one below, or 0.
+    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
 
-    Of a sheared box, along the axis of its gradient.
+    Above and below refer to the gradient axis of a sheared box.
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     _, gradient = _lees_edwards_axes(periodic_box)
@@ -41,9 +41,9 @@ def build_image_index(state: State) -> Any:
 
 
 def build_minimum_image(state: State) -> Any:
-    """Device function (one, other, pose): vector [m] from the other point to the first, in its nearest image.
+    """Device function (one, other, pose): branch vector [m] from `other` to `one` by the minimum image convention.
 
-    Points that change places give exactly the opposite. Without periodic axes it is the difference and nothing else.
+    Exchanged points give exactly the opposite vector. Without periodic axes it is the plain difference.
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     widths, sheared = [float(width) for width in periodic_box.width], periodic_box.image_motion is not None
@@ -67,7 +67,7 @@ def build_minimum_image(state: State) -> Any:
 
 
 def build_shift_by_images(state: State) -> Any:
-    """Device function (point, turn, pose): where the box has the point [m] that is so many images above it."""
+    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the gradient."""
     real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
     sheared = periodic_box.image_motion is not None
     flow, gradient = _lees_edwards_axes(periodic_box)
@@ -86,9 +86,9 @@ def build_shift_by_images(state: State) -> Any:
 
 
 def build_image_velocity(state: State) -> Any:
-    """Device function (i, j, pose): velocity [m/s] of the image of j nearest to i, over that of j itself.
+    """Device function (i, j, pose): velocity [m/s] of the image of j nearest to i, relative to j itself.
 
-    Only in a sheared box is there any.
+    It is zero except in a sheared box.
     """
     real, position, periodic_box = state.backend.real, state.particles.position, state.plan.periodic_box
     sheared, speed = periodic_box.image_motion is not None, state.control.image_speed
@@ -106,7 +106,7 @@ def build_image_velocity(state: State) -> Any:
 
 
 def build_wrap_position(state: State) -> Any:
-    """Device function (point): the image of the point [m] that stands in a box that is not sheared."""
+    """Device function (point): the image of the point [m] inside the box, without shear."""
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
 
@@ -122,10 +122,10 @@ def build_wrap_position(state: State) -> Any:
 
 
 def build_wrap(state: State) -> Any:
-    """Kernel (count, pose, time_step): bring every particle into the box; what it gains by that is work of the border.
+    """Kernel (count, pose, time_step): wrap all particles into the box; the energy they gain counts as boundary work.
 
     Reads:   position, velocity, mass, force
-    Writes:  position, velocity, velocity_now, boundary_work
+    Writes:  position, velocity, velocity_synchronized, boundary_work
     """
     plan, particles, real = state.plan, state.particles, state.backend.real
     boundary_work: Any = state.control.boundary_work
@@ -135,7 +135,7 @@ def build_wrap(state: State) -> Any:
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
-        """Potential energy, and kinetic energy at the time of the positions, by the forces of the step before."""
+        """Add the gain of potential energy, and of kinetic energy at the time of the positions."""
         mass = ti.cast(particles.mass[i], ti.f64)
         gained = -mass * ti.Vector(gravity, dt=ti.f64).dot(ti.cast(shift, ti.f64))
         if ti.static(sheared):
@@ -172,7 +172,7 @@ def build_wrap(state: State) -> Any:
 
 
 def _build_cross_boundary(state: State) -> Any:
-    """Device function (point, pose): where the point comes in through the sheared faces, and how much slower [m/s]."""
+    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s]."""
     real, position_real, periodic_box, control = (
         state.backend.real,
         state.backend.position_real,
@@ -195,9 +195,9 @@ def _build_cross_boundary(state: State) -> Any:
 
 
 def upload_offsets(state: State, step: int) -> None:
-    """Put offset and speed of the images after WALL_BATCH steps from number `step` on the device.
+    """Upload offset and velocity of the images for WALL_BATCH steps after step number `step`.
 
-    Speeds are of the middle of each step, since velocities are half a step behind.
+    Velocities refer to the middle of each step, because particle velocities are half a step behind.
     """
     periodic_box, clock, control = state.plan.periodic_box, state.clock, state.control
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))

@@ -1,8 +1,8 @@
-"""Contacts between grains by the batch, for CPUs: gather numbers into columns, do the arithmetic, hand out the forces.
+"""Batched particle contacts for CPUs: gather values into columns, evaluate the forces, scatter the results.
 
-The loop over the columns has no branch and no indirect address, so the compiler does four (float64) or eight (float32)
-contacts in one instruction. Around it stand loops with the indirect addresses and the branches. A batch is a few rows,
-so that the columns stay in the cache.
+The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four (float64) or
+eight (float32) contacts per instruction. The loops before and after it contain the indirect addresses and the
+branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
 """
 
 from typing import Any
@@ -18,21 +18,21 @@ from granflow.device.periodic_box import build_image_velocity, build_minimum_ima
 from granflow.device.state import DAMPING, FRICTION, LANES, PLASTIC, ROLLING, State
 
 BATCH = 128
-"""Contacts from which on no further row joins a batch."""
+"""Number of contacts at which a batch is complete; no further neighbor list is added."""
 
 
 @ti.func
 def store_vector(columns: ti.template(), worker, entry, vector):
-    """Write a vector into columns, a number into each."""
+    """Write the components of a vector into columns."""
     for k in ti.static(range(len(columns))):
         columns[k][worker, entry] = vector[k]
 
 
 def build_batched_forces(state: State) -> Any:
-    """Device function (worker, chunk, first, last, pose, time_step): add contacts between grains, rows first..last.
+    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
 
-    Reads:   position, velocity, velocity_now, spin, radius, mass, contact rows
-    Writes:  force, torque, history, losses, guard, the worker's batch
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
+    Writes:  force, torque, history, losses, abort, batch of the worker
     """
     collect, gather, evaluate, scatter = (
         _build_collect(state),
@@ -57,7 +57,7 @@ def build_batched_forces(state: State) -> Any:
 
 
 def _build_collect(state: State) -> Any:
-    """Device function: enter the touching partners of one row; returns where the entries end."""
+    """Device function: add the contacts of one neighbor list to the batch; returns the end of the entries."""
     plan, particles, neighbors, control, batch = (
         state.plan,
         state.particles,
@@ -110,7 +110,7 @@ def _build_collect(state: State) -> Any:
 
 
 def _build_gather(state: State) -> Any:
-    """Device function: velocities, masses and histories of the entries, into columns."""
+    """Device function: gather velocities, masses and histories of the entries into columns."""
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
     read, pair_number, has_prepare = build_read_history(state), build_pair_number(state), law.prepare is not None
@@ -119,7 +119,7 @@ def _build_gather(state: State) -> Any:
 
     @ti.func
     def prepared(constants, worker, entry, i, j, velocity_rel_half, velocity_rel, normal_history, dt):
-        """The branches of the law."""
+        """Evaluate the branches of the contact model."""
         branch = ti.Vector(
             [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
         )
@@ -148,7 +148,7 @@ def _build_gather(state: State) -> Any:
             batch.mass_partner[worker, entry] = contact_mass(j)
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
-                store_vector(batch.spin_partner, worker, entry, particles.angular_velocity[j])
+                store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
             normal_history, tangential_displacement, rolling_displacement = read(list_index)
             number = pair_number(i, j)
             if ti.static(has_prepare):
@@ -173,9 +173,9 @@ def _build_gather(state: State) -> Any:
 
 
 def _build_evaluate(state: State) -> Any:
-    """Function (worker, end, time_step): the arithmetic of all entries, column to column, results in place of inputs.
+    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
 
-    A function of its own for the compiler, which gives up on the loop where it stands amid all the others.
+    It is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
     """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
     features, size, constant_count = plan.features, max(plan.law.history_count, 1), plan.pair_constants.shape[1]
@@ -220,9 +220,9 @@ def _build_evaluate(state: State) -> Any:
                 worker, entry, dt
             )
             radius_eff, mass_eff, inertia_eff = effective(worker, entry)
-            angular_velocity, spin_partner = (
+            angular_velocity, angular_velocity_partner = (
                 load_vector(batch.angular_velocity, worker, entry, 3),
-                load_vector(batch.spin_partner, worker, entry, 3),
+                load_vector(batch.angular_velocity_partner, worker, entry, 3),
             )
             normal_history, tangential_displacement = (
                 load_vector(batch.normal_history, worker, entry, size),
@@ -253,7 +253,7 @@ def _build_evaluate(state: State) -> Any:
                 arm,
                 arm_partner,
                 angular_velocity,
-                spin_partner,
+                angular_velocity_partner,
                 normal_history,
                 tangential_displacement,
                 rolling_displacement,
@@ -261,7 +261,7 @@ def _build_evaluate(state: State) -> Any:
             )
             store_vector(batch.branch, worker, entry, force)
             store_vector(batch.angular_velocity, worker, entry, torque)
-            store_vector(batch.spin_partner, worker, entry, torque_partner)
+            store_vector(batch.angular_velocity_partner, worker, entry, torque_partner)
             store_vector(batch.normal_history, worker, entry, normal_history)
             store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
             store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
@@ -272,7 +272,7 @@ def _build_evaluate(state: State) -> Any:
 
 
 def _build_scatter(state: State) -> Any:
-    """Device function: forces to both partners, if the second is of this chunk, and histories back to their slots."""
+    """Device function: add forces to both partners, if the second is in this chunk, and write the histories back."""
     plan, particles, neighbors, control, batch = (
         state.plan,
         state.particles,
@@ -316,7 +316,7 @@ def _build_scatter(state: State) -> Any:
             if j >= first and j < last:
                 particles.force[j] = particles.force[j] - force
                 if ti.static(features.rotation):
-                    particles.torque[j] = particles.torque[j] + vector_of(batch.spin_partner, worker, entry)
+                    particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, i, j, entry)

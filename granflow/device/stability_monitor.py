@@ -1,4 +1,4 @@
-"""Warnings while a run goes on, from numbers that a snapshot has fetched anyway: nothing is added to a step."""
+"""Warnings during a run from values of the snapshots, without additional work in a step."""
 
 import logging
 
@@ -10,16 +10,15 @@ from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import stable_step
 
 SPEED_INCREASE = 1.1
-"""By how much the fastest particle must outdo the fastest so far to be looked at again."""
+"""Factor by which the particle speed must exceed the previous maximum for another check."""
 
 
 class StabilityMonitor:
-    """Checks every snapshot: is the step still stable for the speeds there are, is energy conserved?
+    """Checks at every snapshot that the time step is stable for the present speeds and that energy is conserved.
 
-    With the energy budget, the magnitude of its error must stay below LARGEST_ERROR, in one of two moments that follow
-    each other: in a first contact little energy is put in yet. Without, kinetic and potential energy must not exceed
-    those at the start and of particles inserted since; what is above is taken over the same scale, the largest energy
-    put in so far. That requires a start without contacts, walls at rest and no cohesion.
+    With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
+    energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
+    the largest energy put in so far. This check requires a start without contacts, walls at rest and no cohesion.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -40,7 +39,7 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """See what stands at `time` [s]: kinetic, rotational, potential energy [J], totals, largest speed [m/s]."""
+        """Check kinetic, rotational, potential energy [J], totals and largest speed [m/s] at `time` [s]."""
         self._check_speed(time, speed)
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
@@ -50,7 +49,7 @@ class StabilityMonitor:
             self._warn_once(
                 "energy",
                 f"At {time:.6g} s the energy error is {share:.2%} of the energy put in, more than {LARGEST_ERROR:.1%}: "
-                f"the contacts are integrated too coarsely. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
+                f"the time step is too long for the contacts. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
                 "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
                 "budget.",
             )
@@ -58,13 +57,13 @@ class StabilityMonitor:
     def _gained_share(
         self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
     ) -> float:
-        """Energy above what there can be, over the largest energy put in so far."""
+        """Excess energy over the largest energy put in so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
         accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2]))
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
     def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
-        """Energy above what there can be [J]; 0 where that cannot be told."""
+        """Energy above the conserved total [J]; 0 if the check does not apply."""
         if not self._enabled:
             return 0.0
         energy_inserted = accounting.inserted_energy - accounting.removed_energy
@@ -76,7 +75,7 @@ class StabilityMonitor:
         return max(energy_held - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0)
 
     def _check_speed(self, time: float, speed: float) -> None:
-        """Hold a step that does not follow the scene against the stable one at the speed of the fastest particle."""
+        """Compare a fixed time step with the stable time step at the speed of the fastest particle."""
         if self.plan.adaptive_time_step is not None or not speed > SPEED_INCREASE * self._fastest:
             return
         self._fastest = speed
@@ -84,23 +83,24 @@ class StabilityMonitor:
         if self.plan.time_step > stable:
             self._warn_once(
                 "speed",
-                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, faster than the "
-                f"{self.plan.velocity_max:.3g} m/s planned for: an impact at that speed needs a time step below "
+                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, above the "
+                f"planned {self.plan.velocity_max:.3g} m/s: an impact at that speed requires a time step below "
                 f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} m/s.",
             )
 
     def _warn_once(self, kind: str, sentence: str) -> None:
-        """Once for each kind."""
+        """Log the warning once per kind."""
         if kind not in self.warnings:
             self.warnings[kind] = sentence
             logging.getLogger("granflow").warning("%s", sentence)
 
 
 def _conserves_energy(plan: Plan) -> bool:
-    """Whether nothing but arriving particles can bring energy."""
+    """True if only inserted particles can increase the energy."""
     walls = plan.scene.walls.values()
     walls_stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
-    has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)  # who passes a border may fall for ever
+    # Gravity along a periodic axis accelerates particles without limit.
+    has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
     has_image_work = has_image_work or plan.features.lees_edwards
     return walls_stay and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
 

@@ -1,4 +1,4 @@
-"""The arrays on the device. Fields are allocated by quantity; what the plan does not need is None."""
+"""Device arrays. Fields are allocated by quantity; a field that the plan does not need is None."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,17 +17,17 @@ from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT, Shape
 
 CPU_STRIDE = 512
-"""Taichi gives a CPU thread no fewer iterations of a loop than this: a loop over chunks must be that much longer."""
+"""Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
 
 CACHE_LINE = 16
-"""Integers in a line of the cache; counters that threads fight for get lines of their own."""
+"""Integers per cache line; contended counters occupy separate lines."""
 
 WALL_BATCH = 256
-"""Steps whose wall poses are uploaded at a time."""
+"""Number of steps whose wall poses are uploaded together."""
 
 
 class FieldBlock:
-    """Fields that are allocated and freed together: all of the state in one, since each costs a look-up in kernels."""
+    """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
 
     def __init__(self) -> None:
         self._builder = ti.FieldsBuilder()
@@ -35,11 +35,11 @@ class FieldBlock:
         self.fields: list[Any] = []
 
     def scalar(self, dtype: Any, *shape: int) -> Any:
-        """A field of numbers."""
+        """A scalar field."""
         return self._placed(ti.field(dtype), shape)
 
     def vector(self, dtype: Any, *shape: int, count: int = 3) -> Any:
-        """A field of vectors, components side by side."""
+        """A field of vectors with adjacent components."""
         return self._placed(ti.Vector.field(count, dtype), shape)
 
     def matrix(self, dtype: Any, *shape: int) -> Any:
@@ -47,27 +47,27 @@ class FieldBlock:
         return self._placed(ti.Matrix.field(3, 3, dtype), shape)
 
     def together(self, count: int, *fields: Any) -> None:
-        """Place fields side by side, entry by entry: whoever reads one of a particle reads the others."""
+        """Interleave fields entry by entry: kernels read these quantities of a particle together."""
         wanted = [field for field in fields if field is not None]
         self._builder.dense(ti.i, count).place(*wanted)
         self.fields += wanted
 
     def parts(self, count: int) -> Any:
-        """So many equal parts, each of which holds the whole of several columns."""
+        """A number of equal parts; each holds the complete part of several columns."""
         return self._builder.dense(ti.i, count)
 
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
-        """A field [part, entry] with the entries of one part side by side; its numbers do not survive growing."""
+        """A field [part, entry] with adjacent entries of a part; its values are lost if the block is reallocated."""
         field = ti.field(dtype)
         parts.dense(ti.j, length).place(field)
         return field
 
     def finish(self) -> None:
-        """Allocate; no field can be added afterwards."""
+        """Allocate the fields; no field can be added afterwards."""
         self._tree = self._builder.finalize()
 
     def free(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         if self._tree is not None:
             self._tree.destroy()
             self._tree = None
@@ -80,7 +80,7 @@ class FieldBlock:
 
 
 class Particles:
-    """One entry a sphere, in cell order; velocities are half a step behind the positions (leapfrog)."""
+    """Particle fields, in cell order; velocities are half a step behind the positions (leapfrog)."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
@@ -109,17 +109,16 @@ class Particles:
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
-        """Fields that travel with a particle when it gets another place."""
+        """Fields that are permuted with the particles at a neighbor-list rebuild."""
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
         optional = (self.material, self.fixed, self.angular_velocity, self.velocity_synchronized)
         return fields + [field for field in optional if field is not None]
 
 
 class CellSort:
-    """Scratch for the neighbor search: cells and the new order; where sizes differ widely, a grid for each class.
+    """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ widely.
 
-    `class_order`: particles by class and cell, from listed_start of a cell on; cells of a class begin at its
-    first_cell.
+    `class_order`: particles by class and cell, from `class_start` of a cell; those of a class begin at `first_cell`.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, particles: Particles) -> None:
@@ -142,15 +141,15 @@ class CellSort:
 
 
 SCAN_BLOCK = 1024
-"""Cells summed by one task of the prefix sum."""
+"""Number of cells summed by one task of the prefix sum."""
 
 
 class NeighborList:
-    """Rows of near partners, one row a particle, each chunk of particles in its own segment.
+    """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
 
-    `partner` holds the index of a particle, or -1 - wall; walls stand from row_begin to row_middle, before the
-    others. A pair within one chunk stands in one row, a pair across two chunks in both. `in_contact` is 1 where there
-    is history. `saved` is a copy of those slots, taken when the particles are sorted anew.
+    `partner` holds the index of a particle, or -1 - wall; walls are first, at list_begin..list_walls_end.
+    A pair within a chunk is in one list, a pair across two chunks in both. `in_contact` is 1 for entries with a contact
+    history. `saved` holds a copy of those entries while the particles are sorted.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
@@ -175,14 +174,14 @@ class NeighborList:
 
 
 LANES = 16
-"""Batches are padded to a multiple of this, so that no contact is left to the loop for the remainder."""
+"""Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
 
 STAGGER = 24
-"""Columns must not lie a multiple of 4096 bytes apart, or they push each other out of the cache."""
+"""Offset between columns: columns a multiple of 4096 bytes apart evict each other from the cache."""
 
 
 class PairBatch:
-    """Columns of numbers, an entry for each contact in work, a part of each column for every CPU thread."""
+    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
         features, real = plan.features, backend.real
@@ -197,7 +196,10 @@ class PairBatch:
         self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
         self.branch, self.velocity_rel_half = columns(3), columns(3)
         self.velocity_rel = columns(3 * features.rate_dependent)
-        self.angular_velocity, self.spin_partner = columns(3 * features.rotation), columns(3 * features.rotation)
+        self.angular_velocity, self.angular_velocity_partner = (
+            columns(3 * features.rotation),
+            columns(3 * features.rotation),
+        )
         self.normal_history = columns(plan.history.get("normal", 0))
         self.tangential_displacement, self.rolling_displacement = (
             columns(plan.history.get("tangential", 0)),
@@ -208,11 +210,11 @@ class PairBatch:
 
 
 NOT_MEASURED = -1
-"""Row of the loads for walls whose loads nobody asks for."""
+"""Impulse row of walls whose forces are not measured."""
 
 
 class Walls:
-    """Shapes at rest, what they are made of, and where they stand in the next WALL_BATCH steps."""
+    """Shapes at rest, materials, and poses for the next WALL_BATCH steps."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count = max(len(plan.walls), 1)
@@ -229,7 +231,7 @@ class Walls:
         self.angular_velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
 
     def fill(self, plan: Plan) -> None:
-        """Write what never changes."""
+        """Write the constant arrays."""
         for index, wall in enumerate(plan.walls):
             self.kind[index] = surface_code(wall.shape)
             self.material[index] = wall.material
@@ -241,11 +243,11 @@ class Walls:
 
 
 class WallDynamicsFields:
-    """Driven walls, an entry for each motion: way along its direction, velocity half a step behind, forces of grains.
+    """Force-controlled walls, an entry per motion: offset along its direction [m], velocity [m/s] half a step behind.
 
-    `active`: whether it runs in the step that ends at a pose; `was_active`: in the last one; `wall_force` [N]: what
-    each chunk
-    adds up; `work_on_particles` [J]: work on the grains; `work` [J]: of all but the grains on a free wall.
+    `active`: 1 if the motion is active in the step that ends at a pose; `was_active`: in the previous step;
+    `wall_force` [N]: force of the particles summed by each chunk; `work_on_particles` [J]: work on the particles;
+    `work` [J]: work of all other forces on a free wall.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan) -> None:
@@ -257,7 +259,7 @@ class WallDynamicsFields:
 
 
 class Control:
-    """Small things that kernels and host tell each other."""
+    """Flags, counters and constants shared by kernels and host."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         self.rebuild_due = block.scalar(ti.i32, 1)
@@ -281,24 +283,24 @@ class Control:
         self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
 
     def fill(self, plan: Plan) -> None:
-        """Write what never changes."""
+        """Write the constant arrays."""
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
         self.abort_particle[0] = NO_PARTICLE
 
 
 LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
-"""What each chunk adds up in the energy ledger [J]."""
+"""Terms of the energy budget that each chunk sums [J]."""
 
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 
 
 IMPULSE_SIZE = 7
-"""What each chunk adds up for a wall: force (3), torque (3) and normal forces over time."""
+"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force (1)."""
 
 
 class State:
-    """Everything on the device for one plan."""
+    """All device data of one plan."""
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
@@ -327,18 +329,18 @@ class State:
 
     @property
     def stride(self) -> int:
-        """Loop iterations for each chunk, of which the first does the work; see CPU_STRIDE."""
+        """Loop iterations per chunk, of which the first does the work; see CPU_STRIDE."""
         return CPU_STRIDE if self.backend.on_cpu else 1
 
     @property
     def chunk_count(self) -> int:
-        """Chunks that hold particles now."""
+        """Number of chunks that contain particles."""
         return -(-self.count // self.plan.chunk_size)
 
     def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
-        """Allocate anew with longer contact rows, build all kernels anew, and only then copy everything over.
+        """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
 
-        `build` may launch kernels over nothing: what they write, such as empty cells, does not stay.
+        `build` may launch kernels on empty ranges: the restored values overwrite their output.
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self._block.free()
@@ -350,5 +352,5 @@ class State:
             field.from_numpy(padded)
 
     def free(self) -> None:
-        """Give all memory back."""
+        """Free all device memory."""
         self._block.free()

@@ -1,7 +1,7 @@
-"""The compiled phases of one plan, in order: motion, search when it is due, contact forces.
+"""The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
-One launch does many steps on a CPU, one on a GPU. Once a particle has traveled half the skin every later phase of
-the launch does nothing until the host has run the search: no transfer per step.
+One launch takes many steps on a CPU and one on a GPU. If a particle has moved by half the skin, all further phases of
+the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer to the host.
 """
 
 import time as clock
@@ -11,7 +11,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.barrier import build_barrier, seconds_per_look
+from granflow.device.barrier import build_barrier, seconds_per_poll
 from granflow.device.cell_grid import update_cell_grids
 from granflow.device.contact_forces import build_forces
 from granflow.device.deletion import check_coordinates
@@ -32,28 +32,28 @@ from granflow.device.worker_tuner import WorkerTuner
 from granflow.plan.capacities import list_capacity_for
 
 GPU_BATCH = 16
-"""Steps launched between two looks at the flags on a GPU, where every step is a launch of its own."""
+"""Number of GPU steps between two reads of the flags; on a GPU each step is a separate launch."""
 
 LAUNCH_SECONDS = 0.05
-"""Wall seconds of one launch on a CPU. A launch cannot be interrupted: a stop takes effect between two of them."""
+"""Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
 
 FIRST_LAUNCH = 50_000
-"""Particle-steps of the first launch on a CPU, whose rate is not known."""
+"""Particle-steps of the first CPU launch, before the rate is known."""
 
 CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
-"""A worker leaves the launch after waiting this many seconds plus the time for this many chunks: longer than chunks of
-different cost explain, and shorter than the time for which an operating system takes a core away."""
+"""A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than the
+differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
 
 SINGLE_WORKER_PARTICLES = 512
-"""Particles up to which one thread does all the work: meeting after every phase would cost more than it saves."""
+"""Particle count up to which one thread does all the work: barriers would cost more time than more threads save."""
 
 SAMPLE_EVERY = 256
-"""Every so many steps one is done phase by phase with a clock beside it."""
+"""Interval in steps between sampled steps, whose phases are timed separately."""
 
 
 @dataclass
 class Timing:
-    """Wall seconds by phase. `forces` and `integration` come from sampled steps: their share of `advance` is theirs."""
+    """Wall-clock time [s] by phase. `forces` and `integration` divide `advance` in the ratio of the sampled steps."""
 
     neighbor_list: float = 0.0
     advance: float = 0.0
@@ -67,18 +67,18 @@ class Timing:
 
     @property
     def forces(self) -> float:
-        """Wall seconds spent on contact forces."""
+        """Wall-clock time [s] of contact forces."""
         sampled = self.sampled_forces + self.sampled_integration
         return self.advance * self.sampled_forces / sampled if sampled else self.advance
 
     @property
     def integration(self) -> float:
-        """Wall seconds spent on motion."""
+        """Wall-clock time [s] of time integration."""
         return self.advance - self.forces
 
 
 class Stepper:
-    """Advances a State by steps. `on_deleted` is told the index range of particles that left the domain."""
+    """Advances a State by steps. `on_deleted` receives the index range of the particles to delete."""
 
     def __init__(self, state: State, on_deleted: Callable[[int, int], None]) -> None:
         self.state = state
@@ -93,7 +93,7 @@ class Stepper:
         self._build()
 
     def _build(self) -> None:
-        """Compile all phases, by launching them over nothing."""
+        """Compile all phases by launching them on empty ranges."""
         began, state = clock.perf_counter(), self.state
         periodic = state.plan.features.periodic != "none"
         self._wrap = build_wrap(state) if periodic else lambda count, pose, step: None
@@ -114,12 +114,12 @@ class Stepper:
         self._save_contacts(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         if state.backend.on_cpu:
-            self._seconds_per_look = seconds_per_look(state.control)
-            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_look)
+            self._seconds_per_poll = seconds_per_poll(state.control)
+            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_poll)
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, pose: int = 0) -> None:
-        """Sort, let go of what left the domain, and list who is near whom."""
+        """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists."""
         began, compiled = clock.perf_counter(), self.timing.compile
         state = self.state
         if state.count:
@@ -133,7 +133,7 @@ class Stepper:
         self.timing.rebuild_count += 1
 
     def _sort_particles(self, pose: int) -> int:
-        """Bring particles in cell order; returns how many stand outside the domain, behind the others."""
+        """Sort the particles in cell order; returns the number of particles to delete, which are behind the others."""
         state = self.state
         self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
@@ -162,7 +162,7 @@ class Stepper:
         return int(self.state.control.list_length_needed[0])
 
     def grow_neighbor_lists(self, needed: int) -> None:
-        """Make room for so many contact slots in every chunk, and build all kernels anew."""
+        """Increase the list capacity per chunk to at least `needed` entries and build all kernels again."""
         self.timing.growth_count += 1
         self.state.grow_neighbor_list(int(1.3 * needed) + 8, self._build)
 
@@ -181,35 +181,35 @@ class Stepper:
             self.grow_neighbor_lists(needed)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
-        """Forces where the particles stand; a `history_step` of 0 leaves spring displacements as they are."""
+        """Forces at the present positions; with `history_step` = 0 the contact displacements do not change."""
         step = self.state.clock.time_step if history_step is None else history_step
         self.state.control.steps_done[0] = 0
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, step: int) -> None:
-        """Search and forces anew after step number `step`, without a step: after grains or walls came or went."""
+        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed."""
         self.place_walls(step)
         self.rebuild_neighbor_lists()
         self.forces(history_step=0.0)
 
     def place_walls(self, step: int) -> None:
-        """Pose 0 on the device becomes that after step number `step`."""
+        """Upload the wall poses after step number `step`, as pose 0."""
         if self.state.plan.has_poses:
             self._upload(step)
             self._pose = WALL_BATCH
 
     def _upload(self, step: int) -> None:
-        """Bring to the device where walls and images stand from step number `step` on."""
+        """Upload the poses of walls and images from step number `step`."""
         if self.state.plan.features.moving_walls:
             upload_poses(self.state, step)
         if self.state.plan.features.lees_edwards:
             upload_offsets(self.state, step)
 
     def advance(self, steps: int, step: int) -> int:
-        """Do `steps` steps after step number `step`; returns those done.
+        """Take `steps` steps after step number `step`; returns the number of completed steps.
 
-        Fewer if a guard tripped, if `interrupted` is set (by a signal handler),
-        or after a search where the time step follows the scene: it lists new neighbors.
+        It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive time step,
+        after a neighbor-list rebuild, which adds candidate pairs.
         """
         done, rebuilds = 0, self.timing.rebuild_count
         is_adaptive = self.state.plan.adaptive_time_step is not None
@@ -221,7 +221,7 @@ class Stepper:
 
     @property
     def abort_code(self) -> int:
-        """0, or why the run must stop."""
+        """0, or the abort code."""
         return int(self.state.control.abort[0])
 
     def _advance_batch(self, steps: int, step: int) -> int:
@@ -251,7 +251,7 @@ class Stepper:
         return done
 
     def _launch(self, steps: int) -> int:
-        """Start up to `steps` steps; returns those completed."""
+        """Launch up to `steps` steps; returns the number of completed steps."""
         step = self.state.clock.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
@@ -268,13 +268,13 @@ class Stepper:
 
     @property
     def _steps_per_launch(self) -> int:
-        """Steps that take LAUNCH_SECONDS, at the rate of the launch before."""
+        """Number of steps that take LAUNCH_SECONDS at the rate of the previous launch."""
         if not self._step_seconds:
             return max(FIRST_LAUNCH // max(self.state.count, 1), 1)
         return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
 
     def _learn(self, done: int, seconds: float) -> None:
-        """Choose length, workers and patience of the next launch from a launch of `done` steps."""
+        """Choose length, workers and patience of the next launch from the wall-clock time of `done` steps [s]."""
         self._step_seconds = seconds / done
         state = self.state
         if state.count <= SINGLE_WORKER_PARTICLES:
@@ -284,18 +284,18 @@ class Stepper:
         self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_look)
+        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
         if not 0.8 * self._patience < spins < 1.25 * self._patience:
             state.control.patience[0] = self._patience = spins
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
-        """One launch: `steps` steps on a CPU, one on a GPU; one step of either phase alone where the other is 0."""
+        """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
         state = self.state
         workers = 1 if state.count <= SINGLE_WORKER_PARTICLES else self._worker_tuner.next_size
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
-        """One step phase by phase, timed."""
+        """Take one step and time its phases separately."""
         state, step, began = self.state, self.state.clock.time_step, clock.perf_counter()
         self._since_sample = 0
         self._launch_step(1, self._pose, step, forcing=0)
@@ -311,9 +311,9 @@ class Stepper:
         return int(state.control.steps_done[0])
 
     def _steps_walls_allow(self) -> int:
-        """Steps until the fastest wall may have gone as far as one may between two searches, or an image the skin.
+        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
 
-        Driven walls see to it themselves.
+        Force-controlled walls request their rebuilds themselves.
         """
         plan = self.state.plan
         displacement_limit, speed = (
@@ -327,7 +327,7 @@ class Stepper:
 
 
 def _build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """One step, every chunk a task of its own."""
+    """One step; each chunk is a separate task."""
     control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
     move_walls = build_wall_dynamics(state) if force_controlled else None
 
@@ -355,7 +355,7 @@ def _build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., 
 
 
 def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """Many steps in one launch. Workers take chunk after chunk; a barrier separates the phases."""
+    """Many steps in one launch. Workers process one chunk after the other; a barrier separates the phases."""
     control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
     move_walls = build_wall_dynamics(state) if force_controlled else None
     arrive, release, wait = build_barrier(control)
@@ -364,7 +364,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
     def barrier(number, computes_forces, steps_wanted, chunks, pose, dt):
         """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
 
-        Spinning on atomic counters takes a microsecond; waking Taichi's threads for every phase takes sixty.
+        Polling atomic counters takes 1 us; waking the threads of Taichi for each phase takes 60 us.
         """
         left = 0
         if arrive(number) == 1:

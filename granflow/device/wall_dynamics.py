@@ -1,12 +1,12 @@
-"""Driven walls on the device: the forces of the grains on a wall, and where they move it.
+"""Force-controlled walls on the device: the force of the particles on a wall, and the resulting motion.
 
-    servo   v(t + dt/2) = gain [F - f(t)], at most velocity_max either way
+    servo   v(t + dt/2) = gain [F - f(t)], limited to +-velocity_max
     free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
     both    x(t + dt) = x(t) + dt v(t + dt/2)
 
-with f the force of the wall on the grains along its direction, F what a servo holds, or the weight and the own
-force of a free wall. As grains do in the leapfrog, a wall has its velocity half a step behind its place, and moves when
-they do.
+with f the force of the wall on the particles along its direction, and F the target force of a servo, or the weight and
+the applied force of a free wall. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
+behind its position, and both are integrated in the same phase of the step.
 """
 
 from typing import Any
@@ -19,11 +19,11 @@ from granflow.device.state import State
 from granflow.walls.motion import is_running
 
 SAVED_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
-"""What of it goes into checkpoints."""
+"""Fields of the wall dynamics that are saved in checkpoints."""
 
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
-    """Device functions (chunk) and (chunk, wall, force on a grain): forget, and add up, the forces on driven walls."""
+    """Device functions (chunk) and (chunk, wall, force on a particle [N]): clear and sum the forces on such walls."""
     controlled_motions, fields = state.plan.controlled_motions, state.wall_dynamics
 
     @ti.func
@@ -42,13 +42,13 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 
 
 def build_wall_dynamics(state: State) -> Any:
-    """Device function (chunks, pose, time_step): move all driven walls by one step, on one thread.
+    """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
 
-    Reads:   push, was_on, on
-    Writes:  velocity, offset, was_on, given, work, search_wanted, guard
+    Reads:   wall_force, was_active, active
+    Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
     controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
-    rebuild_limit, farthest = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
+    rebuild_limit, step_limit = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
 
     @ti.func
     def controlled_velocity(r: ti.template(), force_on_wall, dt):
@@ -66,7 +66,7 @@ def build_wall_dynamics(state: State) -> Any:
 
     @ti.func
     def add_work(r: ti.template(), force_on_wall, velocity, dt):
-        """Of the wall on the grains, and of all else on a free wall, with the mean of the velocities: exact for it."""
+        """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for it."""
         velocity_mean = 0.5 * (fields.velocity[r] + velocity)
         displacement = dt * velocity_mean
         if fields.was_active[r] == 0:
@@ -79,14 +79,14 @@ def build_wall_dynamics(state: State) -> Any:
             )
 
     @ti.func
-    def ways_of(wall: ti.template(), dt):
-        """Largest distance since the search, and in this step [m]."""
-        displacement, step_way = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+    def displacements_of(wall: ti.template(), dt):
+        """Largest displacement since the rebuild, and in this step [m]."""
+        displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         for r in ti.static(range(len(controlled_motions))):
             if ti.static(controlled_motions[r].wall == wall):
                 displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
-                step_way += ti.abs(dt * fields.velocity[r])
-        return displacement, step_way
+                step_displacement += ti.abs(dt * fields.velocity[r])
+        return displacement, step_displacement
 
     @ti.func
     def move_walls(chunks, pose, dt_real):
@@ -102,17 +102,17 @@ def build_wall_dynamics(state: State) -> Any:
             fields.was_active[r] = fields.active[pose, r]
             fields.offset[r] = fields.offset[r] + dt * velocity
         for r in ti.static(range(len(controlled_motions))):
-            displacement, step_way = ways_of(controlled_motions[r].wall, dt)
+            displacement, step_displacement = displacements_of(controlled_motions[r].wall, dt)
             if not displacement <= rebuild_limit:
                 control.rebuild_requested[0] = 1
-            if not step_way <= farthest:
+            if not step_displacement <= step_limit:
                 ti.atomic_max(control.abort[0], ABORT_WALL)
 
     return move_walls
 
 
 def build_wall_displacement(state: State) -> tuple[Any, Any]:
-    """Device functions (wall): displacement [m] and velocity [m/s] of a wall by its drives, zero without."""
+    """Device functions (wall): displacement [m] and velocity [m/s] of a force-controlled wall; zero for others."""
     controlled_motions, fields, real = state.plan.controlled_motions, state.wall_dynamics, state.backend.position_real
 
     def sum_per_wall(values: Any) -> Any:
@@ -130,9 +130,9 @@ def build_wall_displacement(state: State) -> tuple[Any, Any]:
 
 
 def upload_running(state: State, times: np.ndarray) -> None:
-    """Say which drives run in the steps that end at each pose; `times` (WALL_BATCH,) [s] from the middle of the steps.
+    """Set which motions are active in the steps that end at each pose; `times` (WALL_BATCH,) [s]: middle of each step.
 
-    A wall that is not there stands still.
+    A wall that is not present does not move.
     """
     if state.wall_dynamics is None:
         return
@@ -145,18 +145,18 @@ def upload_running(state: State, times: np.ndarray) -> None:
 
 
 def mark_rebuild(state: State) -> None:
-    """Count the way of driven walls from here."""
+    """Measure the displacements of force-controlled walls from the present positions."""
     if state.wall_dynamics is not None:
         state.wall_dynamics.offset_at_rebuild.copy_from(state.wall_dynamics.offset)
 
 
 def controlled_displacements(state: State) -> np.ndarray:
-    """Displacement (walls, 3) [m] of every wall by its drives."""
+    """Displacement (walls, 3) [m] of each wall by force-controlled motions."""
     return _per_wall(state, "offset")
 
 
 def controlled_velocities(state: State) -> np.ndarray:
-    """Velocity (walls, 3) [m/s] of every wall by its drives, half a step behind its place."""
+    """Velocity (walls, 3) [m/s] of each wall by force-controlled motions, half a step behind its position."""
     return _per_wall(state, "velocity")
 
 
@@ -170,7 +170,7 @@ def _per_wall(state: State, name: str) -> np.ndarray:
 
 
 def controlled_totals(state: State) -> dict[str, float]:
-    """Travel [m] and velocity [m/s] of every driven wall along its direction; with the ledger what free walls hold."""
+    """Displacement [m] and velocity [m/s] of force-controlled walls by name; with the energy budget, energies [J]."""
     if state.wall_dynamics is None:
         return {}
     controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
@@ -188,12 +188,12 @@ def controlled_totals(state: State) -> dict[str, float]:
 
 
 def controlled_work(state: State) -> float:
-    """Work of all driven walls on the grains since the start [J]."""
+    """Work [J] of all force-controlled walls on the particles since the start."""
     return 0.0 if state.wall_dynamics is None else float(_synchronized(state)[1].sum())
 
 
 def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity [m/s], work on grains and own work [J] of every drive at the time of the places: half a step on."""
+    """Velocity [m/s], work on particles and other work [J] of each motion at the time of the positions."""
     fields, half = state.wall_dynamics, 0.5 * state.clock.time_step
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
@@ -216,7 +216,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
-    """All that decides how driven walls go on, by name."""
+    """State of the force-controlled walls by field name, for checkpoints."""
     return (
         {}
         if state.wall_dynamics is None
@@ -225,6 +225,6 @@ def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
 
 
 def load_wall_dynamics_state(state: State, saved: dict[str, np.ndarray]) -> None:
-    """Put what was kept back."""
+    """Restore a state of `wall_dynamics_state`."""
     for name, values in saved.items():
         getattr(state.wall_dynamics, name).from_numpy(values)

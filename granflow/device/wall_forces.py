@@ -1,4 +1,4 @@
-"""What the grains do to the walls, added up over time: every chunk on its own, all of them in order on the host."""
+"""Wall forces: time integrals of the forces of the particles, summed per chunk, and in order on the host."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from granflow.device.state import State
 
 
 def build_add_impulse(state: State) -> Any:
-    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): book one contact of one step.
+    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one step.
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
-    with p the point of the wall's rotation as the scene gives it, the origin where it has none. Sums are in f64 at
-    any precision: a load is the difference of two of them.
+    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are in f64 for every
+    precision, because a wall force is the difference of two sums.
     """
     particles, walls, impulses = state.particles, state.walls, state.control.impulses
 
@@ -37,7 +37,7 @@ def build_add_impulse(state: State) -> Any:
 
 
 def wall_impulses(state: State) -> dict[str, np.ndarray]:
-    """Impulse [N s], angular impulse [N m s] and normal impulse [N s] of every measured wall since the start (7,)."""
+    """Impulse [N s], angular impulse [N m s] and normal impulse [N s] of each measured wall since the start (7,)."""
     if state.control.impulses is None:
         return {}
     sums = state.control.impulses.to_numpy().sum(axis=0)

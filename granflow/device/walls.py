@@ -1,4 +1,4 @@
-"""Walls on the device: distance, normal and velocity of the surface at a point, wherever the wall stands now."""
+"""Walls on the device: distance, normal and surface velocity at a point for the present pose."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,24 +17,24 @@ from granflow.walls.shape import FAR_AWAY, Shape
 
 @dataclass(frozen=True)
 class WallGeometry:
-    """Device functions of (face, pose, point); a face is a wall, or the number of walls and that of a triangle."""
+    """Device functions (face, pose, point); a face is a wall index, or wall count + triangle index."""
 
     to_wall_frame: Any
-    """(wall, pose, point) -> the point as seen from the wall at rest."""
+    """(wall, pose, point) -> the point in the frame of the wall at rest."""
     distance: Any
-    """Distance [m] of the bare surface of a wall that is no mesh, for the list of near walls."""
+    """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
     closest: Any
-    """(distance, normal) of the contact."""
+    """(distance [m], normal) of the contact."""
     surface_velocity: Any
-    """Velocity [m/s] of the wall's material at the point."""
+    """Surface velocity [m/s] of the wall at the point."""
     prescribed_velocity: Any
-    """That part of it that the scene gives, without what a driven wall does."""
+    """Part of the surface velocity [m/s] from motions prescribed in the scene, without force-controlled motions."""
 
 
 def build_wall_geometry(state: State) -> WallGeometry:
-    """Functions that know only the kinds of shapes this plan has, and motion only where a wall moves.
+    """Functions for the shapes in this plan, with motion only if a wall moves.
 
-    In a periodic box a point meets walls where its image in the box stands.
+    In a periodic box the point is wrapped into the box first.
     """
     walls, moving, force_controlled = (
         state.walls,
@@ -107,9 +107,9 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
 
 def build_wall_of(state: State) -> Any:
-    """Device function: the wall that a partner j < 0 belongs to.
+    """Device function: the wall of a partner j < 0.
 
-    Partner -1 - p is the wall p, or triangle p - walls of all meshes together.
+    Partner -1 - p is the wall p, or the triangle p - wall count, numbered over all meshes.
     """
     wall_count, mesh, has_mesh = len(state.plan.walls), state.mesh, state.mesh is not None
 
@@ -125,7 +125,7 @@ def build_wall_of(state: State) -> Any:
 
 
 def build_triangle_of(state: State) -> Any:
-    """Device function: the triangle that a partner j < 0 is, counted over all meshes; below 0 for none."""
+    """Device function: the triangle of a partner j < 0, numbered over all meshes; negative if it is not a triangle."""
     wall_count = len(state.plan.walls)
 
     @ti.func
@@ -136,7 +136,7 @@ def build_triangle_of(state: State) -> Any:
 
 
 def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Index (n,) of the wall that each partner (n,) below 0 belongs to; see `build_wall_of`."""
+    """Wall index (n,) of each partner (n,) below 0; see `build_wall_of`."""
     walls = np.arange(len(state.plan.walls))
     if state.mesh is not None:
         walls = np.concatenate([walls, state.mesh.wall.to_numpy()])
@@ -144,7 +144,7 @@ def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
 
 
 def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
-    """Index (n,) of the triangle within its wall that each partner (n,) below 0 is; -1 for a wall that is no mesh."""
+    """Triangle index (n,) within its wall of each partner (n,) below 0; -1 if the wall is not a mesh."""
     plan = state.plan
     first = np.array([plan.first_triangle(index) for index in range(len(plan.walls))])
     triangle = -1 - partner - len(plan.walls)
@@ -152,9 +152,9 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
 
 
 def upload_poses(state: State, step: int) -> None:
-    """Put the poses after WALL_BATCH steps from number `step` on the device, velocities from the middle of each step.
+    """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
 
-    Times come from step numbers, so that they are the same to the last bit wherever a batch begins.
+    Times follow from step numbers, so that they are bit-identical for any start of a batch.
     """
     walls, clock = state.walls, state.clock
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))

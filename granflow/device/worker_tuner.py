@@ -1,30 +1,30 @@
-"""How many CPU workers take part in a launch. Results do not depend on it, so it is chosen during the run.
+"""Chooses the number of CPU workers of a launch during the run; results do not depend on it.
 
-Workers wait for each other after every phase of a step. Where other processes use the cores, fewer workers can be
-faster. Trials of twice or half the workers measure that; contention makes a trial of half the workers due at once.
+Workers wait for each other after each phase of a step. If other processes use the cores, fewer workers can be faster.
+Trials with twice or half the workers measure it; contention makes a trial with half the workers due at once.
 """
 
 WINDOW = 0.02
-"""Seconds of launches over which a rate is measured, and that a trial takes."""
+"""Launch time [s] over which a rate is measured; also the length of a trial."""
 
 UP_INTERVAL = 0.7
-"""Seconds of launches between two trials of more workers."""
+"""Launch time [s] between two trials with more workers."""
 
 FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
-"""Seconds of launches until a trial of fewer workers; twice as long after each trial that was not faster."""
+"""Launch time [s] until a trial with fewer workers; doubled after each trial that was not faster."""
 
 CONTENDED_DOWN_INTERVAL = 0.25
-"""Seconds of launches between two trials of fewer workers that contention makes due."""
+"""Launch time [s] between two trials with fewer workers that contention makes due."""
 
 MIN_SPEEDUP = 1.05
-"""A trial is faster if its rate is at least this many times the rate before."""
+"""A trial is faster if its rate is at least this multiple of the previous rate."""
 
 CONTENTION_LIMIT = 3
 """A launch with contention adds 2 to a score, one without subtracts 1. Above this limit half the workers are tried."""
 
 
 class WorkerTuner:
-    """Proposes the number of workers of each launch, from the rate and the contention of the launches before."""
+    """Proposes the number of workers of each launch from the rate and the contention of previous launches."""
 
     def __init__(self, max_size: int) -> None:
         self.size = max_size
@@ -39,16 +39,16 @@ class WorkerTuner:
 
     @property
     def next_size(self) -> int:
-        """Workers for the next launch."""
+        """Number of workers for the next launch."""
         return self._candidate or self.size
 
     @property
     def in_trial(self) -> bool:
-        """Whether the next launch is part of a trial."""
+        """True if the next launch is part of a trial."""
         return bool(self._candidate)
 
     def record(self, work: float, seconds: float, contended: bool) -> None:
-        """Record a launch: its work in any constant unit, its wall seconds, whether a worker waited too long."""
+        """Record a launch: its work in a constant unit, its wall-clock time [s], and whether a worker left it."""
         self._work += work
         self._seconds += seconds
         self._since_up += seconds
@@ -70,7 +70,7 @@ class WorkerTuner:
         self._work = self._seconds = 0.0
 
     def _evaluate(self, rate: float) -> None:
-        """Keep the number of workers of the trial if it is faster."""
+        """Adopt the number of workers of the trial if it is faster."""
         faster, down, self._candidate, candidate = (
             rate > MIN_SPEEDUP * self._rate,
             self._candidate < self.size,
@@ -86,7 +86,7 @@ class WorkerTuner:
             self._down_interval = min(2 * self._down_interval, LAST_DOWN_INTERVAL)
 
     def _next_trial(self) -> int:
-        """Number of workers to try now; 0 if no trial is due."""
+        """Number of workers of the next trial; 0 if no trial is due."""
         if self.size > 1 and self._down_is_due():
             self._since_down = self._since_contended_down = 0.0
             return self.size // 2

@@ -1,4 +1,4 @@
-"""What is decided about a scene before anything is allocated."""
+"""The plan: all decisions for a scene before any array is allocated."""
 
 from granflow.plan.explain import explain
 from granflow.plan.plan import Plan, plan_for

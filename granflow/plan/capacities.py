@@ -1,50 +1,50 @@
-"""How many contact slots to allocate at first; rows that turn out too short grow, at the cost of compiling anew."""
+"""Initial capacities of the neighbor lists. Lists that are too short grow, and all kernels are compiled again."""
 
 from math import ceil
 
 GENEROUS_BELOW = 20_000
-"""Particles up to which memory is no matter and every one gets `GENEROUS_NEIGHBORS` slots."""
+"""Number of particles below which memory does not matter and each gets `GENEROUS_NEIGHBORS` list entries."""
 
 GENEROUS_NEIGHBORS = 7.0
 
 IN_CONTACT_NEIGHBORS, NEIGHBORS_PER_SKIN = 3.4, 10.0
-"""Near partners listed per particle of a settled bed: those that touch, and more with the skin over the radius.
+"""Candidate pairs per particle in a settled bed: contacts, and an increase with skin over radius.
 
-Measured in beds with friction 0.5 and 10 % spread: 3.6 to 4.0 at a skin of 0.11 radii; what is above that is spare.
+Measured in beds with friction 0.5 and 10 % size spread: 3.6 to 4.0 at a skin of 0.11 radii; the rest is reserve.
 """
 
 HISTORY_SHARE = 0.8
-"""Share of the slots that can hold history at a search."""
+"""Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
 SPARE = 8
 
 BOUNDS = 1024
-"""Parts of the particles whose boxes are found side by side at a search."""
+"""Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
 EXTRA_PER_PARTICLE = 6
-"""Slots above twice the mean where every particle is a chunk of its own and lists all of its partners."""
+"""List entries above twice the mean if each particle is a chunk and lists all of its partners."""
 
 
 SHARE_AT_MESHES = 0.1
-"""Particles of a bed that lie at a mesh wall."""
+"""Share of the particles of a bed that are near a mesh wall."""
 
 
 def near_triangles(edge: float, skin: float) -> float:
-    """Triangles of a mesh with such edges [m] that a sphere at it lists: those within the skin of its foot."""
+    """Candidate triangles of a sphere at a mesh with this edge length [m]: those within the skin of the contact."""
     return 2.0 * (1.0 + 2.0 * skin / edge) ** 2
 
 
 def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> float:
-    """Slots for each particle."""
+    """List entries per particle."""
     neighbors = IN_CONTACT_NEIGHBORS + NEIGHBORS_PER_SKIN * skin_over_radius
     return max(neighbors, GENEROUS_NEIGHBORS) if particle_count < GENEROUS_BELOW else neighbors
 
 
 def history_capacity(list_entries: int) -> int:
-    """Slots in which a search keeps the history of a chunk that has so many slots."""
+    """History entries saved at a rebuild for a chunk with this number of list entries."""
     return int(HISTORY_SHARE * list_entries) + SPARE
 
 
 def list_capacity_for(saved: int) -> int:
-    """Slots a chunk must have for a search to keep so many."""
+    """List entries per chunk for which a rebuild can save this number of history entries."""
     return ceil((saved - SPARE + 1) / HISTORY_SHARE)

@@ -1,4 +1,4 @@
-"""What the domain asks of its size, and of the walls in it."""
+"""Checks of the domain: size of periodic boxes, and walls that cross periodic boundaries."""
 
 from collections.abc import Sequence
 from math import inf, isinf
@@ -16,25 +16,25 @@ SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
 
 DISTANCE_TOLERANCE = 1e-3
-"""Share of the reach by which the distance of a wall may differ from face to face."""
+"""Tolerance for the difference of wall distances between opposite faces, relative to the reach."""
 
 
 def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
-    """Raise SceneError where a particle could be near two images of another."""
+    """Raise SceneError if a particle can be a candidate partner of two images of another."""
     periodic_box, needed = PeriodicBox.of(scene.domain), 4.0 * radius_max + 2.0 * skin
     remark = "" if periodic_box.image_motion is None else ", which is double under shear"
     for axis in periodic_box.axes:
         if periodic_box.width[axis] < needed:
             raise SceneError(
                 f"{scene.locate('domain', 'periodic')}: domain.periodic has {AXES[axis]}, along which the domain is "
-                f"{periodic_box.width[axis]:.4g} m wide, but a particle could touch two images of another there. "
-                f"Make it at "
-                f"least {needed:.4g} m wide, two of the largest diameters and twice the skin{remark}."
+                f"{periodic_box.width[axis]:.4g} m wide, but a particle could be in contact with two images of another "
+                f"one. Make it at least {needed:.4g} m wide, which is two of the largest diameters and twice the "
+                f"skin{remark}."
             )
 
 
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
-    """Raise SceneError for a wall that particles within `reach` [m] of it would meet on one side of a border only."""
+    """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it."""
     periodic_box = PeriodicBox.of(scene.domain)
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
@@ -44,14 +44,14 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
             is_near = np.minimum(np.abs(distance_low), np.abs(distance_high)) < reach
             if np.any(is_near & ~(np.abs(distance_low - distance_high) <= DISTANCE_TOLERANCE * reach)):
                 raise SceneError(
-                    f"{scene.locate('walls', wall.name)}: walls.{wall.name} stands otherwise at one end of the "
-                    f"periodic axis {AXES[axis]} than at the other. Let it run straight through from end to end, or "
-                    f"keep {reach:.4g} m clear of both."
+                    f"{scene.locate('walls', wall.name)}: walls.{wall.name} differs between the two ends of the "
+                    f"periodic axis {AXES[axis]}. Extend it straight from end to end, or keep a distance of "
+                    f"{reach:.4g} m from both."
                 )
 
 
 def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> None:
-    """Raise SceneError for an endless wall that turns in a domain that grows: far out it moves as fast as it likes."""
+    """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper bound."""
     if scene.domain.on_exit != "expand":
         return
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
@@ -59,15 +59,14 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
         rotation = single_rotation(motions)
         if rotation and isinf(reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)):
             raise SceneError(
-                f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is endless and turns, which "
-                f"cannot be "
-                "followed in a domain that grows. Give it an end (shape: rectangle), or let domain.on_exit be delete "
-                "or error."
+                f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, which "
+                "is not supported in a domain that expands. Use a bounded shape (shape: rectangle), or set "
+                "domain.on_exit to delete or error."
             )
 
 
 def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
-    """Points (n, 3) [m] of the low face along an axis, evenly spread."""
+    """Uniformly spaced points (n, 3) [m] on the low face along an axis."""
     shares = np.linspace(0.0, 1.0, SAMPLES)
     coordinates = [np.zeros(1) if each == axis else shares for each in range(3)]
     return (

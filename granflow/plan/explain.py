@@ -1,4 +1,4 @@
-"""What `granflow explain` shows: every decision of a plan with its reason, as plain text."""
+"""Text of `granflow explain`: each decision of a plan with its reason."""
 
 import textwrap
 from collections.abc import Iterable, Iterator
@@ -14,19 +14,19 @@ from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 
 WIDTH = 100
-"""Columns of the text."""
+"""Width of the text in columns."""
 
 PARTICLE_STEPS_PER_SECOND = 5e6
-"""Assumed for the run time on a CPU: settled grains with friction, two threads."""
+"""Rate assumed for the run time on a CPU: settled particles with friction, two threads."""
 
 STEPS_PER_SECOND = 2e5
-"""Fewest particles do not make steps faster than this."""
+"""Maximum step rate, for small numbers of particles."""
 
 Precision = Literal["f64", "f32", "mixed"]
 
 
 class ExplainRow(NamedTuple):
-    """One line: a name, its value, and where the value comes from."""
+    """One line: name, value, and origin of the value."""
 
     name: str
     value: str
@@ -34,21 +34,21 @@ class ExplainRow(NamedTuple):
 
 
 def explain(plan: Plan) -> str:
-    """Say what a plan computes and why: features, settings, time step, sizes, memory, run time."""
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time."""
     width = plan.scene.run.precision
     memory = estimate_memory(plan, width)
     sections = {
-        "Features: what is computed, and why": [_feature_row(reason) for reason in plan.reasons],
+        "Features": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
-        **({"Driven walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
+        **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
         "Meshes": _mesh_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan, width),
-        "Settings that a scene may leave out": [ExplainRow(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
+        "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
     }
     if plan.scene.remarks:
-        sections["As made from what is written"] = [ExplainRow("", "", sentence) for sentence in plan.scene.remarks]
+        sections["Changes to the scene as written"] = [ExplainRow("", "", sentence) for sentence in plan.scene.remarks]
     title = f"{plan.scene.title} ({plan.scene.path})"
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
@@ -66,7 +66,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         slow = (
             f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} s at rest"
         )
-        yield ExplainRow("", "at first", f"then by the fastest approach there is: {slow}")
+        yield ExplainRow("", "initially", f"then for the present maximum impact velocity: {slow}")
     yield ExplainRow(
         "stable below", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {impact_velocity.value:.3g} m/s"
     )
@@ -76,7 +76,9 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield ExplainRow("velocity max", f"{impact_velocity.value:.4g} m/s", impact_velocity.source)
     if plan.law.least_restitution is not None:
         yield ExplainRow(
-            "restitution", f"{step.least_restitution:.3g}", f"least it can reach at {impact_velocity.value:.3g} m/s"
+            "restitution",
+            f"{step.least_restitution:.3g}",
+            f"smallest reachable value at {impact_velocity.value:.3g} m/s",
         )
     for sentence in step.warnings:
         yield ExplainRow("WARNING", "", sentence)
@@ -127,15 +129,15 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     list_entries, particles = plan.chunk_capacity * plan.list_capacity_per_chunk, plan.particle_capacity
-    each = f"{size(memory.per_particle)} for each: state, force and what sorting needs"
+    each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
-    near_text = (
-        f"{size(memory.neighbor_lists / particles)} for each particle: room for "
-        f"{list_entries / particles:.3g} near partners"
+    list_text = (
+        f"{size(memory.neighbor_lists / particles)} per particle: capacity for "
+        f"{list_entries / particles:.3g} candidate pairs"
     )
-    yield ExplainRow("contacts", size(memory.neighbor_lists), f"{near_text}, more when they are found")
-    yield ExplainRow("one contact", size(memory.per_neighbor), f"remembers {_history_text(plan)}")
-    yield ExplainRow("search cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
+    yield ExplainRow("contacts", size(memory.neighbor_lists), f"{list_text}, increased if necessary")
+    yield ExplainRow("one contact", size(memory.per_neighbor), f"stores {_history_text(plan)}")
+    yield ExplainRow("cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
     if memory.meshes:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield ExplainRow("total", size(memory.total), "")
@@ -144,7 +146,7 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
 def _history_text(plan: Plan) -> str:
     rolling = "rolling spring" if plan.features.rolling == "epsd" else "rolling torque"
     names = {"normal": ", ".join(plan.law.history_names), "tangential": "tangential spring", "rolling": rolling}
-    return ", ".join(names[name] for name in plan.history) or "nothing but its partner"
+    return ", ".join(names[name] for name in plan.history) or "only its partner"
 
 
 def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
@@ -158,7 +160,7 @@ def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
     frames = int(longest / scene.output.interval) + 1
-    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"one every {scene.output.interval:g} s")
+    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {scene.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
     assumed = f"{PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps a second on a CPU"
     yield ExplainRow("run time", f"{prefix or 'about '}{duration(seconds)}", f"an estimate that assumes {assumed}")
@@ -169,7 +171,7 @@ def _end_text(fixed: float | None, max_duration: float | None) -> str:
 
 
 def _aligned(rows: Iterable[ExplainRow]) -> Iterator[str]:
-    """Lines of a table of three columns; the last one is wrapped."""
+    """Lines of a table with three columns; the last column is wrapped."""
     found = list(rows)
     names, values = (max((len(row[column]) for row in found), default=0) for column in (0, 1))
     wrapper = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
@@ -181,12 +183,12 @@ def _aligned(rows: Iterable[ExplainRow]) -> Iterator[str]:
 
 
 def count(number: float) -> str:
-    """A count in groups of three digits."""
+    """A number with its digits in groups of three."""
     return f"{int(number):,}".replace(",", " ")
 
 
 def size(number: float) -> str:
-    """Bytes with a prefix."""
+    """Bytes with a decimal prefix."""
     for unit in ("bytes", "kB", "MB"):
         if number < 1000.0:
             return f"{number:.3g} {unit}"
@@ -195,7 +197,7 @@ def size(number: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes, hours or days, to two digits."""
+    """Duration in seconds, minutes, hours or days, to two digits."""
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.2g} {unit}"

@@ -1,4 +1,4 @@
-"""Which parts of the simulator a scene needs, and why: everything else is left out."""
+"""Features: parts of the simulator that a scene needs, with reasons. All other parts are not compiled."""
 
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -10,7 +10,7 @@ from granflow.scene import Scene
 
 @dataclass(frozen=True)
 class Features:
-    """Switches that kernels are compiled with. What is off costs no time and no memory."""
+    """Compile-time switches of the kernels. A feature that is off costs no time and no memory."""
 
     friction: bool
     rolling: Literal["none", "epsd", "cdt"]
@@ -31,12 +31,12 @@ class Features:
     fixed_particles: bool
     outlets: bool
     size_classes: str
-    """Number of classes of sizes that the search takes one by one, or "none"."""
+    """Number of size classes with separate cell grids, or "none"."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One line of `granflow explain`: a feature, whether it is on, and why."""
+    """One line of `granflow explain`: a feature, its setting, and the reason."""
 
     feature: str
     setting: str
@@ -44,7 +44,7 @@ class Reason:
 
 
 def features_of(scene: Scene, law_is_damped: bool) -> Features:
-    """Decide every feature from the scene alone."""
+    """Derive all features from the scene."""
     friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
     rolling, classes = scene.contact.rolling, size_classes(scene)
     if not any(pair.rolling_friction for pair in scene.pairs.values()):
@@ -72,16 +72,20 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
 
 
 def cohesion_of(scene: Scene) -> Literal["none", "sjkr"]:
-    """The adhesion of the scene; none where no pair has a cohesion energy density above 0."""
+    """Cohesion model of the scene; none if no pair has a cohesion energy density above 0."""
     return scene.contact.cohesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
-    """Say of every feature why it is on or off, with the line of the scene that decided it."""
+    """Reason for the setting of each feature, with the line of the scene that determines it."""
     reasons = {
         "friction": _first_pair(scene, "friction", features.friction),
         "rolling": _rolling_reason(scene, features),
-        "rotation": "friction or rolling turns the particles" if features.rotation else "nothing turns the particles",
+        "rotation": (
+            "friction or rolling friction rotates the particles"
+            if features.rotation
+            else "neither friction nor rolling friction rotates the particles"
+        ),
         "rate_dependent": _rate_reason(scene, features),
         "cohesion": _cohesion_reason(scene, features),
         "walls": _walls_reason(scene),
@@ -136,11 +140,13 @@ def _cohesion_reason(scene: Scene, features: Features) -> str:
 def _rate_reason(scene: Scene, features: Features) -> str:
     normal = scene.contact.normal
     if not features.rate_dependent:
-        return f"the {normal.law} law as set here has no viscous term"
+        return f"the {normal.law} contact model with these settings has no viscous term"
     damping_ratio = normal.settings().get("damping_ratio")
     if damping_ratio is not None:
         return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
-    return f"the {normal.law} law reaches a restitution below 1 by damping ({scene.where('contact', 'normal')})"
+    return (
+        f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
+    )
 
 
 def _walls_reason(scene: Scene) -> str:
@@ -158,7 +164,7 @@ def _moving_reason(scene: Scene, features: Features) -> str:
 
 def _force_controlled_reason(scene: Scene, features: Features) -> str:
     if not features.force_controlled_walls:
-        return "no wall is moved by the grains' forces"
+        return "no wall is force-controlled"
     name = next(name for name, wall in scene.walls.items() if is_force_controlled(wall))
     kinds = " and ".join(dict.fromkeys(each.kind for each in scene.walls[name].motion))
     return f"walls.{name} is {kinds} ({scene.where('walls', name, 'motion')})"
@@ -168,13 +174,13 @@ def _mesh_reason(scene: Scene, features: Features) -> str:
     if not features.mesh_walls:
         return "no wall is a mesh"
     name = next(name for name, wall in scene.walls.items() if wall.shape == "mesh")
-    return f"walls.{name} is one ({scene.where('walls', name, 'shape')})"
+    return f"walls.{name} is a mesh ({scene.where('walls', name, 'shape')})"
 
 
 def _wall_forces_reason(scene: Scene, features: Features) -> str:
     if not features.wall_forces:
-        return f"output.wall_forces asks for no wall ({scene.where('output', 'wall_forces')})"
-    return f"output.wall_forces asks for {', '.join(scene.measured_walls)} ({scene.where('output', 'wall_forces')})"
+        return f"output.wall_forces selects no wall ({scene.where('output', 'wall_forces')})"
+    return f"output.wall_forces selects {', '.join(scene.measured_walls)} ({scene.where('output', 'wall_forces')})"
 
 
 def _outlets_reason(scene: Scene) -> str:
@@ -183,7 +189,7 @@ def _outlets_reason(scene: Scene) -> str:
 
 def _fixed_reason(scene: Scene, features: Features) -> str:
     if not features.fixed_particles:
-        return "every group of particles can move"
+        return "no group of particles is fixed"
     name = next(name for name, group in scene.particles.items() if group.fixed)
     return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
 
@@ -211,4 +217,7 @@ def _sizes_reason(scene: Scene) -> str:
 
 def _material_reason(scene: Scene) -> str:
     materials = sorted({group.material for group in scene.particles.values()})
-    return f"all particles are of {materials[0]}" if len(materials) == 1 else f"particles are of {', '.join(materials)}"
+    names = ", ".join(materials)
+    return (
+        f"all particles have the material {names}" if len(materials) == 1 else f"particles have the materials {names}"
+    )

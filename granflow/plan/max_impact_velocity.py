@@ -1,4 +1,4 @@
-"""The fastest approach that a plan reckons with: as the scene says, or estimated from what can move and fall."""
+"""Maximum impact velocity of the plan: given in the scene, or estimated from free fall and prescribed motions."""
 
 from dataclasses import dataclass
 
@@ -10,59 +10,59 @@ from granflow.scene.periodic_box import PeriodicBox
 from granflow.scene.schema import FileInsertion, Group
 
 DEFAULT_SPEED = 1.0
-"""Fastest approach [m/s] where nothing moves or falls: contacts still need a time step."""
+"""Impact velocity [m/s] of a scene without motion and gravity: contacts still require a time step."""
 
 
 @dataclass(frozen=True)
 class ImpactVelocity:
-    """Fastest approach expected [m/s], and where it comes from."""
+    """Maximum expected impact velocity [m/s] and its origin."""
 
     value: float
     source: str
 
 
 def max_impact_velocity(scene: Scene) -> ImpactVelocity:
-    """Take it from the scene, or estimate it: free fall through the domain or initial speeds, and moving walls."""
+    """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving walls."""
     if scene.run.velocity_max is not None:
         return ImpactVelocity(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
     fall, initial, surface = free_fall(scene), initial_speed(scene), max(surface_speed(scene), image_speed(scene))
     if not max(fall, initial, surface) > 0.0:
-        return ImpactVelocity(DEFAULT_SPEED, "assumed: nothing moves or falls at first")
+        return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed, source = fall, f"free fall through the domain ({fall:.3g} m/s)"
-    opposing_name = "the fastest wall" if not image_speed(scene) else "the image across the sheared border"
+    opposing_name = "the fastest wall" if not image_speed(scene) else "the image across the sheared boundary"
     opposing, opposing_source = surface, f"{opposing_name} ({surface:.3g} m/s)"
     if initial > fall:
         speed, source = initial, f"the fastest particle at the start ({initial:.3g} m/s)"
         if initial > surface:
-            opposing, opposing_source = initial, "another as fast"
+            opposing, opposing_source = initial, "another one of the same speed"
     parts = ([source] if speed > 0.0 else []) + ([opposing_source] if opposing > 0.0 else [])
-    return ImpactVelocity(speed + opposing, f"estimated from {' meeting '.join(parts)}")
+    return ImpactVelocity(speed + opposing, f"estimated from {' against '.join(parts)}")
 
 
 def free_fall(scene: Scene) -> float:
-    """Speed [m/s] after a fall from one corner of the domain to the opposite one."""
+    """Velocity [m/s] after free fall from one corner of the domain to the opposite one."""
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
 
 
 def image_speed(scene: Scene) -> float:
-    """Speed [m/s] of the images across a sheared border."""
+    """Velocity [m/s] of the images across a sheared boundary."""
     image_motion = PeriodicBox.of(scene.domain).image_motion
     return 0.0 if image_motion is None else abs(image_motion.speed)
 
 
 def initial_speed(scene: Scene) -> float:
-    """Largest speed [m/s] at which any particle starts."""
+    """Largest initial speed [m/s] of all particles."""
     return max(initial_speeds(scene).values(), default=0.0)
 
 
 def initial_speeds(scene: Scene) -> dict[str, float]:
-    """Largest speed [m/s] of every group at the start."""
+    """Largest initial speed [m/s] of each group."""
     return {name: _initial_speed(group) for name, group in scene.particles.items()}
 
 
 def _initial_speed(group: Group) -> float:
-    """Largest speed [m/s] at which a particle of the group starts, as given or as read from a file."""
+    """Largest initial speed [m/s] of a group, from the scene or from the file with its particles."""
     file_speeds = (
         group.insert.found.speed_max if isinstance(group.insert, FileInsertion) and group.insert.found else 0.0
     )

@@ -1,4 +1,4 @@
-"""Whether the machine has the memory that a run needs, before any of it is taken."""
+"""Compares the memory that a run needs with the available memory, before any array is allocated."""
 
 import os
 from collections.abc import Iterator
@@ -9,86 +9,84 @@ from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 
 RUNTIME = 100_000_000
-"""Bytes that compiling takes, whatever the scene."""
+"""Memory [bytes] of the compiler, independent of the scene."""
 
 HOST_PER_PARTICLE = 600
-"""Bytes on the host for each particle when a frame is written (measured: 510); placing takes less than a run does."""
+"""Host memory [bytes] per particle when a frame is written (measured: 510); insertion needs less."""
 
 MAX_LIST_ENTRIES = 2**31 - 1
-"""Contact slots are numbered with 32 bits."""
+"""Neighbor-list entries have 32-bit indices."""
 
 WARNED_SHARE = 0.8
-"""Share of the free memory from which on a run is warned of: rows of near partners may grow, others may want some."""
+"""Share of the available memory above which a warning appears: lists may grow, other processes need some."""
 
 PROC, CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
 
 def required_memory(plan: Plan) -> int:
-    """Bytes that a run takes at its height on a CPU, first guess of contacts included."""
+    """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts."""
     host = HOST_PER_PARTICLE * plan.particle_capacity
     return estimate_memory(plan, plan.scene.run.precision).total + host + RUNTIME
 
 
 def available_memory() -> int | None:
-    """Bytes that this process can still get: what the machine has free and what its control groups leave it.
+    """Memory [bytes] available to this process: free memory of the machine, limited by its control groups.
 
-    None where neither can be read; without /proc, all that the machine has.
+    None if neither can be read; without /proc, the total memory of the machine.
     """
     known = [*_machine(), *_control_groups()]
     return min(known) if known else None
 
 
 def memory_warning(plan: Plan) -> str | None:
-    """A sentence if a run will not fit, or only just; None if it fits or nothing is known."""
+    """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown."""
     needed, available = required_memory(plan), available_memory()
     if available is None or needed <= WARNED_SHARE * available:
         return None
     count = plan.particle_capacity
-    verdict = "there are only" if needed > available else "that leaves little of the"
-    sizes = (
-        f"{count} particles need about {needed / 1e9:.3g} GB of memory, and "
-        f"{verdict} {available / 1e9:.3g} GB free here"
-    )
+    free = f"{available / 1e9:.3g} GB"
+    statement = f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
+    sizes = f"{count} particles need about {needed / 1e9:.3g} GB of memory, {statement}"
     return f"{sizes}: {_remedies(plan, needed, available)}."
 
 
 def refuse_too_many(plan: Plan) -> None:
-    """Raise SceneError for more particles than can be numbered."""
+    """Raise SceneError if neighbor-list entries exceed 32-bit indices."""
     list_entries = plan.chunk_capacity * plan.list_capacity_per_chunk
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
-        request = f"{plan.particle_capacity} particles are asked for, but about {max_count:.0f} are the most"
-        raise SceneError(f"{_location(plan)}: {request} whose contacts can be numbered. Lower the count.")
+        request = f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        raise SceneError(f"{_location(plan)}: {request} for 32-bit neighbor-list indices. Lower the count.")
 
 
 def refuse_without_memory(plan: Plan) -> None:
-    """Raise SceneError if a run on a CPU will not fit into the memory that is free."""
+    """Raise SceneError if a run on a CPU does not fit into the available memory."""
     if not fits(plan):
         raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
 
 
 def fits(plan: Plan) -> bool:
-    """Whether a run fits, as far as is known."""
+    """True if a run fits or the available memory is unknown."""
     available = available_memory()
     return available is None or required_memory(plan) <= available
 
 
 def _location(plan: Plan) -> str:
-    """Where the count of the largest group stands."""
+    """File and line of the count of the largest group."""
     groups = plan.scene.particles
     return plan.scene.locate("particles", max(groups, key=lambda name: groups[name].count), "count")
 
 
 def _remedies(plan: Plan, needed: int, available: int) -> str:
-    """What to do: fewer particles, narrower numbers, another machine."""
+    """Remedies: fewer particles, lower precision, more memory."""
     fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity))
     precision_remedy = ", set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
-    count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free some"
-    return f"{count_remedy}{precision_remedy}, or use a machine with more"
+    count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
+    return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
 
 
 def _machine() -> Iterator[int]:
-    """Memory that programs can get without swapping, or all there is."""
+    """Memory [bytes] available without swapping, or the total memory."""
     try:
         lines = (PROC / "meminfo").read_text().splitlines()
         yield from (1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
@@ -98,7 +96,7 @@ def _machine() -> Iterator[int]:
 
 
 def _control_groups() -> Iterator[int]:
-    """What is left in each of the control groups around this process, of either version."""
+    """Remaining memory [bytes] of each control group of this process, version 1 or 2."""
     try:
         lines = (PROC / "self" / "cgroup").read_text().splitlines()
     except OSError:
@@ -113,7 +111,7 @@ def _control_groups() -> Iterator[int]:
 
 
 def _available_in(root: Path, path: str, limit: str, usage: str, cached: str) -> Iterator[int]:
-    """Limit less usage of a group and of those around it; files kept in memory count as free."""
+    """Limit minus usage [bytes] of a group and of its parents; cached files count as free."""
     group = root / path.strip("/")
     for folder in (group, *group.parents):
         try:

@@ -1,4 +1,4 @@
-"""How much memory the fields of a plan take, before they are allocated; a test holds it to what is allocated."""
+"""Memory estimate of the fields of a plan before allocation; a test compares it with the allocated memory."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,23 +7,23 @@ from granflow.plan.capacities import BOUNDS, history_capacity
 from granflow.plan.plan import Plan
 
 INTEGER = 4
-"""Bytes of the integers on the device."""
+"""Size [bytes] of integers on the device."""
 
 VECTOR = 3
 LIST_INTEGERS, SAVED_LIST_INTEGERS = 3, 2
-"""Where a particle's row of near partners begins, has its last wall, and ends; and where it did before a search."""
+"""Integers per particle for its neighbor list: begin, end of the walls, end; and begin and end before a rebuild."""
 
 SORTED = 2
-"""Integers for each particle while the neighbor search sorts: cell and order."""
+"""Integers per particle for sorting: cell and order."""
 
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """Bytes on the device when a run starts; rows of near partners grow if they turn out too short."""
+    """Initial device memory [bytes]; neighbor lists grow if they are too short."""
 
     per_particle: int
     per_neighbor: int
-    """For one near partner: its number, what the contact remembers, and the share of a slot kept during a search."""
+    """Per list entry: partner index, contact history, and the share of an entry saved during a rebuild."""
     particles: int
     neighbor_lists: int
     cells: int
@@ -31,12 +31,12 @@ class MemoryEstimate:
 
     @property
     def total(self) -> int:
-        """All of it."""
+        """Total device memory [bytes]."""
         return self.particles + self.neighbor_lists + self.cells + self.meshes
 
 
 def estimate_memory(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> MemoryEstimate:
-    """Count the bytes of every field that grows with particles, contacts or cells."""
+    """Sum of the sizes [bytes] of all fields that scale with particles, contacts or cells."""
     real = 8 if precision == "f64" else 4
     position = 4 if precision == "f32" else 8
     history_bytes = real * sum(plan.history.values())
@@ -61,7 +61,7 @@ def estimate_memory(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Me
 
 
 def _meshes(plan: Plan, position: int) -> int:
-    """Bytes of the triangles of all mesh walls, their points and grids."""
+    """Memory [bytes] of the triangles, vertices and grids of all mesh walls."""
     total = 0
     for index, mesh in plan.meshes.items():
         adjacency, grid = mesh.adjacency, plan.mesh_grids[index]
@@ -89,7 +89,7 @@ def _meshes(plan: Plan, position: int) -> int:
 
 
 def _fields(plan: Plan, real: int, position: int) -> int:
-    """Bytes of one particle's own fields."""
+    """Memory [bytes] of the fields per particle."""
     features = plan.features
     velocity, force, radius, mass, number, coordination = VECTOR * real, VECTOR * real, real, real, INTEGER, INTEGER
     sorted_bytes = VECTOR * position + velocity + radius + mass + number

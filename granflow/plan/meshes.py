@@ -1,4 +1,4 @@
-"""Mesh walls of a scene: their files found and read, placed, and looked at for what is probably not meant."""
+"""Mesh walls of a scene: reads and places their files, and reports probable mistakes."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -19,19 +19,19 @@ from granflow.walls.motion import rotation_matrices
 from granflow.walls.shape import unit
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
-"""Size of a mesh over that of the domain from which on it is refused, or warned of: the wrong unit of length."""
+"""Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of length."""
 
 FAR_TOO_SMALL = 1e-3
-"""Size of a mesh over the diameter of the smallest particle below which it is refused: the wrong unit of length."""
+"""Ratio of mesh size to the smallest diameter below which a mesh is refused: wrong unit of length."""
 
 MILLIMETERS = 1000.0
 
 FILES_CACHED = 16
-"""Meshes that are kept once read: a plan is made several times for a run."""
+"""Number of meshes in the cache: a run builds several plans."""
 
 
 class MeshNote(NamedTuple):
-    """One sentence about a mesh wall; a `warning` is shown before a run, the others by check and explain."""
+    """One sentence about a mesh wall; check and explain show all notes, a run only those with `warning`."""
 
     wall: str
     sentence: str
@@ -39,7 +39,7 @@ class MeshNote(NamedTuple):
 
 
 def meshes_of(scene: Scene) -> dict[str, Mesh]:
-    """The mesh walls by name, as they stand at rest. Raises SceneError with all that is wrong with any of them."""
+    """The mesh walls at rest by name. Raises SceneError with the problems of all meshes."""
     found, problems = {}, []
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
@@ -56,7 +56,7 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
 
 
 def mesh_path(scene: Scene, wall: MeshWall) -> Path:
-    """The file of a mesh. Raises MeshFileError where it lies outside the scene's folder, be it by a symbolic link."""
+    """Path of a mesh file. Raises MeshFileError if it is outside the folder of the scene, also by a symbolic link."""
     try:
         folder = resolved(scene.folder)
         path = resolved(folder / wall.file)
@@ -81,7 +81,7 @@ def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
 def _mesh_once(
     path: Path, modified: tuple[int, int], scale: float, rotations: tuple[tuple[Vector3, float], ...], offset: Vector3
 ) -> Mesh:
-    """The mesh of a file that was last changed then, scaled, turned and shifted."""
+    """The mesh of a file with this modification time and size; scaled, rotated and translated."""
     rotation_matrix = np.eye(3)
     for axis, angle in rotations:
         rotation_matrix = rotation_matrices(unit(axis), np.array([angle]))[0] @ rotation_matrix
@@ -93,8 +93,8 @@ def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
         share = _size(mesh) / smallest
-        what = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
-        raise MeshFileError(f"{what}: increase scale, which is {wall.scale:g} now")
+        statement = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
+        raise MeshFileError(f"{statement}: increase scale, which is {wall.scale:g} now")
     if share > REFUSED_SIZE_RATIO:
         raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 
@@ -113,26 +113,26 @@ def _domain_size(scene: Scene) -> float:
 
 
 def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[MeshNote]:
-    """What a user should know of a mesh wall; `smallest`: diameter [m] of the smallest particle."""
+    """Notes for the user on a mesh wall; `smallest`: diameter [m] of the smallest particle."""
     x, y, z = mesh.size
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
-    for count, what, warning in (
-        (mesh.quad_count, "four-sided face{} cut in two", False),
-        (mesh.divided_count, "triangle{} divided where corners of others lie on their edges", False),
-        (mesh.adjacency.open_count, "open edge{}: not watertight, which a hopper or a plate need not be", False),
-        (mesh.adjacency.fold_count, "edge{} of more than two triangles, as where a plate stands on another", False),
-        (mesh.degenerate_count, "triangle{} without area left out", True),
-        (mesh.duplicate_count, "triangle{} left out of those that are there twice", True),
+    for count, text, warning in (
+        (mesh.quad_count, "quadrilateral{} split into triangles", False),
+        (mesh.divided_count, "triangle{} split at vertices of others on their edges", False),
+        (mesh.adjacency.open_count, "open edge{}: not watertight, which is valid for a hopper or a plate", False),
+        (mesh.adjacency.fold_count, "edge{} shared by more than two triangles, as at a T-junction of plates", False),
+        (mesh.degenerate_count, "triangle{} of zero area removed", True),
+        (mesh.duplicate_count, "duplicate triangle{} removed", True),
     ):
         if count:
-            yield MeshNote(name, f"{count} {what.format('s' if count > 1 else '')}", warning)
+            yield MeshNote(name, f"{count} {text.format('s' if count > 1 else '')}", warning)
     suspicion = _suspicion(scene, name, mesh, smallest)
     if suspicion:
         yield MeshNote(name, suspicion, True)
 
 
 def _suspicion(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
-    """What is probably not meant."""
+    """A sentence on a probable mistake, or None."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     size, share = _size(mesh), _size(mesh) / _domain_size(scene)
     if share > WARNED_SIZE_RATIO:

@@ -1,4 +1,4 @@
-"""Wall motions that repeat: their period must be resolved by the time step."""
+"""Periodic wall motions: the time step must resolve their period."""
 
 import math
 
@@ -7,7 +7,7 @@ from granflow.scene import Scene
 from granflow.scene.schema import RotationSpec, VibrationSpec
 
 STEPS_PER_PERIOD = 10
-"""Fewest time steps per period. With fewer, the wall velocities at the steps do not represent the motion (aliasing)."""
+"""Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
 
 
 def refuse_fast_motion(scene: Scene, time_step: float) -> None:
@@ -28,7 +28,7 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
 
 
 def _period(motion: VibrationSpec | RotationSpec, scene: Scene) -> float:
-    """Duration of one cycle or turn [s]; infinite where nothing moves."""
+    """Period [s] of a vibration or rotation; infinite without motion."""
     if isinstance(motion, RotationSpec):
         rate = abs(motion.angular_velocity)
     else:

@@ -1,4 +1,4 @@
-"""Outlets in plain numbers, and how deep in one a point is, for numpy; the device knows only in or out."""
+"""Outlets in numeric form, and the depth of points in an outlet (numpy); the device only tests inside or outside."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from granflow.scene.outlets import BoxOutlet, DiscOutlet
 
 @dataclass(frozen=True)
 class PlannedOutlet:
-    """One outlet: a box, or what lies within `radius` [m] of an axis beyond a plane.
+    """One outlet: a box, or the region behind a plane and within `radius` [m] of an axis.
 
-    low, high (3,) [m]: corners of the box, or None.  point (3,) [m], normal (3,) of length 1: of the plane.
+    low, high (3,) [m]: corners of the box, or None.  point (3,) [m], normal (3,), unit vector: of the plane.
     """
 
     name: str
@@ -25,7 +25,7 @@ class PlannedOutlet:
     radius: float
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """How far inside the points (n, 3) are [m], below 0 outside."""
+        """Depth [m] of points (n, 3) [m] inside the outlet, negative outside."""
         if self.low is not None and self.high is not None:
             return np.asarray(np.minimum(points - self.low, self.high - points).min(axis=1))
         along = (points - self.point) @ self.normal
@@ -55,9 +55,9 @@ def _behind_plane(name: str, point: Sequence[float], normal: Sequence[float], ra
 
 
 def outlet_of(outlets: Sequence[PlannedOutlet], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
-    """Which outlet took each deleted particle (n,), -1 for none: the one it is deepest in.
+    """Index of the outlet that deleted each particle (n,), -1 for none: the outlet with the largest depth.
 
-    `position` (n, 3) [m]; what is still in the domain (n,) was taken by one, be it by rounding.
+    `position` (n, 3) [m]; a deleted particle inside the domain (n,) is always in an outlet, except for rounding.
     """
     if not outlets:
         return np.full(len(position), -1)

@@ -1,4 +1,4 @@
-"""Scene -> Plan: everything that is decided before anything is allocated."""
+"""Scene -> Plan: all decisions before any array is allocated."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -39,44 +39,44 @@ from granflow.walls.mesh import Mesh
 from granflow.walls.mesh_grid import MeshGrid, grid_over
 
 SMALL_SCENE_PARTICLES = 64
-"""Up to so many particles each is a chunk of its own: what that costs in time it saves in compiling, twice over."""
+"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
 
 CHUNK_COUNT = 32
-"""Chunks to share out among the threads, unless they would be smaller or larger than these bounds."""
+"""Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
 
 CHUNK_BOUNDS = (512, 2048)
-"""Smaller chunks have more pairs that cross their border and are done twice; larger ones leave the cache."""
+"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the cache."""
 
 CELLS_PER_PARTICLE = 3
-"""Search cells for every particle at most; a sparser domain gets larger cells."""
+"""Maximum number of cells per particle; a sparser domain gets larger cells."""
 
 MIN_CELLS = 8192
 
 BLOCK_CELLS = 8**3
-"""Cells of the smallest grid: they come in blocks."""
+"""Number of cells in a block, which is the smallest grid."""
 
 SKIN_STEPS = 60
-"""A particle at the largest velocity should cross half the skin in no fewer steps than this."""
+"""Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
 
 LARGEST_SKIN = 20.0
-"""Largest skin over the smallest radius that a scene may give: 2^3 * 11^3 neighbors."""
+"""Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
 
 SKIN_SHARES = (0.05, 0.3)
-"""Smallest and largest skin over the smallest radius."""
+"""Range of the automatic skin over the smallest radius."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All decisions for one scene, in SI; see the functions that make them for the reasons."""
+    """All decisions for one scene, in SI units; the functions that compute them document the reasons."""
 
     scene: Scene
     features: Features
     reasons: tuple[Reason, ...]
     law: NormalLaw
     materials: tuple[str, ...]
-    """Names of the materials in the plan's order: those of particles first."""
+    """Names of the materials in plan order, those of particles first."""
     pair_constants: np.ndarray
-    """(materials^2, constants): the law's, then friction, then rolling friction."""
+    """(materials^2, constants): constants of the contact model, friction, rolling friction."""
     particle_capacity: int
     radius_min: float
     radius_max: float
@@ -87,56 +87,56 @@ class Plan:
     walls: tuple[PlannedWall, ...]
     wall_speed: float
     controlled_motions: tuple[ControlledMotion, ...]
-    """Motions of walls that the grains' forces move."""
+    """Motions of walls that respond to the forces of the particles."""
     adaptive_time_step: AdaptiveTimeStep | None
-    """Time steps for every velocity, where the step follows the scene."""
+    """Time steps by impact velocity if the time step is adaptive."""
 
     @property
     def time_step(self) -> float:
-        """Time step [s]; one that follows the scene begins here."""
+        """Time step [s]; an adaptive time step starts with it."""
         return self.step.value
 
     @property
     def longest_time_step(self) -> float:
-        """Longest step [s] that can be taken."""
+        """Longest possible time step [s]."""
         return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
 
     @property
     def material_count(self) -> int:
-        """Materials of particles and walls."""
+        """Number of materials of particles and walls."""
         return len(self.materials)
 
     @property
     def friction_index(self) -> int:
-        """Place of the friction coefficient among the pair constants."""
+        """Index of the friction coefficient in the pair constants."""
         return len(self.law.constant_names)
 
     @property
     def rolling_index(self) -> int:
-        """Place of the rolling friction coefficient among the pair constants."""
+        """Index of the rolling friction coefficient in the pair constants."""
         return self.friction_index + 1
 
     @property
     def has_walls(self) -> bool:
-        """Whether there is any wall."""
+        """True if the scene has walls."""
         return self.features.walls
 
     @property
     def history(self) -> dict[str, int]:
-        """What a contact remembers: name of the field -> numbers in it."""
+        """Contact history: name of the field -> number of components."""
         sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
-        remembered = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
-        sizes["rolling"] = 3 * (self.features.rolling in remembered)
+        saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
+        sizes["rolling"] = 3 * (self.features.rolling in saved_models)
         return {name: size for name, size in sizes.items() if size}
 
     @property
     def chunk_capacity(self) -> int:
-        """Chunks that all particles fill."""
+        """Number of chunks for all particles."""
         return max(-(-self.particle_capacity // self.chunk_size), 1)
 
     @property
     def list_capacity_per_chunk(self) -> int:
-        """First guess of contact slots in one chunk."""
+        """Initial number of neighbor-list entries per chunk."""
         neighbors = neighbors_per_particle(self.particle_capacity, self.skin / self.radius_min)
         at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
         if self.chunk_size == 1:
@@ -146,48 +146,48 @@ class Plan:
 
     @property
     def cell_capacity(self) -> int:
-        """Most cells of the search grid."""
+        """Maximum number of cells of the cell grid."""
         return max(CELLS_PER_PARTICLE * self.particle_capacity, MIN_CELLS)
 
     @cached_property
     def size_classes(self) -> tuple[float, ...]:
-        """Largest radius [m] of each class of sizes that the search takes by itself, from small to large."""
+        """Largest radius [m] of each size class, in ascending order."""
         return size_classes(self.scene)
 
     @property
     def class_cell_capacity(self) -> int:
-        """Most cells of the grids of all classes of sizes; 0 where there is but one class in a box without shear."""
+        """Maximum number of cells in the grids of all size classes; 0 for a single class in a box without shear."""
         classes, needed = len(self.size_classes), self.features.lees_edwards or len(self.size_classes) > 1
         return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
 
     @property
     def has_poses(self) -> bool:
-        """Whether walls or images stand elsewhere from step to step."""
+        """True if walls or periodic images change their position from step to step."""
         return self.features.moving_walls or self.features.lees_edwards
 
     @property
     def image_speed(self) -> float:
-        """Speed of the images across a sheared border [m/s]."""
+        """Speed [m/s] of the images across a sheared boundary."""
         return 0.0 if self.periodic_box.image_motion is None else abs(self.periodic_box.image_motion.speed)
 
     @property
     def wall_displacement_limit(self) -> float:
-        """Way [m] that a wall may go between two searches: half the skin, shared where both kinds of motion are."""
+        """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of motion."""
         return (0.25 if self.controlled_motions and self.wall_speed > 0.0 else 0.5) * self.skin
 
     @property
     def travel_limit(self) -> float:
-        """Largest distance [m] that a particle may move in one step."""
+        """Maximum displacement [m] of a particle in one step."""
         return STEP_SHARE * self.radius_min
 
     @property
     def wall_travel_limit(self) -> float:
-        """Largest distance [m] per step of one kind of wall motion: that of particles, shared where there are both."""
+        """Maximum displacement [m] of a wall in one step: that of particles, divided between two kinds of motion."""
         return (0.5 if self.controlled_motions and self.wall_speed > 0.0 else 1.0) * self.travel_limit
 
     @property
     def coordinate_limit(self) -> float:
-        """Coordinate [m] beyond which positions are too coarse for the smallest particle."""
+        """Coordinate [m] above which the resolution of positions is too coarse for the smallest particle."""
         return coordinate_limit(self.scene.run.precision, self.radius_min)
 
     @property
@@ -197,27 +197,27 @@ class Plan:
 
     @property
     def max_overlap(self) -> float:
-        """Overlap over radius at which the guard stops the run."""
+        """Overlap over radius above which the run aborts."""
         return self.scene.numerics.max_overlap
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
-        """The mesh walls by their index among the walls."""
+        """The mesh walls by wall index."""
         return {index: wall.shape for index, wall in enumerate(self.walls) if isinstance(wall.shape, Mesh)}
 
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:
-        """The grid of every mesh wall by its index among the walls."""
+        """The cell grid of each mesh wall by wall index."""
         reach = self.radius_max + self.skin
         return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
     def first_triangle(self, index: int) -> int:
-        """Number of the first triangle of a mesh wall, counted over all meshes."""
+        """Index of the first triangle of a mesh wall, numbered over all meshes."""
         return sum(mesh.triangle_count for before, mesh in self.meshes.items() if before < index)
 
     @cached_property
     def mesh_notes(self) -> tuple[MeshNote, ...]:
-        """What a user should know of the mesh walls."""
+        """Notes for the user on the mesh walls."""
         named = {self.walls[index].name: mesh for index, mesh in self.meshes.items()}
         return tuple(n for name, mesh in named.items() for n in notes_on(self.scene, name, mesh, 2.0 * self.radius_min))
 
@@ -234,7 +234,7 @@ class Plan:
 
     @cached_property
     def outlets(self) -> tuple[PlannedOutlet, ...]:
-        """The outlets in plain numbers."""
+        """The outlets in numeric form."""
         return planned_outlets(self.scene)
 
     @cached_property
@@ -249,9 +249,9 @@ class Plan:
 
 
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
-    """Decide everything for a scene.
+    """Compute the plan of a scene.
 
-    Raises SceneError where the laws cannot serve a pair or the time step given is not stable.
+    Raises SceneError if a contact model is not valid for a pair, or if the given time step is not stable.
     """
     materials = tuple(dict.fromkeys(_used_materials(scene)))
     numbers = {name: number for number, name in enumerate(materials)}
@@ -298,7 +298,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 
 
 def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
-    """Raise SceneError for speeds [m/s] at which contacts would be missed from the start."""
+    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start."""
     refuse_fast_start(plan.scene, initial_speeds(plan.scene), plan.time_step, plan.radius_min)
     limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
     refuse_fast_walls(plan.scene, wall_speeds, plan.longest_time_step, limit)
@@ -306,7 +306,7 @@ def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The scene's normal law with its settings; `velocity` is the fastest approach expected [m/s]."""
+    """The normal contact model of the scene; `velocity` [m/s] is the maximum expected impact velocity."""
     normal = scene.contact.normal
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
     law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
@@ -321,7 +321,7 @@ def solid(scene: Scene, material: str) -> Solid:
 
 
 def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
-    """Mixed constants of two materials. Raises KeyError where the scene has no such pair."""
+    """Mixed constants of two materials. Raises KeyError if the scene has no such pair."""
     pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
     given = pair.restitution
     restitution: float | VelocityRestitution | None
@@ -342,7 +342,7 @@ def _used_materials(scene: Scene) -> Iterator[str]:
 
 
 def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
-    """Constants of every pair of materials; pairs that never touch hold no numbers."""
+    """Constants of each pair of materials; NaN for pairs without contacts."""
     count = len(materials)
     table = np.full((count * count, len(law.constant_names) + 2), np.nan)
     for i, first in enumerate(materials):
@@ -363,15 +363,15 @@ def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tup
     except ValueError as error:
         key = scene.pair_key(first, second)
         location = scene.locate("pairs", key, "restitution")
-        raise SceneError(f"{location}: pairs.{key}.restitution cannot be met: {error}.") from None
+        raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
 
 
 def pair_cases_of(scene: Scene) -> list[PairCase]:
-    """How any two groups, and any group and wall, can meet: their smallest particles.
+    """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
 
-    A group of one particle does not collide with itself: that contact bounds the time step, but has no `pair_key`. If
-    no contact is possible, the contact of the first group with itself bounds the time step. Fixed particles collide
-    neither with each other nor with walls; for others they are walls with the radius of the largest of them.
+    A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
+    no contact is possible, the contact of the first group with itself limits the time step. Fixed particles collide
+    neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
     """
     pair_cases = []
     groups = list(scene.particles.items())
@@ -401,7 +401,7 @@ def pair_cases_of(scene: Scene) -> list[PairCase]:
 
 
 def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
-    """The smallest of a group with the smallest of another, with the largest fixed one, or with a wall (None)."""
+    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
     radius, material_solid = 0.5 * diameter_range(group)[0], solid(scene, group.material)
     mass = _sphere_mass(radius, material_solid.density)
     if other is None:
@@ -443,7 +443,7 @@ def _adaptive_time_step(scene: Scene, law: NormalLaw, velocity: float, speed: fl
 
 
 def _chunk_size(scene: Scene, particle_count: int) -> int:
-    """Particles in a chunk, a power of two; it follows from the scene alone, since sums go chunk by chunk."""
+    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by chunk."""
     if scene.numerics.chunk_size != "auto":
         return int(scene.numerics.chunk_size)
     if particle_count <= SMALL_SCENE_PARTICLES:
@@ -456,7 +456,7 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
             f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
-            f"smallest radius {radius_min:.3g} m: neighbor lists would hold thousands per particle. Write auto."
+            f"smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. Set it to auto."
         )
     return skin
 

@@ -1,4 +1,4 @@
-"""Whether a run takes any step, and whether it can end in a reasonable time; estimated before anything runs."""
+"""Checks that each stage has a step, and that a run can end in a reasonable time, from estimates."""
 
 from math import ceil
 
@@ -6,46 +6,46 @@ from granflow.errors import SceneError
 from granflow.plan.plan import Plan
 
 STEPS_PER_SECOND = 1e6
-"""Steps per second of wall clock that a run cannot exceed, however few its particles (measured on a CPU: 3e5)."""
+"""Upper bound of steps per second of wall-clock time for few particles (measured on a CPU: 3e5)."""
 
 PARTICLE_STEPS_PER_SECOND = 1e9
-"""Particle-steps per second of wall clock that a run cannot exceed (measured on two CPU cores: 2e7)."""
+"""Upper bound of particle-steps per second of wall-clock time (measured on two CPU cores: 2e7)."""
 
 WRITES_PER_SECOND = 1e4
-"""Frames, rows of the time series and checkpoints per second that a run cannot exceed (measured: 1e3)."""
+"""Upper bound of frames, time-series rows and checkpoints per second of wall-clock time (measured: 1e3)."""
 
 YEAR = 365.25 * 86400.0
 
 LONGEST = YEAR
-"""Wall clock [s] of the fastest thinkable run above which a scene is refused: a mistake in units or exponents."""
+"""Lower bound of the run time [s] above which a scene is refused: probably a wrong unit or exponent."""
 
 CLOCK_STEPS = 2.0**52
-"""Steps in a duration above which a time in double precision no longer advances by each of them."""
+"""Number of steps above which single steps no longer advance the time in double precision."""
 
 ROUNDING = 1e-6
-"""Share of a step by which a stage may be shorter than one."""
+"""Tolerance, as a fraction of the time step, for a stage shorter than one step."""
 
 
 def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
-    """Raise SceneError where a stage is shorter than a step, steps do not advance the clock, or a run cannot end.
+    """Raise SceneError if a stage is shorter than a step, steps do not advance the time, or the run time is excessive.
 
-    `allow_long` lifts the last one only.
+    `allow_long` allows an excessive run time.
     """
     _refuse_no_step(plan)
     steps = duration_of(plan) / plan.time_step
     if steps > CLOCK_STEPS:
-        raise SceneError(f"{_what(plan, steps)}, more than the {CLOCK_STEPS:.2g} that a clock in f64 tells apart.")
+        raise SceneError(f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves.")
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
         raise SceneError(
-            f"{_what(plan, duration_of(plan) / plan.longest_time_step)} and {_writes(plan):.3g} frames, rows and "
-            f"checkpoints for {plan.particle_capacity} particles: {_in_years(seconds)} of wall clock at least. Check "
-            f"the units of durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
+            f"{_steps_text(plan, duration_of(plan) / plan.longest_time_step)} and {_writes(plan):.3g} frames, rows and "
+            f"checkpoints for {plan.particle_capacity} particles: {_in_years(seconds)} of wall-clock time at least. "
+            f"Check the units of durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
         )
 
 
 def least_run_time(plan: Plan) -> float:
-    """Wall clock [s] that the fastest thinkable run of the scene takes."""
+    """Lower bound of the wall-clock time [s] of a run."""
     steps = duration_of(plan) / plan.longest_time_step
     computed = max(steps / STEPS_PER_SECOND, steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND)
     return computed + _writes(plan) / WRITES_PER_SECOND
@@ -57,7 +57,7 @@ def duration_of(plan: Plan) -> float:
 
 
 def _writes(plan: Plan) -> float:
-    """Frames, rows and checkpoints at intervals of simulated time: at most one of each in a step."""
+    """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
     output, duration = plan.scene.output, duration_of(plan)
     intervals = (output.interval, output.timeseries_interval, output.checkpoint.interval)
     steps = duration / plan.longest_time_step
@@ -74,17 +74,17 @@ def _refuse_no_step(plan: Plan) -> None:
             name = ".".join(map(str, path))
             raise SceneError(
                 f"{scene.locate(*path)}: {name} is {longest:.3g} s, shorter than one time step of {step:.3g} s "
-                f"({plan.step.limited_by}). Give it at least {_rounded_up(step):.3g} s, or a smaller run.time_step."
+                f"({plan.step.limited_by}). Set it to at least {_rounded_up(step):.3g} s, or lower run.time_step."
             )
 
 
 def _rounded_up(step: float) -> float:
-    """Two digits, not below the step."""
+    """Round up to about two digits, not below the step."""
     return float(f"{1.05 * step:.2g}")
 
 
-def _what(plan: Plan, steps: float) -> str:
-    """Place and count of the steps, and the reason for their length."""
+def _steps_text(plan: Plan, steps: float) -> str:
+    """Location and number of the steps, and the reason for their length."""
     scene = plan.scene
     given = not isinstance(scene.run.time_step, str)
     path = ("run", "time_step") if given else ("stages",) if scene.stages else ("run", "duration")

@@ -1,4 +1,4 @@
-"""Every value of a scene that may be left out: what it is, and whether the file gave it or a default did."""
+"""Optional settings of a scene: their values, and their origin (given or default)."""
 
 import re
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
 
 @dataclass(frozen=True)
 class OptionalSetting:
-    """One value that the scene may leave out."""
+    """One optional value of the scene."""
 
     key: str
     value: str
@@ -26,9 +26,9 @@ class OptionalSetting:
 
 
 def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
-    """All of them in the order of the schema, and what presets filled in.
+    """All optional settings in the order of the schema, including values of presets.
 
-    What is simply absent when left out (a motion, the radius of a meter) is not listed.
+    Optional parts that are absent (a motion, the radius of a meter) are not listed.
     """
     return tuple(_in_model(scene, scene, ()))
 
@@ -84,7 +84,7 @@ _MANY_ROWS = 3
 
 
 def as_written(value: Any) -> str:
-    """A value as a scene would say it."""
+    """A value in the notation of scenes."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple) and len(value) > _MANY_ROWS:

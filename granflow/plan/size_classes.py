@@ -1,27 +1,27 @@
-"""Which sizes there can be, before any is drawn, and the classes of sizes that the search takes one by one."""
+"""Range of particle sizes before sampling, and size classes with separate cell grids."""
 
 from granflow.scene import Scene
 from granflow.scene.schema import ClassSizes, FileInsertion, Group
 
 CLASSES_FROM_RATIO = 3.0
-"""Largest over smallest radius from which on the search takes sizes class by class."""
+"""Ratio of largest to smallest radius from which the neighbor search uses size classes."""
 
 CLASS_WIDTH = 2.5
-"""Largest over smallest radius within a class."""
+"""Ratio of largest to smallest radius within a class."""
 
 Span = tuple[float, float]
 
 
 def diameter_range(group: Group) -> Span:
-    """Smallest and largest diameter [m]."""
+    """Smallest and largest diameter [m] of a group."""
     spans = _diameters(group)
     return spans[0][0], spans[-1][1]
 
 
 def size_classes(scene: Scene) -> tuple[float, ...]:
-    """Largest radius [m] of each class of sizes, from small to large; only one where all are of a size, or nearly.
+    """Largest radius [m] of each size class, in ascending order; a single class if all sizes are similar.
 
-    A class begins with the smallest radius that is in none yet, so that there is none without particles.
+    A class begins with the smallest radius that no class contains yet, so that no class is empty.
     """
     spans = sorted((0.5 * low, 0.5 * high) for group in scene.particles.values() for low, high in _diameters(group))
     smallest, largest = spans[0][0], max(high for _, high in spans)
@@ -37,7 +37,7 @@ def size_classes(scene: Scene) -> tuple[float, ...]:
 
 
 def _diameters(group: Group) -> list[Span]:
-    """Ranges of diameters [m] that a group can have, from small to large."""
+    """Ranges of the diameters [m] of a group, in ascending order."""
     if isinstance(group.insert, FileInsertion) and group.insert.found is not None:
         return [(group.insert.found.diameter_min, group.insert.found.diameter_max)]
     sizes = group.sizes

@@ -1,4 +1,4 @@
-"""The time step: from the stiffest phase of any contact the scene can have, or given and then checked."""
+"""The time step: computed from the stiffest phase of all possible contacts, or given and checked."""
 
 import math
 from collections.abc import Sequence
@@ -12,21 +12,21 @@ from granflow.laws.material import PairMaterial, Solid
 from granflow.plan.travel import STEP_SHARE
 
 MAX_CONTACTS = 12
-"""Equal spheres that one of them can touch at once."""
+"""Maximum number of contacts of a sphere with equal spheres."""
 
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
-"""Square of the highest frequency of densely packed equal spheres, 12 contacts each, over K/M and Kt/M of a contact."""
+"""Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a contact."""
 
 STABLE_SHARE = 0.99
-"""Largest step over the one at which the stiffest mode begins to grow."""
+"""Time step over the stability limit of the stiffest mode."""
 
 STEPS_OF_RESOLUTION = 1000
-"""An overlap should be this many times what the precision resolves, so that its force is good to 0.15 %."""
+"""Minimum ratio of an overlap to the resolution of the precision, for a force error below 0.15 %."""
 
 
 @dataclass(frozen=True)
 class PairCase:
-    """The stiffest way in which two groups, or a group and a wall, can meet."""
+    """The stiffest contact of two groups, or of a group and a wall."""
 
     name: str
     pair: PairMaterial
@@ -35,21 +35,21 @@ class PairCase:
     radius: float
     solid: Solid
     contact_count: int = MAX_CONTACTS
-    """Contacts that a grain can have at once: as many as there are other grains and walls."""
+    """Maximum number of simultaneous contacts of a particle: at most the number of other particles and walls."""
     pair_key: str | None = None
-    """Key of the material pair under `pairs`; None for a contact that bounds the time step but cannot occur."""
+    """Key of the material pair under `pairs`; None for a contact that limits the time step but cannot occur."""
 
 
 @dataclass(frozen=True)
 class TimeStep:
-    """A time step [s], what limits it, and what it can carry."""
+    """A time step [s], the reason for its value, and its limits."""
 
     value: float
     limited_by: str
     stable_below: float
     stable_limit: str
     least_restitution: float
-    """Smallest restitution that the unloading bound lets this step reach, at the largest velocity."""
+    """Smallest restitution that this step can reproduce at the maximum velocity, given the unloading limit."""
     warnings: tuple[str, ...]
 
 
@@ -61,9 +61,9 @@ def choose_time_step(
     fraction: float,
     rayleigh_fraction: float,
 ) -> TimeStep:
-    """Pick the step, or check the one given [s]; `velocity` is the fastest approach expected [m/s].
+    """Compute the time step [s], or check the given one; `velocity` [m/s]: maximum expected impact velocity.
 
-    Raises ValueError with one sentence where the given step is above the stable one.
+    Raises ValueError with one sentence if the given time step exceeds the stable time step.
     """
     resolved, name = min(
         (fraction * shortest_phase(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
@@ -94,7 +94,7 @@ def choose_time_step(
 def resolution_warning(
     pair_cases: Sequence[PairCase], velocity: float, precision: str, reach: float
 ) -> tuple[str, ...]:
-    """A sentence if the overlaps of a collision at `velocity` [m/s] fall under what the precision resolves.
+    """A warning if the overlaps of a collision at `velocity` [m/s] are close to the resolution of the precision.
 
     An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed.
     """
@@ -110,28 +110,29 @@ def resolution_warning(
         return ()
     remedy = "mixed or f64" if precision == "f32" else "f64"
     return (
-        f"{precision} resolves lengths to {resolved:.2g} m here, but {name} overlap by only {smallest:.2g} m at "
-        f"{velocity:.3g} m/s: forces will be coarse. Use --precision {remedy}.",
+        f"{precision} resolves lengths to {resolved:.2g} m here, but the overlaps of {name} are only {smallest:.2g} m "
+        f"at {velocity:.3g} m/s: forces are inaccurate. Use --precision {remedy}.",
     )
 
 
 def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Shorter of loading and unloading [s] at an approach velocity, unloading no faster than resolved."""
+    """Shorter of loading and unloading time [s] at an impact velocity; the unloading time is bounded below."""
     loading, unloading = law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     return min(loading, max(unloading, law.unresolved_unloading * loading))
 
 
 def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Step [s] above which a grain held by others can gain energy, in the stiffest way it can be held.
+    """Time step [s] above which the energy of a particle in contact can grow, for its stiffest arrangement.
 
-    The leapfrog carries a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, its viscous force being half a step
-    late. Masses M on z contacts of stiffness K and viscosity c, and Kt = 4 G/E K across where there is friction, have
+    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the viscous force
+    lags by half a step. Masses M with z contacts of stiffness K and viscosity c, and tangential stiffness
+    Kt = 4 G/E K if there is friction, have at most
 
-        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      where neighbors move against each other
-        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    where all turn the same way, and contacts slip
+        w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      if neighbors move in opposite directions
+        w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts slip
 
-    at most; the second is the higher one with friction, and halves the step. A law that bounds its unloading has
-    K dt^2 = theta^2 M there.
+    With friction the second frequency is the higher one and halves the step. A contact model that limits its unloading
+    stiffness has K dt^2 = theta^2 M there.
     """
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
@@ -149,7 +150,7 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
 
 
 def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float) -> float:
-    """The step [s] at which K/M dt^2 + 4 c/M dt comes to `limit`."""
+    """Step [s] at which K/M dt^2 + 4 c/M dt equals `limit`."""
     if stiffness == viscosity == 0.0:
         return math.inf
     scaled_mass = 0.25 * mass * limit
@@ -165,9 +166,9 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
 def _restitution_reached(
     step: float, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
-    """Smallest restitution that the step can reach, and a sentence for each material pair that requires less.
+    """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less.
 
-    The sentence of a pair names its contact with the largest shortfall; contacts that cannot occur are left out.
+    The sentence of a pair names its contact with the largest difference; contacts that cannot occur are ignored.
     """
     if law.least_restitution is None:
         return 0.0, ()
@@ -183,7 +184,7 @@ def _restitution_reached(
 
 
 def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
-    """One sentence on a material pair whose restitution the step cannot reach; at restitution 0 no step can."""
+    """One sentence on a material pair whose restitution the step cannot reproduce; no step can for restitution 0."""
     remedy = 0.99 * step * required / bound
     advice = f" A run.time_step of {remedy:.3g} s can." if remedy > 0.0 else ""
     return (

@@ -19,41 +19,41 @@ so that the overlap limit stops the run. Two particles pass each other only with
 Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default L = 0.1.
 """
 
-SPARE = 0.9
-"""Time step that a message suggests over the one at the limit."""
+STEP_MARGIN = 0.9
+"""Time step that a message suggests, relative to the limit."""
 
 
 def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, radius_min: float) -> None:
-    """Raise SceneError where particles of a group start with more than the largest distance per step.
+    """Raise SceneError if particles of a group have an initial displacement per step above the limit.
 
-    `speeds`: largest speed [m/s] of every group at the start; `step` [s].
+    `speeds`: largest initial speed [m/s] of each group; `step` [s].
     """
     limit = STEP_SHARE * radius_min
     for name, speed in speeds.items():
         if speed * step > limit:
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
-            what = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+            statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
+            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float) -> None:
-    """Raise SceneError where a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
+    """Raise SceneError if a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
     for name, speed in speeds.items():
         if speed * step > limit:
-            what = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
-            raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+            statement = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
+            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
-    """Raise SceneError where the images of a sheared box move by more than `limit` [m] in a step [s]."""
+    """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s]."""
     if speed * step > limit:
-        what = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
-        raise SceneError(f"{what}{per_step(scene, speed, step, limit)}")
+        statement = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
+        raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
 
 
 def per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
-    """The rest of a sentence on a speed [m/s] too large for a step [s], and what to change."""
+    """End of a sentence on a speed [m/s] too high for a step [s], with the remedy."""
     return (
         f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m: beyond it "
         f"contacts can be missed. {remedy(scene, speed, speed, limit)}"
@@ -61,12 +61,12 @@ def per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
 
 
 def share_of(limit: float, radius_min: float) -> str:
-    """A limit [m] as a share of the smallest radius [m]."""
+    """A limit [m] relative to the smallest radius [m]."""
     return f"{limit / radius_min:.2g} of the smallest radius {radius_min:.3g} m"
 
 
-def remedy(scene: Scene, speed: float, to_plan_for: float, limit: float) -> str:
-    """What keeps a speed [m/s] below the limit [m]: another given step, or the velocity that the step is chosen for."""
+def remedy(scene: Scene, speed: float, planned_speed: float, limit: float) -> str:
+    """Remedy for a displacement per step above the limit [m]: a shorter given step, or a higher planned velocity."""
     if isinstance(scene.run.time_step, str):
-        return f"Set run.velocity_max to {to_plan_for:.3g} m/s, or lower the speed."
-    return f"Lower run.time_step to {SPARE * limit / speed:.2g} s, or lower the speed."
+        return f"Set run.velocity_max to {planned_speed:.3g} m/s, or lower the speed."
+    return f"Lower run.time_step to {STEP_MARGIN * limit / speed:.2g} s, or lower the speed."

@@ -1,4 +1,4 @@
-"""Walls that the grains' forces move: servos that hold a force, and free walls with mass."""
+"""Force-controlled walls: servo walls with a target force, and free walls with a mass."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,17 +17,18 @@ from granflow.walls.catalog import area_of
 from granflow.walls.shape import unit
 
 GAIN_SHARE = 0.2
-"""Share of the force that is missing which a servo makes good in one step, if all grains it can touch do touch it."""
+"""Share of the force error that a servo corrects in one step, if all particles within reach are in contact."""
 
 MAX_GAIN = 2.0
-"""That share from which on a servo overshoots by more than it was short, step after step."""
+"""This share at which the overshoot of a servo grows from step to step."""
 
 
 @dataclass(frozen=True)
 class ControlledMotion:
-    """One driven motion: number of the wall, of the motion among those of the wall, and its law.
+    """One force-controlled motion: index of the wall, index of the motion of this wall, and its parameters.
 
-    `force` [N] along the unit `direction`: what a servo holds on the grains; of a free wall its own and its weight.
+    `force` [N] along the unit vector `direction`: target force of a servo on the particles; applied force and weight of
+    a free wall.
     """
 
     wall: int
@@ -37,17 +38,17 @@ class ControlledMotion:
     direction: tuple[float, float, float]
     force: float
     gain: float
-    """Of a servo: speed for every newton that is missing [m/(s N)]."""
+    """Servo: velocity per force error [m/(s N)]."""
     velocity_max: float
-    """Of a servo [m/s]."""
+    """Servo: maximum velocity [m/s]."""
     mass: float
-    """Of a free wall [kg]."""
+    """Free wall: mass [kg]."""
     damping: float
-    """Of a free wall [kg/s]."""
+    """Free wall: damping [kg/s]."""
 
     @property
     def key(self) -> str:
-        """As messages and checkpoints name it."""
+        """Key in messages and checkpoints."""
         return f"walls.{self.name}.motion.{self.motion}"
 
 
@@ -59,9 +60,9 @@ def controlled_motions_of(
     velocity: float,
     step: float,
 ) -> tuple[ControlledMotion, ...]:
-    """All driven motions in the order of walls and motions. Raises SceneError for one that the step [s] cannot carry.
+    """All force-controlled motions in order. Raises SceneError for a motion that is unstable with the step [s].
 
-    `velocity`: the fastest approach expected [m/s].
+    `velocity` [m/s]: maximum expected impact velocity.
     """
     controlled_motions = []
     for index, wall in enumerate(walls):
@@ -76,10 +77,10 @@ def controlled_motions_of(
 def _servo(
     scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
 ) -> ControlledMotion:
-    """A servo moves at v = gain (F - f), at most velocity_max.
+    """A servo moves at v = gain (F - f), limited to velocity_max.
 
-    Contacts of stiffness K then change their force by K dt v = gain K dt (F - f) in a step: below 2 of them the
-    wall comes nearer to F in every step. It is a dashpot of 1/gain: it takes energy from the grains, and gives none.
+    Contacts of stiffness K then change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2 the force
+    error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the particles.
     """
     single, all_contacts = stiffness
     max_gain = MAX_GAIN / (single * step)
@@ -87,8 +88,8 @@ def _servo(
         location = scene.locate("walls", wall.name, "motion", number, "gain")
         raise SceneError(
             f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} on "
-            f"the wall "
-            f"overshoots at every step of {step:.3g} s. Leave it out for {GAIN_SHARE / (all_contacts * step):.2g}."
+            f"the wall overshoots at every step of {step:.3g} s. Without the key it is "
+            f"{GAIN_SHARE / (all_contacts * step):.2g}."
         )
     force = given.force
     if force is None:
@@ -102,14 +103,14 @@ def _servo(
 def _free(
     scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
 ) -> ControlledMotion:
-    """A free wall of mass M on contacts of stiffness K swings with w^2 = K/M; w dt must stay below 1."""
+    """A free wall of mass M on contacts of stiffness K oscillates with w^2 = K/M; w dt must be below 1."""
     min_mass = stiffness[1] * step**2
     if given.mass < min_mass:
         location = scene.locate("walls", wall.name, "motion", number, "mass")
         raise SceneError(
-            f"{location}: walls.{wall.name}.motion.mass is {given.mass:.3g} kg, but with all grains it can touch "
-            f"the wall "
-            f"swings too fast for a step of {step:.3g} s: give it {min_mass:.2g} kg or more, or lower run.time_step."
+            f"{location}: walls.{wall.name}.motion.mass is {given.mass:.3g} kg, but with contacts of all particles "
+            f"within reach the wall oscillates too fast for a step of {step:.3g} s: set it to {min_mass:.2g} kg or "
+            "more, or lower run.time_step."
         )
     direction = _unit(given)
     force = given.force + given.mass * float(np.dot(scene.gravity, direction))
@@ -121,9 +122,9 @@ def _free(
 def _stiffness(
     scene: Scene, wall: PlannedWall, given: Any, law: NormalLaw, pair_cases: Sequence[PairCase], velocity: float
 ) -> tuple[float, float]:
-    """Stiffness [N/m] of one contact at the fastest approach, and of as many as can be at the wall side by side.
+    """Stiffness [N/m] of one contact at the maximum impact velocity, and of a layer of particles on the wall.
 
-    A layer of spheres of radius r in closest packing has one of them on every 2 sqrt(3) r^2 of the wall.
+    A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
     single = max(law.loading_stiffness(m.pair, m.radius_eff, m.mass_eff, velocity) for m in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
@@ -133,7 +134,7 @@ def _stiffness(
 
 
 def _section(scene: Scene, direction: tuple[float, float, float]) -> float:
-    """Area [m2] of the domain seen along a direction."""
+    """Projected area [m2] of the domain along a direction."""
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])
 
@@ -144,12 +145,12 @@ def _unit(given: Any) -> tuple[float, float, float]:
 
 
 def describe(controlled: ControlledMotion) -> Iterator[tuple[str, str]]:
-    """What a drive was decided to be: names and values for people."""
+    """Names and values of the parameters of a force-controlled motion, for `granflow explain`."""
     if controlled.kind == "servo":
-        yield "holds", f"{controlled.force:.4g} N"
+        yield "target force", f"{controlled.force:.4g} N"
         yield "gain", f"{controlled.gain:.3g} m/(s N)"
-        yield "at most", f"{controlled.velocity_max:.3g} m/s"
+        yield "velocity max", f"{controlled.velocity_max:.3g} m/s"
     else:
         yield "mass", f"{controlled.mass:.4g} kg"
-        yield "force, with its weight", f"{controlled.force:.4g} N"
+        yield "force and weight", f"{controlled.force:.4g} N"
         yield "damping", f"{controlled.damping:.3g} kg/s"

@@ -1,4 +1,4 @@
-"""Walls of the scene as shapes and motions of plain numbers; motions know their times once stages have begun."""
+"""Wall shapes and motions in numeric form; motions with stages get their times when the stages begin."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from granflow.walls.shape import Shape, unit
 from granflow.walls.shared_edges import join_shared_edges
 
 StageTimes = Mapping[str, tuple[float, float]]
-"""Start and end [s] of every stage that has begun; the end is infinite while it runs."""
+"""Start and end [s] of each stage that has begun; the end is infinite during the stage."""
 
 
 @dataclass(frozen=True)
 class PlannedWall:
-    """One wall: its name in the scene, its shape at rest, its material's number in the plan."""
+    """One wall: name in the scene, shape at rest, material number in the plan."""
 
     name: str
     shape: Surface
@@ -29,9 +29,9 @@ class PlannedWall:
 
 
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
-    """Shapes of all walls, rims shared by walls that stay together joined.
+    """Shapes of all walls; shared edges of walls that move together are joined.
 
-    Raises SceneError where the file of a mesh cannot be used.
+    Raises SceneError if a mesh file cannot be used.
     """
     walls, surfaces = scene.walls, dict[str, Surface](meshes_of(scene))
     primitives = {name: wall for name, wall in walls.items() if name not in surfaces}
@@ -45,7 +45,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
 
 
 def shape_of(wall: scene_schema.AnyWall) -> Shape:
-    """The shape of one wall of the scene at rest, unless it is a mesh."""
+    """Shape at rest of a wall of the scene that is not a mesh."""
     if isinstance(wall, scene_schema.Plane):
         return plane.half_space(wall.point, wall.normal)
     if isinstance(wall, scene_schema.Rectangle):
@@ -59,12 +59,12 @@ def shape_of(wall: scene_schema.AnyWall) -> Shape:
 
 
 def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Motion, ...], ...]:
-    """Motions of every wall in the order of the scene, given when stages began and ended."""
+    """Motions of each wall in the order of the scene, given the times of the stages."""
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
 def is_force_controlled(wall: scene_schema.AnyWall) -> bool:
-    """Whether the forces of the grains move this wall, by itself."""
+    """True if the forces of the particles move this wall."""
     return any(isinstance(each, scene_schema.ServoSpec | scene_schema.FreeWallSpec) for each in wall.motion)
 
 
@@ -95,7 +95,7 @@ def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
 
 
 def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
-    """Which walls are there, in the order of the scene."""
+    """Presence of each wall in the order of the scene."""
     return tuple(
         (wall.stages is None or stage in wall.stages)
         and (wall.appears_at or 0.0) <= time
@@ -105,19 +105,19 @@ def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
 
 
 def wall_change_times(scene: Scene) -> tuple[float, ...]:
-    """Times [s] given in the scene at which a wall appears or vanishes."""
+    """Times [s] in the scene at which a wall appears or vanishes."""
     times = {time for wall in scene.walls.values() for time in (wall.appears_at, wall.vanishes_at) if time}
     return tuple(sorted(times))
 
 
 def measured_areas(scene: Scene) -> dict[str, float | None]:
-    """Area [m2] of every wall whose loads are measured, by name; None for what has no end."""
+    """Area [m2] of each wall with measured wall forces, by name; None for an unbounded wall."""
     meshes = meshes_of(scene)
     return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.measured_walls}
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
-    """Largest speed [m/s] at which the geometry of every wall can move within the domain."""
+    """Largest speed [m/s] of the geometry of each wall within the domain."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
@@ -132,7 +132,7 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
 
 
 def surface_speed(scene: Scene) -> float:
-    """Largest speed [m/s] of any wall's material, spinning in place included."""
+    """Largest surface speed [m/s] of all walls, including rotation in place."""
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0
@@ -143,7 +143,7 @@ def surface_speed(scene: Scene) -> float:
 
 
 def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:
-    """Largest speed [m/s] of a driven motion: that of a servo, or after a free wall's fall through the domain."""
+    """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free wall."""
     if isinstance(given, scene_schema.ServoSpec):
         return given.velocity_max
     if isinstance(given, scene_schema.FreeWallSpec):

@@ -72,5 +72,5 @@ def test_explain_prints_the_plan(scene_file, capsys):
     assert main(["explain", "two.yaml", "--precision", "f32"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith("Two steel spheres (two.yaml)\n")
-    for words in ("friction +off", "stable below", "least it can reach", "precision +f32"):
-        assert re.search(words, shown)
+    for words in ("friction off", "stable below", "smallest reachable value", "precision f32"):
+        assert words in " ".join(shown.split())

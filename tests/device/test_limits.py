@@ -77,7 +77,7 @@ def test_an_abort_before_the_first_step_writes_the_start_or_nothing(taichi_f64, 
     """Two spheres at the same point have no contact normal: forces are not finite, so nothing is written."""
     group = particle_group([[0.0, 0, 0], [distance, 0, 0]], velocity=[0.0, 3.0, 0.0])
     simulation = Simulation(build_scene(groups(group), run={"duration": 0.01}), out=tmp_path)
-    with pytest.raises(RunError, match="They begin so") as stopped:
+    with pytest.raises(RunError, match="They overlap initially") as stopped:
         simulation.run()
     found = sorted(tmp_path.glob("particles_*.vtu"))
     assert len(found) == frames and (tmp_path / "timeseries.csv").exists() == bool(frames)
@@ -92,7 +92,10 @@ def test_f32_stops_where_it_no_longer_resolves_positions():
     assert in_subprocess(flight, 8186.0) == ""
     message = in_subprocess(flight, 8191.0)
     assert "particle 0 (glass, 400 m/s)" in message
-    assert "where f32 resolves positions only to 0.000977 m; needed is 0.1 of the smallest radius 0.005 m" in message
+    assert (
+        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest radius 0.005 m"
+        in message
+    )
     assert "Use --precision mixed" in message
 
 
@@ -151,7 +154,7 @@ def test_an_overlap_names_both_with_materials_and_speeds_and_what_they_do(taichi
     assert re.search(r"particle 0 \(glass, 39\.\d m/s\) .* with particle 1 \(steel, 0\.\d+ m/s\)", message)
     assert 0.1 < number_after("smaller radius: by", message) < 0.2
     assert 39.0 < number_after("approach at", message) < 40.0
-    assert "raise young_modulus of glass and steel, or raise numerics.max_overlap" in message
+    assert "Raise young_modulus of glass and steel, or raise numerics.max_overlap" in message
 
 
 def test_an_overlap_in_the_first_step_is_an_impact_and_not_how_they_begin(taichi_f64):
@@ -160,17 +163,17 @@ def test_an_overlap_in_the_first_step_is_an_impact_and_not_how_they_begin(taichi
     message = reported(
         build_scene(groups(particle_group([[0.0004995, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
     )
-    assert "They approach at" in message and "They begin so" not in message
+    assert "They approach at" in message and "They overlap initially" not in message
     overlapping = reported(
         build_scene(groups(particle_group([[0.00052, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
     )
-    assert "They begin so" in overlapping
+    assert "They overlap initially" in overlapping
 
 
 def test_an_impact_faster_than_planned_says_what_to_plan_for(taichi_f64):
     scene = build_scene(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3})
     message = reported(scene)
-    assert "but 1 m/s is planned for" in message
+    assert "above the planned 1 m/s" in message
     assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
 
 
@@ -191,7 +194,7 @@ def test_a_step_above_the_stable_one_of_the_pair_is_found_out(taichi_f64):
     largest = (5 * mass_eff * speed**2 / (4 * HERTZ)) ** 0.4
     stable = 2 * np.sqrt(mass_eff / (1.5 * HERTZ * np.sqrt(largest)))
     assert number_after("time step", message) == step
-    assert number_after("above the stable", message) == pytest.approx(stable, rel=0.2 * 0.12)
+    assert number_after("exceeds the stable step", message) == pytest.approx(stable, rel=0.2 * 0.12)
     assert "lower run.time_step" in message
 
 
@@ -199,7 +202,7 @@ def test_spheres_that_begin_in_each_other_are_said_to(taichi_f64):
     message = reported(build_scene(groups(particle_group([[0.0, 0, 0], [0.006, 0, 0]])), run={"duration": 0.01}))
     assert "particle 0 (glass, at rest) at 0 s" in message
     assert number_after("smaller radius: by", message) == pytest.approx(0.004 / 0.005, rel=1e-3)
-    assert "They begin so: move them apart" in message
+    assert "They overlap initially: move them apart" in message
 
 
 @pytest.mark.parametrize("moves", [False, True])

@@ -164,7 +164,7 @@ def test_walls_run_through_the_border_or_keep_clear_of_it(wall, fits):
     if fits:
         assert plan_for(scene).walls
     else:
-        with pytest.raises(SceneError, match="walls.it stands otherwise at one end of the periodic axis x"):
+        with pytest.raises(SceneError, match="walls.it differs between the two ends of the periodic axis x"):
             plan_for(scene)
 
 
@@ -195,5 +195,5 @@ def test_an_endless_wall_does_not_turn_in_a_domain_that_grows():
     turning = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
     parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"}}
     floor = plane([0, 0, 0], [0, 0, 1], motion=turning)
-    with pytest.raises(SceneError, match="walls.floor is endless and turns"):
+    with pytest.raises(SceneError, match="walls.floor is unbounded and rotates"):
         plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, walls={"floor": floor}, **parts))

@@ -178,13 +178,13 @@ def test_a_wall_too_fast_for_a_step_stops_the_run(taichi_f64):
         update={"force": 1e4}),)})  # fmt: skip
     scene = scene.model_copy(update={"walls": dict(scene.walls) | {"piston": pulled}})
     with pytest.raises(
-        RunError, match="wall piston .* in one step of .* above the limit .* Give it more mass or damping"
+        RunError, match="wall piston .* in one step of .* above the limit .* Increase its mass or damping"
     ):
         Simulation(scene).run()
 
 
 def test_walls_that_a_step_cannot_carry_are_refused():
-    with pytest.raises(SceneError, match=r"walls.piston.motion.mass is 1e-09 kg, but .* swings too fast"):
+    with pytest.raises(SceneError, match=r"walls.piston.motion.mass is 1e-09 kg, but .* oscillates too fast"):
         plan_for(falling_piston(mass=1e-9))
     motion = {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1, "gain": 1e3}
     with pytest.raises(SceneError, match=r"walls.piston.motion.gain is 1e\+03 m/\(s N\), but from .* on the wall"):

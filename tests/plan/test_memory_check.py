@@ -72,8 +72,8 @@ def test_a_run_that_does_not_fit_is_refused_before_any_particle_is_made(machine,
         memory_check.refuse_without_memory(plan_for(load(path)))
     (sentence,) = refused.value.problems
     assert sentence.startswith(f"{path}:{line_of('count: 10')}:12: 300000000 particles need about ")
-    assert "GB of memory, and there are only 1.07 GB free here: lower the count to about " in sentence
-    assert sentence.endswith("set run.precision to mixed, or use a machine with more.")
+    assert "GB of memory, but only 1.07 GB are free: lower the count to about " in sentence
+    assert sentence.endswith("set run.precision to mixed, or use a machine with more memory.")
     fitting = int(sentence.partition("count to about ")[2].partition(",")[0])
     assert 0.7 * GIB < memory_check.required_memory(plan_for(load(lattice(tmp_path, fitting)))) < GIB
 
@@ -93,7 +93,7 @@ def test_more_than_can_be_numbered_are_refused_at_once_whatever_the_machine(tmp_
     path = lattice(tmp_path, 2_000_000_000)
     assert main(["check", str(path)]) == 2
     sentence, closing = capsys.readouterr().err.splitlines()
-    assert "2000000000 particles are asked for, but about " in sentence
+    assert "2000000000 particles are requested, but about " in sentence
     assert closing == "1 problem found."
 
 

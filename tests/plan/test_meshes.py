@@ -160,10 +160,10 @@ def test_what_was_left_out_and_what_is_open_is_said(tmp_path):
     binary_stl(tmp_path / "sheet.stl", np.concatenate([triangles, useless]))
     plan = plan_of(tmp_path, "sheet.stl")
     assert plan.warnings == (
-        "walls.floor: 1 triangle without area left out.",
-        "walls.floor: 2 triangles left out of those that are there twice.",
+        "walls.floor: 1 triangle of zero area removed.",
+        "walls.floor: 2 duplicate triangles removed.",
     )
     message = " ".join(explain(plan).split())
     assert "floor 32 triangles 1 x 1 x 0 m" in message
-    assert "16 open edges: not watertight, which a hopper or a plate need not be" in message
-    assert "mesh walls on walls.floor is one" in message
+    assert "16 open edges: not watertight, which is valid for a hopper or a plate" in message
+    assert "mesh walls on walls.floor is a mesh" in message

@@ -41,7 +41,7 @@ def test_a_negative_corner_counts():
 def test_positions_in_f64_reach_farther_and_are_limited_too(precision):
     """Up to 2^42 m the spacing is 2^(41 - 52) = 0.49 mm."""
     plan_for(far_out(2.0**42, precision))
-    with pytest.raises(SceneError, match=r"resolves positions only to 0.000977 m .*\. Move the scene nearer"):
+    with pytest.raises(SceneError, match=r"resolves positions only to 0.000977 m .*\. Move the scene closer"):
         plan_for(far_out(1.001 * 2.0**42, precision))
 
 
