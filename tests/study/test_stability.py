@@ -109,7 +109,7 @@ def test_a_weight_a_million_times_as_heavy_is_carried(taichi_f64, monkeypatch):
 
     The light grain's mass M, and the tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
     """
-    monkeypatch.setattr(bed_cases, "STILL_STEPS", 2000)
+    monkeypatch.setattr(bed_cases, "REST_STEPS", 2000)
     found = bed_cases.column_at_rest("zhou", (2.5e3, 2.5e9), 1e11)
     volume = 4 / 3 * math.pi * 1e-9
     weight = 9.81 * volume * (2.5e3 + 2.5e9)
