@@ -98,7 +98,7 @@ def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: flo
     top = 0.5 * (low + high)
     top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
     path = out / SCRIPT
-    names = {run.variant.key: run.variant.title + (" (stopped)" if run.stopped else "") for run in runs}
+    names = {run.variant.key: run.variant.title + (" (aborted)" if run.stopped else "") for run in runs}
     path.write_text(
         _TEXT.format(
             title=scene.title.replace('"', "'"),
