@@ -227,9 +227,9 @@ def _contact_section(found: SceneComparison, out: Path, drawn: Sequence[str]) ->
     method = (
         f"Durations: {BURSTS} bursts, evenly spaced over the run, each sample all contacts with a nonzero force "
         f"{SAMPLES} times at intervals of {spacing:.3g} µs, an eighth of an elastic collision at the reference "
-        f"velocity. Contacts that begin within a burst count; those that persist at its end, "
-        f"after {readable(spacing * (SAMPLES - 1))} µs, are censored (Kaplan and Meier 1958). A contact shorter than the sampling interval can be "
-        "missed; the interval is also the resolution of the durations."
+        f"velocity. Contacts that begin within a burst count; those that persist at its end, after "
+        f"{readable(spacing * (SAMPLES - 1))} µs, are censored (Kaplan and Meier 1958). A contact shorter than the "
+        "sampling interval can be missed; the interval is also the resolution of the durations."
     )
     counted = [
         f"{run.variant.title}: {len(run.followed.arrays()[0])} contacts began, {int(run.followed.arrays()[1].sum())} "
