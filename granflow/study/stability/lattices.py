@@ -1,6 +1,6 @@
-"""Grains that touch as closely as they can, for the real bound of the time step: lone, in rows, and packed.
+"""Lattices of touching particles for the stability limit of the time step: single particles, a chain, a dense block.
 
-Grains at the rim are anchors, far too heavy to move: what they hold is pressed as in the midst of a bed.
+Particles at the boundary are anchors, too heavy to move; they confine the free particles as in the interior of a bed.
 """
 
 from collections.abc import Mapping
@@ -11,29 +11,29 @@ import numpy as np
 
 CHAIN_LENGTH = 10
 HALF_CELLS = 6
-"""Size of the block of densely packed grains in halves of its cubic cell."""
+"""Edge length of the dense block, in halves of its cubic cell."""
 
 
 @dataclass(frozen=True)
 class TestLattice:
-    """Centers (n, 3) over the distance of neighbors, and which of them are anchors (n,)."""
+    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,)."""
 
     centers: np.ndarray
     is_anchor: np.ndarray
 
     @property
     def max_contacts(self) -> int:
-        """Contacts that one of these grains can have at once, as far as `check` can tell."""
+        """Largest number of simultaneous contacts per particle that `check` can assume."""
         return len(self.centers) - 1
 
     @property
     def has_free_pairs(self) -> bool:
-        """Whether free grains touch each other; else they touch anchors alone."""
+        """Whether free particles touch each other; otherwise they touch anchors only."""
         return int(np.sum(~self.is_anchor)) > 1
 
 
 def _cage(directions: np.ndarray) -> TestLattice:
-    """One free grain between anchors in these directions (n, 3)."""
+    """One free particle between anchors in the given directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
 
@@ -44,7 +44,7 @@ def _chain() -> TestLattice:
 
 
 def _block() -> TestLattice:
-    """Densest packing, face-centered cubic, within anchors."""
+    """Face-centered cubic packing enclosed by anchors."""
     points = np.array([p for p in product(range(HALF_CELLS + 1), repeat=3) if sum(p) % 2 == 0])
     return TestLattice(points / np.sqrt(2.0), np.any((points == 0) | (points == HALF_CELLS), axis=1))
 
@@ -59,4 +59,4 @@ LATTICES: Mapping[str, TestLattice] = {
     "chain of 10": _chain(),
     "densest packing": _block(),
 }
-"""By name: a grain held between others, a straight chain of equal grains, and a block of them with 12 contacts each."""
+"""Lattices by name: one particle between anchors, a straight chain, and a block with 12 contacts per particle."""
