@@ -25,7 +25,7 @@ from granflow.study.accuracy.axes import (
 from granflow.study.accuracy.exact import end_overlap_ratio
 from granflow.study.paper.head_on_collisions import FORCES_TO_END, sample, share_to_end, side_by_side
 
-SAMPLED_COMPLETELY = 200
+MAX_FULLY_SAMPLED_STEPS = 200
 """Largest number of steps per collision at which every step is sampled.
 
 Beyond it, sampling covers the steps around the maximum overlap and the end only.
@@ -46,7 +46,7 @@ REPEATS = 5
 
 
 @dataclass(frozen=True)
-class Reached:
+class CollisionResults:
     """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not observed.
 
     `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): wall time of one collision [s], the total
@@ -72,15 +72,15 @@ class CollisionBench:
         self.engine = Engine(self.plan, backend)
         self.engine.set_walls([], [])
 
-    def run(self, steps: float, repeats: int = REPEATS) -> Reached:
+    def run(self, steps: float, repeats: int = REPEATS) -> CollisionResults:
         """Run the collisions with `steps` time steps per duration. Raises SceneError if that time step is unstable."""
         scene, plan, _ = self._planned(steps)
         self._use_time_step(plan)
-        numbers, course = self._sample_course(scene, steps)
+        numbers, samples = self._sample_contacts(scene, steps)
         seconds = np.array([self._timed(scene, steps) for _ in range(repeats)])
-        found = [self._measured(numbers, course[:, :, pair], pair) for pair in range(len(self.velocity))]
+        found = [self._measured(numbers, samples[:, :, pair], pair) for pair in range(len(self.velocity))]
         restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
-        return Reached(steps, plan.time_step, restitution, duration, overlap, seconds)
+        return CollisionResults(steps, plan.time_step, restitution, duration, overlap, seconds)
 
     def free(self) -> None:
         """Free the device memory."""
@@ -112,21 +112,21 @@ class CollisionBench:
         self.engine.insert(initial_particles(scene))
         self.engine.refresh()
 
-    def _sample_course(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
+    def _sample_contacts(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
         """Sampled steps (samples,), and overlap [m], overlap rate [m/s] and force [N] (samples, 3, pairs)."""
         self._start(scene)
-        numbers, course, now = self._sampled_steps(steps), [], 0
+        numbers, samples, now = self._sampled_steps(steps), [], 0
         for number in numbers:
             if number > now:
                 self.engine.advance(number - now)
             now = number
-            course.append(sample(self.engine, self.pair_ids))
-        return np.array(numbers), np.array(course)
+            samples.append(sample(self.engine, self.pair_ids))
+        return np.array(numbers), np.array(samples)
 
     def _sampled_steps(self, steps: float) -> list[int]:
         """Numbers of steps after which the state is sampled."""
         last = ceil(MAX_DURATIONS * steps) + SAMPLES_AROUND
-        if steps <= SAMPLED_COMPLETELY:
+        if steps <= MAX_FULLY_SAMPLED_STEPS:
             return list(range(last + 1))
         duration = common_duration()
         events = {round(steps * kind.exact.peak_time / duration) for kind in self.kinds} | {round(steps)}
@@ -141,9 +141,9 @@ class CollisionBench:
         self.engine.advance(whole)
         return (perf_counter() - began) * steps / whole / len(self.velocity)
 
-    def _measured(self, numbers: np.ndarray, course: np.ndarray, pair: int) -> tuple[float, float, float]:
+    def _measured(self, numbers: np.ndarray, samples: np.ndarray, pair: int) -> tuple[float, float, float]:
         """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated."""
-        overlap, rate, force = course.T
+        overlap, rate, force = samples.T
         parted = force[-1] == 0.0 and rate[-1] < 0.0
         restitution = float(-rate[-1] / self.velocity[pair]) if parted else 0.0
         largest = _parabola_max(overlap)

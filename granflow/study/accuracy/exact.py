@@ -43,8 +43,8 @@ def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
         t = (4/5) int z(s)^(-1/5) ds
     """
     oscillator = _Oscillator(0.8 * k, mass, velocity, e)
-    rise = _real_time(oscillator, 0.0, oscillator.peak)
-    fall = rise if e == 1.0 else _real_time(oscillator, oscillator.peak, oscillator.end)
+    rise = _contact_time(oscillator, 0.0, oscillator.peak)
+    fall = rise if e == 1.0 else _contact_time(oscillator, oscillator.peak, oscillator.end)
     return Exact(e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8)
 
 
@@ -72,11 +72,11 @@ class _Oscillator:
 
     def at(self, time: float | np.ndarray) -> np.ndarray:
         """z at a time [s]."""
-        grown = np.exp(-self.decay * np.asarray(time)) * np.sin(self.frequency * np.asarray(time))
-        return np.asarray(self.velocity / self.frequency * grown)
+        displacement = np.exp(-self.decay * np.asarray(time)) * np.sin(self.frequency * np.asarray(time))
+        return np.asarray(self.velocity / self.frequency * displacement)
 
 
-def _real_time(oscillator: _Oscillator, begin: float, end: float) -> float:
+def _contact_time(oscillator: _Oscillator, begin: float, end: float) -> float:
     """Contact time [s] for the oscillator time from `begin` to `end`, s = begin + (end - begin) q^5.
 
     At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth.

@@ -6,12 +6,12 @@ import numpy as np
 
 ASYMPTOTIC = 0.05
 """The fit begins at the first error below this value."""
-FALLING = 0.9
+DECREASE = 0.9
 """Required ratio of successive errors.
 
 The fit ends where neither the next error over the last is below it, nor the second next below its square.
 """
-FEWEST = 4
+MIN_POINTS = 4
 """Minimum number of points of a fit."""
 
 
@@ -35,26 +35,26 @@ class Order:
 
 
 def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
-    """Least-squares line through the logarithms; None if fewer than FEWEST points decrease."""
+    """Least-squares line through the logarithms; None if fewer than MIN_POINTS points decrease."""
     below = np.flatnonzero(error < ASYMPTOTIC)
     if not len(below):
         return None
     first = last = int(below[0])
-    while (ahead := _falls_on(error, last)) is not None:
+    while (ahead := _next_decreasing(error, last)) is not None:
         last = ahead
-    if last + 1 - first < FEWEST:
+    if last + 1 - first < MIN_POINTS:
         return None
     part = slice(first, last + 1)
     slope, intercept = np.polyfit(np.log(steps[part]), np.log(error[part]), 1)
     return Order(-float(slope), float(steps[first]), float(steps[last]), float(np.exp(intercept)))
 
 
-def _falls_on(error: np.ndarray, last: int) -> int | None:
+def _next_decreasing(error: np.ndarray, last: int) -> int | None:
     """Index of the next clearly smaller error.
 
     One outlier is permitted: the largest error may change from one kind of collision to another.
     """
     for ahead in (1, 2):
-        if last + ahead < len(error) and 0.0 < error[last + ahead] < FALLING**ahead * error[last]:
+        if last + ahead < len(error) and 0.0 < error[last + ahead] < DECREASE**ahead * error[last]:
             return last + ahead
     return None

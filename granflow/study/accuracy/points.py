@@ -15,7 +15,7 @@ from granflow.errors import GranflowError, SceneError
 from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import shortest_phase
 from granflow.study.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
-from granflow.study.accuracy.collisions import REPEATS, CollisionBench, Reached
+from granflow.study.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
 QUANTITY_LABELS = {
@@ -102,7 +102,7 @@ def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
 
 
 @contextmanager
-def spare_process() -> Iterator[ProcessPoolExecutor]:
+def worker_process() -> Iterator[ProcessPoolExecutor]:
     """One worker process: Taichi supports one precision per process.
 
     The process ends with the `with` block, also on an interrupt. Raises GranflowError if the process dies.
@@ -152,30 +152,30 @@ def measured_line(
     ), descriptions if refused else []
 
 
-def _points(bench: CollisionBench, reached: Reached, precision: str) -> list[StudyPoint]:
-    seconds = reached.seconds
+def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
+    seconds = results.seconds
     shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
-              "steps": float(reached.steps), "time_step": reached.time_step, "repeats": len(seconds),
+              "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip
     found = []
     for index, kind in enumerate(bench.kinds):
-        errors = dict(zip(QUANTITIES, _errors(reached, kind, index), strict=True))
+        errors = dict(zip(QUANTITIES, _errors(results, kind, index), strict=True))
         rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
         given = {"restitution": kind.restitution, "velocity": kind.velocity,
-               "share": reached.time_step / _phase(bench, kind)}  # fmt: skip
+               "share": results.time_step / _phase(bench, kind)}  # fmt: skip
         found.append(StudyPoint(**shared, **given, **rms, **worst))  # type: ignore[arg-type]
     return found
 
 
-def _errors(reached: Reached, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
+def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
     """Errors in the order of QUANTITIES, each (phases,)."""
-    exact, e = kind.exact, reached.restitution[index]
+    exact, e = kind.exact, results.restitution[index]
     return (
         e / exact.restitution - 1.0,
-        reached.duration[index] / exact.duration - 1.0,
-        reached.overlap_max[index] / exact.overlap_max - 1.0,
+        results.duration[index] / exact.duration - 1.0,
+        results.overlap_max[index] / exact.overlap_max - 1.0,
         e**2 - exact.restitution**2,
     )
 

@@ -28,7 +28,7 @@ from granflow.study.accuracy.points import (
     StudyLine,
     columns,
     line_in_process,
-    spare_process,
+    worker_process,
 )
 from granflow.study.accuracy.recommend import (
     default_sentence,
@@ -81,7 +81,7 @@ def measure_two_bodies(
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
     for precision in precisions:
-        with spare_process() as process:
+        with worker_process() as process:
             for studied_law in studied_laws:
                 for integrator in INTEGRATORS:
                     report(f"{studied_law.name}, {integrator.name}, {precision}")

@@ -10,13 +10,13 @@ import numpy as np
 from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import PRECISIONS
-from granflow.study.accuracy.points import spare_process
+from granflow.study.accuracy.points import worker_process
 from granflow.study.accuracy.scene_runs import (
     STEP_FAMILIES,
     RunOutcome,
     SceneTask,
     StepFamily,
-    ordered,
+    common_quantities,
     phase_of,
     restitution_error,
     run_task,
@@ -151,7 +151,7 @@ def measure_scene(
         plain = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
             plain = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *plain]
-        with spare_process() as process:
+        with worker_process() as process:
             for family, share in plain:
                 report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
                 runs.append(_run(process, task, family, share, phase, precision, seeds))
@@ -181,7 +181,7 @@ def _study(
     runs: Sequence[_Runs], finest: float, title: str, given: tuple[float, float], count: int, seeds: int, target: float
 ) -> SceneStudy:
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
-    quantities = [name for name in ordered([o.values for r in runs for o in r.outcomes if not o.stopped])
+    quantities = [name for name in common_quantities([o.values for r in runs for o in r.outcomes if not o.stopped])
                   if name != ENERGY_ERROR]  # fmt: skip
     scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}
     noise = {name: _noise(runs, reference, name) / scales[name] for name in quantities}

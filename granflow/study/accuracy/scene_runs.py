@@ -154,6 +154,6 @@ def seeds_of(scene: Scene, count: int) -> list[Any]:
     return [scene.seed + k for k in range(count)]
 
 
-def ordered(values: Sequence[dict[str, float]]) -> list[str]:
+def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
     """Quantities that are present in all runs, in the order of the first."""
     return [name for name in values[0] if all(name in each for each in values)]

@@ -10,11 +10,11 @@ from granflow.scene import Scene
 from granflow.snapshot import Snapshot
 from granflow.study.compare.contact_durations import ContactFollower, FollowedContacts
 
-TOPS = 95.0
+SURFACE_PERCENTILE = 95.0
 """Percentile of the particle tops that defines the surface of the bed."""
 FORCE_EDGES = np.concatenate([np.arange(0.0, 8.01, 0.2), [np.inf]])
 """Bin edges of force over mean force."""
-LEAST_CONTACTS = 10
+MIN_CONTACTS = 10
 """Minimum number of particle-particle contacts of a frame for a meaningful mean force."""
 
 
@@ -26,7 +26,7 @@ class BedHeights:
     """Unit vector opposite to gravity (3,); zero without gravity."""
     rows: list[tuple[float, float, float]] = field(default_factory=list)
     speeds: list[float] = field(default_factory=list)
-    """Percentile TOPS of the particle speeds [m/s] in each snapshot."""
+    """Percentile SURFACE_PERCENTILE of the particle speeds [m/s] in each snapshot."""
 
     @property
     def typical_speed(self) -> float:
@@ -45,13 +45,15 @@ class BedHeights:
         particles = snapshot.particles
         if len(particles["mass"]):
             speed = np.linalg.norm(particles["velocity"], axis=1)
-            self.speeds.append(float(np.percentile(speed, TOPS)))
+            self.speeds.append(float(np.percentile(speed, SURFACE_PERCENTILE)))
         if not len(particles["mass"]) or not self.up.any():
             self.rows.append((snapshot.time, np.nan, np.nan))
             return
         height = particles["position"] @ self.up
         center = float(np.average(height, weights=particles["mass"]))
-        self.rows.append((snapshot.time, center, float(np.percentile(height + particles["radius"], TOPS))))
+        self.rows.append(
+            (snapshot.time, center, float(np.percentile(height + particles["radius"], SURFACE_PERCENTILE)))
+        )
 
 
 @dataclass
@@ -61,12 +63,12 @@ class ForceHistogram:
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
     def update(self, snapshot: Snapshot) -> None:
-        """Add the contacts of a frame with at least LEAST_CONTACTS contacts."""
+        """Add the contacts of a frame with at least MIN_CONTACTS contacts."""
         contacts = snapshot.contacts
         assert contacts is not None
         force = contacts["normal_force"][contacts["id_j"] >= 0]
         force = force[force > 0.0]
-        if len(force) < LEAST_CONTACTS:
+        if len(force) < MIN_CONTACTS:
             return
         found, _ = np.histogram(force / force.mean(), FORCE_EDGES)
         self.counts[snapshot.stage] = self.counts.get(snapshot.stage, 0) + found

@@ -7,9 +7,9 @@ import numpy as np
 
 from granflow.snapshot import Snapshot
 
-PARTNERS = 2**32
+KEY_BASE = 2**32
 """Exceeds every id, so that two ids combine into one integer key."""
-WALLS_FROM = 2**31
+FIRST_WALL_KEY = 2**31
 
 
 @dataclass
@@ -71,9 +71,9 @@ def keys_of(snapshot: Snapshot) -> np.ndarray:
     contacts = snapshot.contacts
     assert contacts is not None
     first, second, wall = (contacts[name].astype(np.int64) for name in ("id_i", "id_j", "wall"))
-    other = np.where(wall >= 0, WALLS_FROM + wall, second)
+    other = np.where(wall >= 0, FIRST_WALL_KEY + wall, second)
     low, high = np.minimum(first, other), np.maximum(first, other)
-    return (low * PARTNERS + high)[contacts["normal_force"] > 0.0]
+    return (low * KEY_BASE + high)[contacts["normal_force"] > 0.0]
 
 
 def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

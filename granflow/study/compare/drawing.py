@@ -94,7 +94,7 @@ def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
         style = _style(number)
         density = run.forces.density(stage)
         left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **style)
-        times, share = run.lasting
+        times, share = run.duration_survival
         right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **style)
     left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
     right.set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))

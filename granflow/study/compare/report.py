@@ -11,7 +11,7 @@ from granflow.device.backend import start
 from granflow.errors import GranflowError
 from granflow.observe.report import readable
 from granflow.scene import Scene
-from granflow.study.compare.bed_statistics import FORCE_EDGES, TOPS
+from granflow.study.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
 from granflow.study.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
@@ -109,12 +109,12 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
     _write_tables(found, out)
     write_script(out, found.scene, found.runs, max(run.typical_speed for run in found.runs) or 1.0)
     try:
-        drawn = draw_all(out, found.runs, found.subject, found.collisions)
+        figures = draw_all(out, found.runs, found.subject, found.collisions)
         missing = ""
     except GranflowError as error:
-        drawn, missing = [], str(error)
+        figures, missing = [], str(error)
         report(f"no figures: {missing}")
-    write_page(_page(found, out, drawn, missing), out / PAGE)
+    write_page(_page(found, out, figures, missing), out / PAGE)
 
 
 def _write_tables(found: SceneComparison, out: Path) -> None:
@@ -126,11 +126,11 @@ def _write_tables(found: SceneComparison, out: Path) -> None:
            for column, name in enumerate(("time", "height_of_center", "height_of_surface"))},
     })  # fmt: skip
     write_columns(out / "forces.csv", _force_columns(runs))
-    lasting = [run.lasting for run in runs]
+    survival = [run.duration_survival for run in runs]
     write_columns(out / "durations.csv", {
-        "law": np.concatenate([np.repeat(r.variant.key, len(t)) for r, (t, _) in zip(runs, lasting, strict=True)]),
-        "time_in_contact": np.concatenate([times for times, _ in lasting]),
-        "share_lasting_longer": np.concatenate([share for _, share in lasting]),
+        "law": np.concatenate([np.repeat(r.variant.key, len(t)) for r, (t, _) in zip(runs, survival, strict=True)]),
+        "time_in_contact": np.concatenate([times for times, _ in survival]),
+        "share_lasting_longer": np.concatenate([share for _, share in survival]),
     })  # fmt: skip
     if found.collisions:
         write_columns(out / "collisions.csv", found.collisions)
@@ -149,7 +149,7 @@ def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[n] for part in parts or [empty]]) for n, name in enumerate(names)}
 
 
-def _page(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Page:
+def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Page:
     names = [run.variant.title for run in found.runs]
     lead = (
         f"The scene {found.scene.path.name or found.scene.title} with the same seed and initial state, run with "
@@ -157,14 +157,14 @@ def _page(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str)
         f"Only contact.normal, the time step and the form of the restitution differ."
     )
     sections = [
-        _result_section(found), _course_section(found, out, drawn, missing), _contact_section(found, out, drawn),
-        _spring_section(found, out, drawn), _paraview_section(found), _method_section(found),
+        _result_section(found), _course_section(found, out, figures, missing), _contact_section(found, out, figures),
+        _spring_section(found, out, figures), _paraview_section(found), _method_section(found),
     ]  # fmt: skip
     return Page(f"{found.scene.title}: contact models side by side", lead, sections)
 
 
-def _picture(out: Path, name: str, drawn: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
-    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in drawn else []
+def _picture(out: Path, name: str, figures: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
+    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in figures else []
 
 
 def size_note(found: SceneComparison) -> str:
@@ -199,8 +199,8 @@ def _result_section(found: SceneComparison) -> Section:
     first = found.runs[0].variant.title
     caption = (
         f"Ratios are relative to {first}. {stage_note(found)} Heights of the center of mass and of the surface "
-        f"({TOPS:g} % of all particle tops lie below it) are measured from the origin, opposite to gravity. <f> is the "
-        "mean normal force of a frame."
+        f"({SURFACE_PERCENTILE:g} % of all particle tops lie below it) are relative to the origin, opposite to gravity. "
+        "<f> is the mean normal force of a frame."
     )
     return Section("Side by side", [
         size_note(found), *stop_notes(found), PageTable(caption, heads(found.runs), as_text(found.rows)),
@@ -209,20 +209,20 @@ def _result_section(found: SceneComparison) -> Section:
     ])  # fmt: skip
 
 
-def _course_section(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Section:
+def _course_section(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Section:
     course = (
         "Time series of the runs: flow (kinetic energy without a flow meter), height of the center of mass and of the "
-        f"surface ({TOPS:g} % of all particle tops lie below it, including particles in free fall), coordination "
-        "number, mean overlap."
+        f"surface ({SURFACE_PERCENTILE:g} % of all particle tops lie below it, including particles in free fall), "
+        "coordination number, mean overlap."
     )
     energies = "Stored and dissipated energies. The contact models dissipate by plastic unloading or by damping."
     pictures = [
-        *_picture(out, "course", drawn, course, ("heights.csv",)), *_picture(out, "energies", drawn, energies, ()),
+        *_picture(out, "course", figures, course, ("heights.csv",)), *_picture(out, "energies", figures, energies, ()),
     ]  # fmt: skip
     return Section("Flow, height, energies", pictures or [missing])
 
 
-def _contact_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
     spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT
     method = (
         f"Durations: {BURSTS} bursts, evenly spaced over the run, each sample all contacts with a nonzero force "
@@ -240,11 +240,11 @@ def _contact_section(found: SceneComparison, out: Path, drawn: Sequence[str]) ->
         "Left: distribution of normal forces between particles over their mean in the same frame, all frames of the "
         f"stage {densest_stage(found.runs)}. Right: share of new contacts that last longer than a time."
     )
-    picture = _picture(out, "contacts", drawn, caption, ("forces.csv", "durations.csv"))
+    picture = _picture(out, "contacts", figures, caption, ("forces.csv", "durations.csv"))
     return Section("Forces and durations of contacts", [*picture, method, "; ".join(counted) + "."])
 
 
-def _spring_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
     assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
     tables = [PageTable("Assessment.", ("statement", "verdict", "numbers"), assessed)] if assessed else []
     if found.subject is None:
@@ -264,7 +264,7 @@ def _spring_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> 
     ]
     return Section(
         "Is one spring constant sufficient?",
-        [*tables, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
+        [*tables, *_picture(out, "collisions", figures, caption, ("collisions.csv",)), *refused],
     )
 
 

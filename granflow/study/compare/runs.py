@@ -62,14 +62,14 @@ class VariantRun:
         return steady_flow(list(zip(*columns, strict=True)))
 
     @cached_property
-    def lasting(self) -> tuple[np.ndarray, np.ndarray]:
+    def duration_survival(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and share of contacts that last longer, (n,) each."""
         return survival(*self.followed.arrays())
 
     @property
     def median_duration(self) -> float:
         """Median contact duration [s]."""
-        return median_of(*self.lasting)
+        return median_of(*self.duration_survival)
 
     def at_end_of(self, stage: str) -> int | None:
         """Last row of a stage; None if the run did not complete the stage."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.study.compare.bed_statistics import LEAST_CONTACTS
+from granflow.study.compare.bed_statistics import MIN_CONTACTS
 from granflow.study.compare.collisions import COARSE_STEPS, CollisionDeviation, deviation
 from granflow.study.compare.runs import VariantRun
 from granflow.study.compare.summary import at_end, densest_stage
 
-WRONG = 0.1
+TOLERANCE = 0.1
 """Threshold of the relative change over a decade of velocity."""
 ONE_SPRING, PER_CONTACT = "linear_reference", "linear_onset"
 DECADE = 10.0
@@ -74,7 +74,7 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
         f"{_percent(fast.duration)} "
         f"and {_percent(fast.overlap_max)} to ten times it (10^0.2 − 1 is {_percent(DECADE**0.2 - 1.0)})."
     )
-    return Assessment(part, worst > WRONG, why)
+    return Assessment(part, worst > TOLERANCE, why)
 
 
 def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
@@ -96,27 +96,27 @@ def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
             f" Another decade lower, below the velocity limit of the spring constant, the changes are "
             f"{_percent(below.duration)} and {_percent(below.overlap_max)}."
         )
-    return Assessment(part, worst < WRONG, why)
+    return Assessment(part, worst < TOLERANCE, why)
 
 
 def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
     part = "A spring from one velocity becomes unstable an order of magnitude away from it"
     laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
-    lost_by_law = {law: _lost_to_time_step(columns, law) for law in laws}
-    one_spring = lost_by_law.pop(ONE_SPRING, None)
+    effect_by_law = {law: _time_step_effect(columns, law) for law in laws}
+    one_spring = effect_by_law.pop(ONE_SPRING, None)
     if one_spring is None:
         return Assessment(part, None, "The comparison does not include linear.")
-    others = ", ".join(f"{law} {_percent(off)}" for law, off in lost_by_law.items() if off is not None)
+    others = ", ".join(f"{law} {_percent(off)}" for law, off in effect_by_law.items() if off is not None)
     why = (
         f"With the time step of {COARSE_STEPS} steps per contact at the reference velocity, the restitution at ten "
         f"times the velocity differs by {_percent(one_spring)} from that with a fine time step: the contact duration, "
         f"and with it the stable time step, does not depend on the velocity. Other contact models become stiffer with "
         f"the velocity: {others or 'none'}."
     )
-    return Assessment(part, one_spring > WRONG, why)
+    return Assessment(part, one_spring > TOLERANCE, why)
 
 
-def _lost_to_time_step(columns: Mapping[str, np.ndarray], law: str) -> float | None:
+def _time_step_effect(columns: Mapping[str, np.ndarray], law: str) -> float | None:
     """Relative difference of the restitution with the reference and the fine time step, at a decade above."""
     coarse, fine = (deviation(dict(columns), law, step, DECADE) for step in ("coarse", "fine"))
     if coarse is None or fine is None or fine.restitution <= -1.0:
@@ -136,7 +136,7 @@ def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
     found = []
     for part, run in ((one_spring_part, one_spring), (per_contact_part, per_contact)):
         off, text = _bed_overlap(run, runs)
-        is_wrong = bool(run.stopped) or abs(off) > WRONG
+        is_wrong = bool(run.stopped) or abs(off) > TOLERANCE
         measured = bool(run.stopped) or bool(np.isfinite(off))
         found.append(Assessment(part, (is_wrong if run is one_spring else not is_wrong) if measured else None, text))
     return found
@@ -151,7 +151,7 @@ def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, st
     finished = [other for other in runs if not other.stopped] or list(runs)
     reference = next((other for other in finished if other.variant.key == "hertz"), finished[0])
     off, count = float("nan"), at_end(stage, "contact_count")(reference)
-    if count >= LEAST_CONTACTS:
+    if count >= MIN_CONTACTS:
         off = at_end(stage, "overlap_mean")(run) / at_end(stage, "overlap_mean")(reference) - 1.0
     if run.stopped:
         return off, f"The run was aborted at {run.time:.4g} s: {run.stopped.partition(': ')[2].partition('. ')[0]}."

@@ -10,10 +10,10 @@ from granflow.study.compare.runs import VariantRun
 
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
-NOTHING = "–"
+MISSING = "–"
 
 
-SHOWN = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
+DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
 """Display unit and factor from SI."""
 
 
@@ -24,7 +24,7 @@ class SummaryRow:
     name: str
     unit: str
     values: tuple[float, ...]
-    shown: tuple[str, float] = ("", 1.0)
+    display: tuple[str, float] = ("", 1.0)
     """Display unit and factor from SI; an empty unit for dimensionless quantities."""
     at_stage: bool = False
     """Whether the value refers to the densest stage."""
@@ -61,10 +61,10 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def _row(
-    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], shown: str = ""
+    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
 ) -> SummaryRow:
     values = tuple(float(number(run)) for run in runs)
-    return SummaryRow(name, unit, values, SHOWN[shown] if shown else (unit, 1.0))
+    return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
 
 
 def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
@@ -150,11 +150,11 @@ def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
     """Cells of the table: value of the first contact model, then value and ratio of each other."""
     found = []
     for row in rows:
-        unit, factor = row.shown
+        unit, factor = row.display
         first, *others = (factor * value for value in row.values)
         cells = [row.label, unit, _number(first)]
         for value, ratio in zip(others, row.ratios[1:], strict=True):
-            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else NOTHING]
+            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else MISSING]
         found.append(cells)
     return found
 
@@ -172,4 +172,4 @@ def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> d
 
 
 def _number(value: float) -> str:
-    return readable(value) if np.isfinite(value) else NOTHING
+    return readable(value) if np.isfinite(value) else MISSING

@@ -32,7 +32,7 @@ class TestLattice:
         return int(np.sum(~self.is_anchor)) > 1
 
 
-def _cage(directions: np.ndarray) -> TestLattice:
+def _confined_particle(directions: np.ndarray) -> TestLattice:
     """One free particle between anchors in the given directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
@@ -53,9 +53,9 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 _DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
 
 LATTICES: Mapping[str, TestLattice] = {
-    "between 2": _cage(_AXES[[2, 5]]),
-    "between 6": _cage(_AXES),
-    "between 12": _cage(_DIAGONALS),
+    "between 2": _confined_particle(_AXES[[2, 5]]),
+    "between 6": _confined_particle(_AXES),
+    "between 12": _confined_particle(_DIAGONALS),
     "chain of 10": _chain(),
     "densest packing": _block(),
 }
