@@ -18,15 +18,18 @@ QUANTITY_HEIGHT = 5.6
 
 
 def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
+    """Unique (contact model, integrator) pairs of the lines, in their order."""
     return list(dict.fromkeys((line.law, line.integrator) for line in lines))
 
 
 def _label(line: StudyLine, lines: Sequence[StudyLine]) -> str:
+    """Legend entry; includes the integrator if several are shown."""
     several = len({each.integrator for each in lines}) > 1
     return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
 
 
 def _with_order(line: StudyLine, lines: Sequence[StudyLine]) -> str:
+    """Legend entry with the fitted order of convergence of the restitution, in double precision."""
     order = fitted_order(line.steps, line.error("restitution")) if line.precision == "f64" else None
     return _label(line, lines) + (f": order {order.order:.2f}" if order else "")
 
@@ -34,6 +37,7 @@ def _with_order(line: StudyLine, lines: Sequence[StudyLine]) -> str:
 def _plot(
     axes: Any, line: StudyLine, lines: Sequence[StudyLine], x: np.ndarray, error: np.ndarray, **more: Any
 ) -> None:
+    """Plot an error against `x`, with color by contact model and line style by precision."""
     line_index = _names(lines).index((line.law, line.integrator))
     style, marker = LINE_STYLES.get(line.precision, ("-", MARKERS[-1]))
     axes.plot(

@@ -87,6 +87,7 @@ class StudyLine:
         return [sorted(points, key=lambda point: point.steps) for points in matching]
 
     def _over_kinds(self, name: str) -> np.ndarray:
+        """Maximum of a field over the kinds of collision for each number of steps (n,)."""
         return np.array([max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps])
 
 
@@ -153,6 +154,7 @@ def measured_line(
 
 
 def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
+    """One point per kind of collision, with errors over the phases (PHASES,) and wall times."""
     seconds = results.seconds
     shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),

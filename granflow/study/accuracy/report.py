@@ -114,6 +114,7 @@ def _draw(out: Path, study: TwoBodyStudy) -> GranflowError | None:
 
 
 def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
+    """HTML page with recommendation, tables, figures and method."""
     lines, target = study.lines, study.target
     rows = table_rows(lines, target)
     table_of_requirements = PageTable("Accuracy and requirement of every combination.", table_heads(target), rows)
@@ -155,6 +156,7 @@ def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
 
 
 def _orders_table(lines: Sequence[StudyLine]) -> PageTable:
+    """Table of the fitted orders of all errors."""
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
@@ -168,6 +170,7 @@ def _orders_table(lines: Sequence[StudyLine]) -> PageTable:
 
 
 def _method() -> str:
+    """Description of the collisions, errors, exact solutions and timings."""
     return (
         f"Pairs of equal glass particles, softened to {YOUNG_MODULUS / 1e6:g} MPa as in the example scenes, collide "
         f"head-on at {', '.join(f'{v:g}' for v in VELOCITIES)} m/s with restitutions of "
@@ -184,6 +187,7 @@ def _method() -> str:
 
 
 def _refused(study: TwoBodyStudy) -> list[str]:
+    """Sentence on the time steps that were rejected as unstable; empty without one."""
     if not study.refused:
         return []
     return [f"Omitted because unstable by the limit of `granflow check`: {'; '.join(study.refused)}."]

@@ -180,6 +180,10 @@ def _run(
 def _study(
     runs: Sequence[_Runs], finest: float, title: str, given: tuple[float, float], count: int, seeds: int, target: float
 ) -> SceneStudy:
+    """Combine the runs to errors, noise and spread relative to the reference run.
+
+    `given`: share and time step [s] of the unmodified scene.
+    """
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
     quantities = [name for name in common_quantities([o.values for r in runs for o in r.outcomes if not o.stopped])
                   if name != ENERGY_ERROR]  # fmt: skip
@@ -201,6 +205,7 @@ def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
 
 
 def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoint:
+    """Means over the seeds and relative errors of one time step; `scales`: reference values by quantity."""
     values, errors = {}, {}
     if not runs.stopped:
         values = {name: float(runs.value(name).mean()) for name in (ENERGY_ERROR, *scales)}

@@ -52,11 +52,13 @@ def noise_sentence(study: SceneStudy) -> str:
 
 
 def _label(name: str) -> str:
+    """Display name of a quantity, with its flow meter."""
     kind, _, meter = name.partition(".")
     return kind.replace("_", " ") + (f", {meter}" if meter else "")
 
 
 def _percent(value: float) -> str:
+    """A fraction in percent; small values as powers of ten, without unit."""
     if value == 0.0:
         return "0"
     return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}".replace("-", "−")
@@ -76,6 +78,7 @@ def scene_rows(study: SceneStudy) -> list[tuple[str, ...]]:
 
 
 def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
+    """Table cells of one point."""
     first = (point.family, point.precision, f"{point.share:g}", f"{point.time_step:.3g}")
     if point.stopped:
         return (*first, *["–"] * (2 + len(study.quantities)), "–", "aborted")
@@ -144,6 +147,7 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
 def _draw_errors(
     left: Any, right: Any, study: SceneStudy, name: str, precision: str, color: str, style: str, marker: str
 ) -> None:
+    """Plot one error of one precision against wall time; thin line: noise in double precision."""
     points = [p for p in study.points if p.precision == precision and not p.stopped]
     if not points:
         return
@@ -159,6 +163,7 @@ def _draw_errors(
 
 
 def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
+    """HTML page with recommendation, noise, figure, table and method."""
     caption = (
         "Errors relative to the finest time step (restitution: relative to the target of each pair; energy budget: "
         "relative to the energy throughput); n: below the noise."

@@ -35,10 +35,12 @@ class StepFamily:
 
 
 def _fixed(share: float, phase: float) -> list[str]:
+    """Overrides for a fixed time step."""
     return [f"run.time_step={float(share * phase)!r}"]
 
 
 def _adaptive(share: float, _phase: float) -> list[str]:
+    """Overrides for an adaptive time step; it does not depend on the phase."""
     return ["run.time_step=adaptive", f"numerics.time_step_fraction={share!r}"]
 
 

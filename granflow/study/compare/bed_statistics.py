@@ -121,6 +121,7 @@ class ContactBursts:
         self._close()
 
     def _close(self) -> None:
+        """End the current burst; its remaining contacts are censored."""
         if self._follower is not None:
             self._follower.close()
             self._follower = None

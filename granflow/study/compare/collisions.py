@@ -115,6 +115,7 @@ def sweeps_of(
 
 
 def _collisions(scene: Scene, subject: CollisionSubject, variant: LawVariant) -> list[HeadOnCollision]:
+    """Head-on collisions of the subject at all velocities, with the restitution of the variant."""
     material = scene.materials[subject.material].model_dump(by_alias=True, exclude_none=True)
     e = restitution_for(scene, subject.pair_key, str(variant.normal["law"]), subject.reference_velocity)
     return [HeadOnCollision(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]

@@ -62,6 +62,7 @@ class ContactFollower:
         self._record(np.ones(len(self._keys), dtype=bool), self._time, has_ended=False)
 
     def _record(self, selected: np.ndarray, time: float, has_ended: bool) -> None:
+        """Add the selected contacts that began within the burst, with durations up to `time` [s]."""
         began = self._since[selected]
         self._followed.add(time - began[np.isfinite(began)], has_ended)
 

@@ -39,10 +39,12 @@ def draw_all(
 
 
 def _style(number: int) -> dict[str, Any]:
+    """Color and line style of a run by its index."""
     return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
 
 
 def _legend(figure: Any, axes: Any) -> None:
+    """Shared legend of a figure, above the panels."""
     handles, names = axes.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=5)
 

@@ -118,6 +118,7 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 
 
 def _write_tables(found: SceneComparison, out: Path) -> None:
+    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv."""
     runs = found.runs
     write_columns(out / "compare.csv", summary_columns(runs, found.rows))
     write_columns(out / "heights.csv", {
@@ -137,6 +138,7 @@ def _write_tables(found: SceneComparison, out: Path) -> None:
 
 
 def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
+    """Columns of forces.csv: one row per contact model, stage and bin."""
     parts: list[tuple[np.ndarray, ...]] = []
     low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
     for run in runs:
@@ -150,6 +152,7 @@ def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
 
 
 def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Page:
+    """HTML page of the comparison; `missing` replaces the figures without matplotlib."""
     names = [run.variant.title for run in found.runs]
     lead = (
         f"The scene {found.scene.path.name or found.scene.title} with the same seed and initial state, run with "
@@ -164,6 +167,7 @@ def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: st
 
 
 def _picture(out: Path, name: str, figures: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
+    """The figure `name` if it was drawn, with links to the files `beside`."""
     return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in figures else []
 
 
@@ -196,10 +200,11 @@ def stop_notes(found: SceneComparison) -> list[str]:
 
 
 def _result_section(found: SceneComparison) -> Section:
+    """Section with the summary table."""
     first = found.runs[0].variant.title
     caption = (
         f"Ratios are relative to {first}. {stage_note(found)} Heights of the center of mass and of the surface "
-        f"({SURFACE_PERCENTILE:g} % of all particle tops lie below it) are relative to the origin, opposite to gravity. "
+        f"({SURFACE_PERCENTILE:g} % of all particle tops lie below it) are relative to the origin, against gravity. "
         "<f> is the mean normal force of a frame."
     )
     return Section("Side by side", [
@@ -210,6 +215,7 @@ def _result_section(found: SceneComparison) -> Section:
 
 
 def _course_section(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Section:
+    """Section with time series and energies."""
     course = (
         "Time series of the runs: flow (kinetic energy without a flow meter), height of the center of mass and of the "
         f"surface ({SURFACE_PERCENTILE:g} % of all particle tops lie below it, including particles in free fall), "
@@ -223,6 +229,7 @@ def _course_section(found: SceneComparison, out: Path, figures: Sequence[str], m
 
 
 def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
+    """Section with force distribution and contact durations."""
     spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT
     method = (
         f"Durations: {BURSTS} bursts, evenly spaced over the run, each sample all contacts with a nonzero force "
@@ -245,6 +252,7 @@ def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) 
 
 
 def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
+    """Section with the assessment of the linear springs."""
     assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
     tables = [PageTable("Assessment.", ("statement", "verdict", "numbers"), assessed)] if assessed else []
     if found.subject is None:
@@ -269,6 +277,7 @@ def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -
 
 
 def _paraview_section(found: SceneComparison) -> Section:
+    """Section on the ParaView script."""
     names = ", ".join(f"{run.variant.key}/particles.pvd" for run in found.runs)
     return Section("Side by side in ParaView", [
         f"{SCRIPT} shows all runs side by side, colored by speed: in ParaView with File > Load State, or as an "
@@ -277,6 +286,7 @@ def _paraview_section(found: SceneComparison) -> Section:
 
 
 def _method_section(found: SceneComparison) -> Section:
+    """Section on restitution, time steps and timings."""
     steps = "; ".join(
         f"{run.variant.title} {run.plan.time_step:.3g} s ({run.plan.step.limited_by})" for run in found.runs
     )

@@ -63,6 +63,7 @@ def _worst(*drifts: CollisionDeviation) -> float:
 
 
 def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the accuracy of the spring from one velocity a decade away from it."""
     part = "A spring from one velocity is wrong an order of magnitude away from it"
     slow, fast = drift(columns, ONE_SPRING, 1.0 / DECADE), drift(columns, ONE_SPRING, DECADE)
     if slow is None or fast is None:
@@ -78,6 +79,7 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
 
 
 def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the accuracy of Eq. 19 per contact over both decades."""
     part = "Eq. 19 per contact corrects it"
     slow, fast = drift(columns, PER_CONTACT, 1.0 / DECADE), drift(columns, PER_CONTACT, DECADE)
     at_reference = deviation(dict(columns), PER_CONTACT, "fine", 1.0)
@@ -100,6 +102,7 @@ def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
 
 
 def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
+    """Assess the stability of the spring from one velocity at a fixed time step."""
     part = "A spring from one velocity becomes unstable an order of magnitude away from it"
     laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
     effect_by_law = {law: _time_step_effect(columns, law) for law in laws}
@@ -172,5 +175,6 @@ def _bed_overlap(run: VariantRun, runs: Sequence[VariantRun]) -> tuple[float, st
 
 
 def _percent(share: float, signed: bool = True) -> str:
+    """A fraction in percent with one digit and a typographic minus sign."""
     text = f"{100.0 * share:+.1f} %" if signed else f"{100.0 * share:.1f} %"
     return text.replace("-", "−")

@@ -63,11 +63,13 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 def _row(
     runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
 ) -> SummaryRow:
+    """One row; `display` is a key of DISPLAY_UNITS or empty."""
     values = tuple(float(number(run)) for run in runs)
     return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
 
 
 def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on time step, steps and wall time."""
     return [
         _row(runs, "time step", "s", lambda run: run.plan.time_step, "time"),
         _row(runs, "simulated time", "s", lambda run: run.time),
@@ -79,6 +81,8 @@ def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the mass flow through each meter."""
+
     def flow(meter: str) -> Callable[[VariantRun], float]:
         return lambda run: run.mass_flow(meter)
 
@@ -96,6 +100,7 @@ def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
 
 
 def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
+    """Rows on the bed at the end of the densest stage."""
     when = at_end(stage, "time")
 
     def height(column: int) -> Callable[[VariantRun], float]:
@@ -117,6 +122,7 @@ def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
 
 
 def _contacts(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the contacts of the complete run."""
     return [
         _row(runs, "maximum overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
         _row(runs, "median contact duration", "s", lambda run: run.median_duration, "time"),
@@ -124,6 +130,7 @@ def _contacts(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def _energies(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the energies at the end of the run; rows of zeros are omitted."""
     names = {
         "kinetic energy, end": "kinetic_energy",
         "lost: plastic": "plastic_dissipation",
@@ -172,4 +179,5 @@ def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> d
 
 
 def _number(value: float) -> str:
+    """Text of a value, or a dash for nan."""
     return readable(value) if np.isfinite(value) else MISSING

@@ -91,6 +91,7 @@ def feature_costs(
 
 
 def _longest(scene: Scene) -> float:
+    """Longest run time of the scene [s]: sum over the stages."""
     return sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
 
 

@@ -51,10 +51,12 @@ def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> 
 
 
 def _line(cells: Sequence[str]) -> str:
+    """One line of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 
 def _columns(found: Sequence[FeatureCost]) -> dict[str, np.ndarray]:
+    """Columns of feature_cost.csv: one row per variant."""
     columns = {"variant": np.array([each.name for each in found])}
     for column, end in enumerate(("low", "median", "high")):
         columns[f"ratio_{end}"] = np.array([each.ratio[column] for each in found])

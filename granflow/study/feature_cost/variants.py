@@ -87,6 +87,7 @@ def _other_walls(plan: Plan) -> Iterator[FeatureVariant]:
 
 
 def _other_materials(plan: Plan) -> Iterator[FeatureVariant]:
+    """Variant with several materials, or with one material if the scene has several."""
     if plan.features.one_material:
         yield FeatureVariant("with several materials", plan.scene, {"one_material": False})
         return
@@ -102,20 +103,24 @@ def _minimal(scene: Scene) -> Scene:
 
 
 def _without_rotation(scene: Scene) -> Scene:
+    """The scene without friction and rolling friction, so that its plan has no rotation."""
     return _with_rolling(_with_friction(scene, 0.0), "none")
 
 
 def _with_friction(scene: Scene, friction: float) -> Scene:
+    """The scene with one friction coefficient for all pairs; 0 switches friction off."""
     with_friction = _with_pairs(scene, friction=friction)
     return _with_contact(with_friction, tangential="mindlin") if friction else with_friction
 
 
 def _with_rolling(scene: Scene, rolling: Literal["none", "epsd"]) -> Scene:
+    """The scene with a rolling model; missing coefficients are set to ROLLING_FRICTION."""
     pairs = {name: _rolling_pair(pair) for name, pair in scene.pairs.items()}
     return _with_contact(scene.model_copy(update={"pairs": pairs}), rolling=rolling)
 
 
 def _rolling_pair(pair: MaterialPair) -> MaterialPair:
+    """The pair with its rolling friction, or ROLLING_FRICTION if it has none."""
     return pair.model_copy(update={"rolling_friction": pair.rolling_friction or ROLLING_FRICTION})
 
 
@@ -127,10 +132,12 @@ def _elastic(scene: Scene) -> Scene:
 
 
 def _without_cohesion(scene: Scene) -> Scene:
+    """The scene without cohesion."""
     return _with_contact(scene, cohesion="none")
 
 
 def _with_energy_budget(scene: Scene, on: bool) -> Scene:
+    """The scene with the energy budget switched on or off."""
     return scene.model_copy(update={"output": scene.output.model_copy(update={"energy_budget": on})})
 
 
@@ -148,9 +155,11 @@ def _of_one_material(scene: Scene) -> Scene | None:
 
 
 def _with_pairs(scene: Scene, **values: float) -> Scene:
+    """The scene with the same values for all pairs."""
     pairs = {name: pair.model_copy(update=values) for name, pair in scene.pairs.items()}
     return scene.model_copy(update={"pairs": pairs})
 
 
 def _with_contact(scene: Scene, **values: str) -> Scene:
+    """The scene with changed contact models."""
     return scene.model_copy(update={"contact": scene.contact.model_copy(update=values)})

@@ -48,6 +48,7 @@ def scene_with(law: str, particles: Mapping[str, Any], duration: float, **change
 
 
 def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[str, Any]:
+    """Plane wall through a point [m] with a normal."""
     return {"shape": "plane", "point": point, "normal": normal, "material": "light", "motion": list(motion)}
 
 

@@ -61,6 +61,7 @@ def all_cases(full: bool = False) -> list[StabilityCase]:
 
 
 def _step_cases() -> Iterator[StabilityCase]:
+    """Restitution at time steps relative to the largest permitted one."""
     pairs = tuple(SpherePair(restitution=e) for e in RESTITUTIONS)
     for share in SHARES:
         for index, e in enumerate(RESTITUTIONS):
@@ -69,6 +70,7 @@ def _step_cases() -> Iterator[StabilityCase]:
 
 
 def _stiffness_cases(moduli: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Young's modulus and impact velocity at the automatic time step."""
     for modulus in moduli:
         for velocity in VELOCITIES:
             pair = SpherePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
@@ -77,6 +79,7 @@ def _stiffness_cases(moduli: tuple[float, ...]) -> Iterator[StabilityCase]:
 
 
 def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Particle radius and precision."""
     for precision in PRECISIONS:
         for radius in radii:
             run = partial(rebound_result, (SpherePair(radius=radius),), 0, precision)
@@ -84,6 +87,7 @@ def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
 
 
 def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Ratios of radius and density of the two particles."""
     for density in DENSITY_RATIOS:
         for ratio in ratios:
             run = partial(rebound_result, (SpherePair(radius_ratio=ratio, density_ratio=density),), 0)
@@ -92,6 +96,7 @@ def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
 
 
 def _many_cases() -> Iterator[StabilityCase]:
+    """Columns and beds of many particles."""
     for law in bed_cases.LAWS:
         yield StabilityCase(
             MANY, law, "heavy on light", "the weight on the floor", partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11)
@@ -140,6 +145,7 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
 
 
 def _bound_cases() -> Iterator[StabilityCase]:
+    """Measured stability limits of all contact models and lattices."""
     for law in BOUND_LAWS:
         for friction in (False, True):
             for lattice in LATTICES:
@@ -163,4 +169,5 @@ def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
 
 @cache
 def _bounds_by_lattice(law: str, friction: bool) -> dict[str, Any]:
+    """Measured stability limits of one contact model; cached, since they share one engine."""
     return {bound.lattice: bound for bound in real_bounds(law, friction)}

@@ -36,6 +36,7 @@ def write_heatmap(path: Path, outcomes: Sequence[CaseOutcome]) -> None:
 
 
 def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:
+    """Draw one panel per family, and the legend."""
     from matplotlib.patches import Patch
 
     axes = figure.subplot_mosaic([list(row) for row in PANELS], height_ratios=HEIGHTS)
@@ -49,6 +50,7 @@ def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:
 
 
 def _panel(axis: Any, outcomes: Sequence[CaseOutcome]) -> None:
+    """Draw the grid of one family with one cell per case."""
     rows = list(dict.fromkeys(each.row for each in outcomes))
     columns = list(dict.fromkeys(each.column for each in outcomes))
     colors = np.ones((max(len(rows), 1), max(len(columns), 1), 3))
@@ -74,12 +76,14 @@ def _split(label: str) -> str:
 
 
 def _cell_text(each: CaseOutcome) -> str:
+    """Text of a cell: ratio of stability limits, error, or kind of verdict."""
     if each.kind == "refused" or not np.isfinite(each.error):
         return each.kind
     return f"{each.reached:.2f}" if each.family == BOUNDS else percent(each.error)
 
 
 def _color(kind: str, error: float) -> Any:
+    """Color of a cell by kind of verdict and error."""
     from matplotlib import colormaps
 
     if kind in ("refused", "defect"):

@@ -39,6 +39,7 @@ def _confined_particle(directions: np.ndarray) -> TestLattice:
 
 
 def _chain() -> TestLattice:
+    """Straight chain along z with an anchor at each end."""
     place = np.arange(CHAIN_LENGTH + 2)
     return TestLattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
 

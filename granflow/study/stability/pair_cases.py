@@ -142,6 +142,7 @@ def _sphere(pair: SpherePair, number: int, y: float, z: float) -> dict[str, Any]
 
 
 def _restitution_setting(pair: SpherePair) -> Any:
+    """`restitution` of the pair in the structure of a scene file."""
     if isinstance(pair.restitution, float):
         return pair.restitution
     sigma, psi, limit = pair.restitution

@@ -70,6 +70,7 @@ def summary_rows(outcomes: Sequence[CaseOutcome]) -> list[tuple[str, ...]]:
 
 
 def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
+    """Row of the summary table for a group of cases."""
     counts = Counter(each.kind for each in outcomes)
     errors = [each.error for each in outcomes if np.isfinite(each.error)]
     worst = percent(max(errors)) if errors else ""
@@ -99,6 +100,7 @@ def headline(outcomes: Sequence[CaseOutcome]) -> str:
 
 
 def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
+    """HTML page with verdicts, heat map and one section per family."""
     how = (
         "The cases run in separate processes. Verdicts: stable and accurate, with an error of "
         f"up to {percent(ACCURATE)}; stable, with the error and the affected quantity; refused, with the "
@@ -119,6 +121,7 @@ def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
 
 
 def _table(outcomes: Sequence[CaseOutcome]) -> PageTable:
+    """Table of the cases of one family."""
     rows = [
         (each.row, each.column, _figure(each.expected), _figure(each.reached), _figure(each.time_step), each.verdict)
         for each in outcomes
@@ -131,4 +134,5 @@ def _table(outcomes: Sequence[CaseOutcome]) -> PageTable:
 
 
 def _figure(number: float) -> str:
+    """Number with four digits; empty for nan."""
     return f"{number:.4g}" if np.isfinite(number) else ""

@@ -116,6 +116,7 @@ def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
 
 
 def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
+    """Pair, effective radius [m], effective mass [kg] and velocity [m/s] for stiffness functions."""
     return pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY
 
 
@@ -204,6 +205,7 @@ def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
 
 
 def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
+    """Kinetic energy of translation and rotation [J]; velocities (n, 3)."""
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
 
 
