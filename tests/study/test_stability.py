@@ -16,7 +16,7 @@ from granflow.simulation import Simulation
 from granflow.study.stability import bed_cases, report
 from granflow.study.stability.case_families import all_cases
 from granflow.study.stability.cases import CaseResult, StabilityCase, run_case
-from granflow.study.stability.pair_cases import SpherePair, rebound, rebound_result
+from granflow.study.stability.pair_cases import ParticlePair, rebound, rebound_result
 from granflow.study.stability.time_step_bounds import POISSON, real_bounds
 from granflow.study.stability.worker_pool import run_cases
 
@@ -64,10 +64,10 @@ def test_a_case_beyond_the_time_limit_is_a_defect():
 def test_pairs_reach_their_restitution_or_the_limit_of_the_time_step(taichi_f64):
     """At theta = 0.5 the step permits e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
     pairs = (
-        SpherePair(restitution=0.0),
-        SpherePair(restitution=0.5),
-        SpherePair(restitution=1.0),
-        SpherePair(restitution=0.5, radius_ratio=5.0),
+        ParticlePair(restitution=0.0),
+        ParticlePair(restitution=0.5),
+        ParticlePair(restitution=1.0),
+        ParticlePair(restitution=0.5, radius_ratio=5.0),
     )
     found = rebound(pairs)
     assert found.restitution[1:] == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
@@ -84,7 +84,7 @@ def test_pairs_reach_their_restitution_or_the_limit_of_the_time_step(taichi_f64)
 
 
 def test_a_step_above_the_limit_is_refused(taichi_f64):
-    refused = run_case(case_of(partial(rebound_result, (SpherePair(),), 0, "f64", 2.0)))
+    refused = run_case(case_of(partial(rebound_result, (ParticlePair(),), 0, "f64", 2.0)))
     assert refused.kind == "refused"
     assert "above the stable" in refused.verdict
 

@@ -1,4 +1,4 @@
-"""Orders of convergence, fitted where errors decrease with the time step and exceed the precision's floor."""
+"""Orders of convergence, fitted where errors decrease with the time step and exceed the round-off floor."""
 
 from dataclasses import dataclass
 

@@ -21,7 +21,7 @@ from granflow.study.stability.bed_cases import (
 )
 from granflow.study.stability.cases import CaseResult, StabilityCase
 from granflow.study.stability.lattices import LATTICES
-from granflow.study.stability.pair_cases import SpherePair, rebound_result
+from granflow.study.stability.pair_cases import ParticlePair, rebound_result
 from granflow.study.stability.time_step_bounds import LAWS as BOUND_LAWS
 from granflow.study.stability.time_step_bounds import RESOLUTION, real_bounds
 
@@ -62,7 +62,7 @@ def all_cases(full: bool = False) -> list[StabilityCase]:
 
 def _step_cases() -> Iterator[StabilityCase]:
     """Restitution at time steps relative to the largest permitted one."""
-    pairs = tuple(SpherePair(restitution=e) for e in RESTITUTIONS)
+    pairs = tuple(ParticlePair(restitution=e) for e in RESTITUTIONS)
     for share in SHARES:
         for index, e in enumerate(RESTITUTIONS):
             run = partial(rebound_result, pairs, index, "f64", share)
@@ -73,7 +73,7 @@ def _stiffness_cases(moduli: tuple[float, ...]) -> Iterator[StabilityCase]:
     """Young's modulus and impact velocity at the automatic time step."""
     for modulus in moduli:
         for velocity in VELOCITIES:
-            pair = SpherePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
+            pair = ParticlePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
             run = partial(rebound_result, (pair,), 0)
             yield StabilityCase(STIFFNESS, f"{modulus:.0e} Pa", f"{velocity:g} m/s", "e(v) of Eq. 12", run)
 
@@ -82,7 +82,7 @@ def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
     """Particle radius and precision."""
     for precision in PRECISIONS:
         for radius in radii:
-            run = partial(rebound_result, (SpherePair(radius=radius),), 0, precision)
+            run = partial(rebound_result, (ParticlePair(radius=radius),), 0, precision)
             yield StabilityCase(SIZES, precision, f"R = {radius:g} m", "the target restitution", run, precision)
 
 
@@ -90,7 +90,7 @@ def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
     """Ratios of radius and density of the two particles."""
     for density in DENSITY_RATIOS:
         for ratio in ratios:
-            run = partial(rebound_result, (SpherePair(radius_ratio=ratio, density_ratio=density),), 0)
+            run = partial(rebound_result, (ParticlePair(radius_ratio=ratio, density_ratio=density),), 0)
             reference = "the target restitution and conservation of momentum"
             yield StabilityCase(UNEQUAL, f"density 1 : {density:g}", f"radius 1 : {ratio:g}", reference, run)
 

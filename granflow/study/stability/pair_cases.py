@@ -27,7 +27,7 @@ SKIN = 0.3
 
 
 @dataclass(frozen=True)
-class SpherePair:
+class ParticlePair:
     """Two particles of equal elasticity that collide head-on, in SI units.
 
     `radius_ratio`, `density_ratio`: second particle over the first.
@@ -72,7 +72,7 @@ class Rebound:
 
 
 @cache
-def rebound(pairs: tuple[SpherePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
+def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
     """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
 
     Raises SceneError if the time step is refused, RunError if the run aborts.
@@ -90,12 +90,12 @@ def rebound(pairs: tuple[SpherePair, ...], precision: Precision = "f64", share: 
 
 
 @cache
-def _largest_step(pairs: tuple[SpherePair, ...]) -> float:
+def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
     """Largest permitted time step [s]."""
     return plan_for(scene_of(pairs, "f64")).step.stable_below
 
 
-def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float | None = None) -> Scene:
+def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: float | None = None) -> Scene:
     """Scene of all pairs with separate materials, in a square grid normal to the approach direction."""
     side = int(np.ceil(np.sqrt(len(pairs))))
     spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
@@ -108,7 +108,7 @@ def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float
             materials[name] = {
                 "young_modulus": pair.young_modulus, "poisson_ratio": POISSON, "density": pair.density * ratio
             }  # fmt: skip
-            particles[name] = {"material": name, **_sphere(pair, number, spacing * row, spacing * column)}
+            particles[name] = {"material": name, **_particle(pair, number, spacing * row, spacing * column)}
         pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
     reach = spacing * (side + 1)
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
@@ -130,7 +130,7 @@ def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float
     })  # fmt: skip
 
 
-def _sphere(pair: SpherePair, number: int, y: float, z: float) -> dict[str, Any]:
+def _particle(pair: ParticlePair, number: int, y: float, z: float) -> dict[str, Any]:
     """Diameter, velocity and position of the first or second particle of a pair; first contact is at x = 0."""
     radius = pair.radius * (pair.radius_ratio if number else 1.0)
     gap = 0.5 * GAP * pair.radius * min(pair.radius_ratio, 1.0)
@@ -141,7 +141,7 @@ def _sphere(pair: SpherePair, number: int, y: float, z: float) -> dict[str, Any]
     }  # fmt: skip
 
 
-def _restitution_setting(pair: SpherePair) -> Any:
+def _restitution_setting(pair: ParticlePair) -> Any:
     """`restitution` of the pair in the structure of a scene file."""
     if isinstance(pair.restitution, float):
         return pair.restitution
@@ -149,7 +149,7 @@ def _restitution_setting(pair: SpherePair) -> Any:
     return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
 
 
-def _duration(pair: SpherePair) -> float:
+def _duration(pair: ParticlePair) -> float:
     """Time [s] for approach and separation of a pair, with a safety margin."""
     masses, modulus = pair.masses, 0.5 * pair.young_modulus / (1.0 - POISSON**2)
     radius_eff = pair.radius * pair.radius_ratio / (1.0 + pair.radius_ratio)
@@ -159,7 +159,7 @@ def _duration(pair: SpherePair) -> float:
 
 
 def rebound_result(
-    pairs: tuple[SpherePair, ...], index: int, precision: Precision = "f64", share: float | None = None
+    pairs: tuple[ParticlePair, ...], index: int, precision: Precision = "f64", share: float | None = None
 ) -> CaseResult:
     """Larger error of restitution and momentum of one pair, relative to the approach velocity."""
     found, requested = rebound(pairs, precision, share), pairs[index].requested
