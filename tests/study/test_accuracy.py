@@ -1,4 +1,4 @@
-"""Error against run time for two bodies: exact numbers against scipy, orders, what is recommended, what is written."""
+"""Two-particle accuracy study: exact solutions against scipy, orders, recommendation, output files."""
 
 import csv
 from dataclasses import fields
@@ -22,16 +22,16 @@ from granflow.study.accuracy.report import TwoBodyStudy
 
 FEW_STEPS = (20, 40, 80, 160, 320)
 K, MASS, SPEED = 4e5, 2e-4, 0.7
-"""Hertz stiffness [N/m^1.5], effective mass [kg] and approach velocity [m/s] of a collision solved twice."""
+"""Hertz stiffness [N/m^1.5], effective mass [kg] and approach velocity [m/s] of the test collision."""
 
 
-# ---------------------------------------------------------------- exact numbers
+# ---------------------------------------------------------------- exact solutions
 
 
 def solved(force, speed, mass):
-    """Restitution, duration, time and size of the largest overlap of M d'' = -F(d, d') until F = 0, by scipy.
+    """Restitution, duration, time and value of the maximum overlap of M d'' = -F(d, d') until F = 0, by scipy.
 
-    In units of the largest overlap of a Hertz contact and of the time to cross it.
+    Scaled by the maximum overlap of a Hertz contact and the time to traverse it.
     """
     length = (1.25 * mass * speed**2 / K) ** 0.4
     time = length / speed
@@ -52,7 +52,7 @@ def solved(force, speed, mass):
 
 
 def damping(e):
-    """Damping ratio of an oscillator let go at zero force that keeps e of its speed, from its own course."""
+    """Damping ratio of an oscillator with restitution e at zero force, from its closed-form solution."""
 
     def saved(zeta):
         root = np.sqrt(1.0 - zeta**2)
@@ -85,14 +85,14 @@ def test_spring_and_dashpot_are_exact(e):
     assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(expected, rel=1e-8)
 
 
-def test_without_loss_zhou_and_hertz_are_the_same():
+def test_zhou_and_hertz_are_equal_without_dissipation():
     zhou, hertz = EXACT["zhou"](1.0, K, MASS, SPEED), EXACT["hertz"](1.0, K, MASS, SPEED)
     assert (zhou.duration, zhou.peak_time, zhou.overlap_max) == pytest.approx(
         (hertz.duration, hertz.peak_time, hertz.overlap_max), rel=1e-12
     )
 
 
-def test_where_a_contact_frees():
+def test_overlap_at_the_end_of_a_contact():
     y = brentq(lambda y: y - 0.8 * 0.25 - 0.2 * 0.125 * y**2.5, 0.0, 1.0)  # Eq. 8 at e = 1/2
     assert end_overlap_ratio("zhou", 0.5) == pytest.approx(1.0 - y)
     assert end_overlap_ratio("hertz", 1.0) == 0.0
@@ -114,8 +114,8 @@ def lines(taichi_f64):
     return [measured_line(*each, device, FEW_STEPS, repeats=2)[0] for each in wanted]
 
 
-def test_errors_fall_with_the_second_order(lines):
-    """The leapfrog is of second order; a restitution only counts what energy the kink at first touch takes: d^2.5."""
+def test_errors_decrease_with_second_order(lines):
+    """Leapfrog is of second order; the restitution shows only the energy error of the kink at first contact, d^2.5."""
     for line in lines:
         for quantity in ("duration", "overlap_max"):
             order = fitted_order(line.steps, line.error(quantity))
@@ -125,20 +125,20 @@ def test_errors_fall_with_the_second_order(lines):
     assert elastic == pytest.approx(2.5, abs=0.2)
 
 
-def test_double_precision_does_not_know_the_velocity(lines):
-    """Zhou's collision is the same at every speed, in its own units."""
+def test_double_precision_errors_do_not_depend_on_the_velocity(lines):
+    """Zhou's collision is independent of the velocity in scaled units."""
     for points in zip(*(kind for kind in lines[0].kinds() if kind[0].restitution == 0.5), strict=True):
         assert len(points) == len(VELOCITIES)
         assert [p.restitution_error for p in points] == pytest.approx([points[0].restitution_error] * 3, rel=1e-3)
 
 
-def test_worst_is_no_less_than_the_mean_and_costs_are_ordered(lines):
+def test_worst_error_is_at_least_the_rms_and_costs_are_ordered(lines):
     for point in (point for line in lines for point in line.points):
         assert point.restitution_error <= point.restitution_error_worst <= np.sqrt(PHASES) * point.restitution_error
         assert 0.0 < point.seconds_min <= point.seconds_median <= point.seconds_max
 
 
-def test_share_is_that_of_the_shorter_phase(lines):
+def test_share_refers_to_the_shorter_phase(lines):
     """Of Zhou's collision at e = 1/2, unloading takes 0.6293 of 2.1010 (Eqs. 13-15, the model's table)."""
     point = next(point for point in lines[0].points if point.restitution == 0.5 and point.steps == 40)
     assert point.share == pytest.approx(2.1010 / 0.6293 / 40, rel=1e-3)
@@ -161,7 +161,7 @@ def test_single_precision_has_a_floor(lines):
 # ---------------------------------------------------------------- orders and recommendation
 
 
-def test_an_order_is_fitted_above_the_floor_only():
+def test_an_order_is_fitted_above_the_precision_floor_only():
     steps = np.geomspace(5.0, 5000.0, 16)
     order = fitted_order(steps, 3.0 * steps**-1.7)
     assert order.order == pytest.approx(1.7)
@@ -172,7 +172,7 @@ def test_an_order_is_fitted_above_the_floor_only():
     assert fitted_order(steps, np.full(16, 0.3)) is None
 
 
-def made_up_line(law, precision, prefactor, seconds_per_step):
+def synthetic_line(law, precision, prefactor, seconds_per_step):
     """Errors prefactor / steps^2, twice that for a second kind of collision whose shorter phase is half as long."""
     points = []
     for steps in (10.0, 20.0, 40.0, 80.0):
@@ -186,18 +186,18 @@ def made_up_line(law, precision, prefactor, seconds_per_step):
     return StudyLine(law, "leapfrog", precision, tuple(points))
 
 
-def test_what_a_line_needs():
+def test_requirement_of_a_line():
     """2 * 7 / 40^2 = 0.9 % is the first error of the worse kind below 1 %; at 20 steps 7/400 = 1.75 %."""
-    need = requirement_of(made_up_line("zhou", "f64", 7.0, 1e-7), 0.01)
+    need = requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 0.01)
     assert need.steps == 40.0
     assert need.share == pytest.approx(min(1.0 / (0.4 * 40.0), 1.0 / (0.2 * 40.0)))
     assert need.seconds == pytest.approx((4e-6, 3.6e-6, 4.4e-6))
-    assert requirement_of(made_up_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
+    assert requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
 
 
 def test_the_recommendation_is_the_cheapest_row_of_the_table():
-    lines = [made_up_line("zhou", "f64", 7.0, 2e-7), made_up_line("zhou", "mixed", 7.0, 1e-7),
-             made_up_line("zhou", "f32", 30.0, 2e-7), made_up_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
+    lines = [synthetic_line("zhou", "f64", 7.0, 2e-7), synthetic_line("zhou", "mixed", 7.0, 1e-7),
+             synthetic_line("zhou", "f32", 30.0, 2e-7), synthetic_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
     sentence, rows = recommendation(lines, 0.01), table_rows(lines, 0.01)
     chosen = rows[1]
     assert f"T/{chosen[5]}," in sentence and f"time_step_fraction {chosen[6]})" in sentence

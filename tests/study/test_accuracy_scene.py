@@ -1,4 +1,4 @@
-"""Error against run time of a scene: what a run is reduced to, errors and their noise, the recommendation."""
+"""Accuracy study of a scene: reduction, errors and their noise, recommendation."""
 
 import csv
 import sys
@@ -50,20 +50,20 @@ output: {interval: 50 ms}
 
 @pytest.fixture
 def drop(tmp_path):
-    """The scene of the fall, as a file."""
+    """The scene as a file."""
     path = tmp_path / "drop.yaml"
     path.write_text(DROP, encoding="utf-8")
     return path
 
 
-def test_fewer_particles_where_the_scene_counts_them(drop):
+def test_reduction_of_groups_with_a_count(drop):
     scene = load(drop)
     assert reduced_counts(scene, most=12) == []
     assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
     assert reduced_counts(load(SCENES / "two_spheres.yaml"), most=1) == []
 
 
-def test_the_share_is_what_time_step_safety_says(drop):
+def test_the_share_is_time_step_fraction(drop):
     scene = load(drop, ["numerics.time_step_fraction=0.07"])
     phase, own = phase_of(scene)
     assert own == pytest.approx(0.07)
@@ -72,9 +72,9 @@ def test_the_share_is_what_time_step_safety_says(drop):
 
 
 def test_one_run_of_free_fall(taichi_f64, drop):
-    """Until they land nothing touches, and the center of mass is on average about g T^2 / 6 below where it began.
+    """Before the impact the particles have no contacts; the mean height of the center of mass is g T^2 / 6 lower.
 
-    Over n + 1 looks at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
+    Over n + 1 samples at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
     """
     until = 0.1  # a fall of 49 mm, from 100 mm
     task = SceneTask(drop, ("output.energy_budget=true", "run.time_step=2e-5"), until)
@@ -88,7 +88,7 @@ def test_one_run_of_free_fall(taichi_f64, drop):
     assert fallen.seconds > 0.0
 
 
-def test_a_step_that_is_not_stable_is_told(taichi_f64, drop):
+def test_an_unstable_step_is_reported(taichi_f64, drop):
     assert "run.time_step" in run_task(SceneTask(drop, ("output.energy_budget=true", "run.time_step=1"), None)).stopped
 
 
@@ -96,8 +96,8 @@ def outcome(energy_budget, height, seconds=2.0):
     return RunOutcome({ENERGY_ERROR: energy_budget, "center_height": height}, seconds, 100.0, 0.5)
 
 
-def made_up_study(target=0.01):
-    """Three steps: a fine one, one within noise of it but off in restitution, one with a bed clearly too high."""
+def synthetic_study(target=0.01):
+    """A fine reference, an error within the noise, a wrong restitution, a wrong bed height, and an abort."""
     reference = _Runs("fixed", "f64", 0.05, 5e-6, 0.001, [outcome(1e-5, h) for h in (1.00, 1.02, 0.98)])
     noisy = _Runs("fixed", "f64", 0.1, 1e-5, 0.008, [outcome(2e-5, h, 1.0) for h in (1.03, 1.00, 0.97)])
     wrong = _Runs("fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)])
@@ -106,9 +106,9 @@ def made_up_study(target=0.01):
     return _study([stopped, wrong, bouncy, noisy, reference], 0.05, "made up", (0.1, 1e-5), 12, 3, target)
 
 
-def test_errors_are_told_from_noise():
-    study = made_up_study()
-    # differences to the reference: .03, -.02, -.01 (variance 7e-4), and none or always .5 (variance 0), twice
+def test_errors_are_separated_from_noise():
+    study = synthetic_study()
+    # differences from the reference: .03, -.02, -.01 (variance 7e-4), and twice a constant, 0 or .5 (variance 0)
     assert study.noise["center_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
     assert study.spread["center_height"] == pytest.approx(0.02)
     stopped, wrong, bouncy, noisy, reference = study.points
@@ -120,7 +120,7 @@ def test_errors_are_told_from_noise():
 
 
 def test_the_recommendation_is_a_row_of_the_table():
-    study = made_up_study()
+    study = synthetic_study()
     sentence, rows = scene_recommendation(study), scene_rows(study)
     chosen = rows[3]
     assert f"time_step_fraction {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
@@ -128,12 +128,12 @@ def test_the_recommendation_is_a_row_of_the_table():
     assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
     assert all(len(row) == len(scene_heads(study)) for row in rows)
     assert "2 standard errors: 1 of 4;" in noise_sentence(study)
-    assert "No time step" in scene_recommendation(made_up_study(target=1e-6))
+    assert "No time step" in scene_recommendation(synthetic_study(target=1e-6))
 
 
 def test_files_without_matplotlib(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    study = made_up_study()
+    study = synthetic_study()
     with pytest.raises(GranflowError, match="pip install"):
         write_scene(tmp_path, study)
     with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
@@ -157,8 +157,8 @@ def test_a_small_scene_from_end_to_end(drop, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_the_hopper_ships_with_keeps_to_one_percent(taichi_f64):
-    """Its own step does; four times that does not or is not even stable: it is not wastefully fine."""
+def test_the_hopper_scene_is_accurate_to_one_percent(taichi_f64):
+    """Four times its time step is less accurate than one percent or unstable: the time step is not too fine."""
     task = SceneTask(SCENES / "hopper.yaml", (), None)
     phase, own = phase_of(task.scene())
     assert restitution_error(task) <= 0.01

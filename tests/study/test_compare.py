@@ -1,4 +1,4 @@
-"""`granflow compare` on two spheres, one run stopped by a guard: tables against closed forms, page, refusals."""
+"""`granflow compare` on two particles with one aborted run: tables against closed forms, page, error messages."""
 
 import csv
 import re
@@ -42,7 +42,7 @@ def spring(velocity):
 
 
 def head_on():
-    """Two spheres that meet elastically; the limit of overlaps lies between those of Eq. 5 and of the one spring."""
+    """Two particles that collide elastically; max_overlap lies between that of Eq. 5 and that of the one spring."""
     tick = duration(REFERENCE)
     reach = 0.5 * (DIAMETER + 4.0 * tick * SPEED)
     velocity = [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]]
@@ -84,15 +84,15 @@ def test_each_law_has_its_own_automatic_step(table):
 
 
 @pytest.mark.parametrize("law", ["linear_onset", "hertz"])
-def test_overlap_and_contact_time_are_those_of_theory(table, law):
-    """Eq. 19 keeps the largest overlap of Eq. 5; contact times are known to the distance of two looks."""
+def test_overlap_and_contact_duration_match_theory(table, law):
+    """Eq. 19 keeps the largest overlap of Eq. 5; the sampling interval is the resolution of contact durations."""
     expected = overlap_max(SPEED) / (0.5 * DIAMETER)
-    assert table["largest overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
+    assert table["maximum overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
     lasting = duration(SPEED) if law == "hertz" else np.pi * np.sqrt(MASS_EFF / spring(SPEED))
-    assert table["median contact time", law][0] == pytest.approx(lasting, abs=duration(REFERENCE) / 8.0)
+    assert table["median contact duration", law][0] == pytest.approx(lasting, abs=duration(REFERENCE) / 8.0)
 
 
-def test_a_run_that_a_guard_stops_is_a_result(found, table):
+def test_an_aborted_run_is_a_result(found, table):
     """The one spring overlaps 10^0.2 times as far, beyond the limit, before half of its own contact time is over."""
     comparison, out = found
     stopped = {run.variant.key: run for run in comparison.runs if run.stopped}
@@ -101,26 +101,26 @@ def test_a_run_that_a_guard_stops_is_a_result(found, table):
     assert touch < stopped["linear_reference"].time < touch + 0.5 * np.pi * np.sqrt(MASS_EFF / spring(REFERENCE))
     assert "overlaps by more than" in stopped["linear_reference"].stopped
     assert np.isnan(table["end of stage", "linear_reference"][0])
-    assert "linear of 0.1 m/s was stopped at" in (out / "compare.html").read_text(encoding="utf-8")
+    assert "linear of 0.1 m/s was aborted at" in (out / "compare.html").read_text(encoding="utf-8")
 
 
-def test_the_claim_is_judged_in_the_scene(found):
-    """One spring fails where a guard stops it; two spheres make no bed to judge the other by."""
+def test_the_springs_are_assessed_in_the_scene(found):
+    """One spring fails if its run aborts; two particles form no bed for the assessment of the other."""
     fails, mends = found[0].assessments[-2:]
-    assert fails.holds and re.match(r"A guard stopped it at 0.0\d+ s: particle \d .* overlaps by more than", fails.why)
-    assert mends.holds is None and "too few grains touch" in mends.why
+    assert fails.holds and re.match(r"The run was aborted at 0.0\d+ s: particle \d .* overlaps by more than", fails.why)
+    assert mends.holds is None and "too few contacts" in mends.why
 
 
-def test_energy_is_kept(table):
+def test_energy_is_conserved(table):
     assert table["energy error, end", "hertz"][0] < 5e-3
     assert table["kinetic energy, end", "hertz"][0] == pytest.approx(0.5 * MASS_EFF * SPEED**2, rel=1e-4)
 
 
-def test_page_without_figures_says_why_and_needs_nothing_else(found):
+def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
     comparison, out = found
     html = (out / "compare.html").read_text(encoding="utf-8")
-    for words in ("Side by side", "linear per contact", "linear of 0.1 m/s", "ratio", "pip install granflow[plot]"):
-        assert words in html
+    for text in ("Side by side", "linear per contact", "linear of 0.1 m/s", "ratio", "pip install granflow[plot]"):
+        assert text in html
     assert not re.findall(r'(?:src|href)="(?:http|//)', html)
     assert {path.name for path in out.glob("*.csv")} == {"compare.csv", "heights.csv", "forces.csv", "durations.csv"}
     for run in comparison.runs:
@@ -134,7 +134,7 @@ def test_script_for_paraview_names_every_run(found):
     assert all(repr(run.variant.key) in text for run in comparison.runs)
 
 
-def test_figures_are_drawn_where_they_can(found, tmp_path):
+def test_figures_are_drawn_with_matplotlib(found, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.study.compare.drawing import draw_all
 
@@ -145,21 +145,21 @@ def test_figures_are_drawn_where_they_can(found, tmp_path):
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ("zhou,hertzz", "There is no law hertzz. Did you mean hertz?"),
-        ("zhou,xyz", "There is no law xyz. The laws are zhou, hertz, linear"),
-        ("zhou, zhou", "The law zhou is named twice: name each once."),
-        (",", "No law is named"),
+        ("zhou,hertzz", "Unknown contact model hertzz. Did you mean hertz?"),
+        ("zhou,xyz", "Unknown contact model xyz. The contact models are zhou, hertz, linear"),
+        ("zhou, zhou", "The contact model zhou is repeated: give each once."),
+        (",", "--laws is empty"),
     ],
 )
-def test_bad_lists_of_laws_are_refused_in_a_sentence(given, sentence):
+def test_invalid_lists_of_contact_models_raise_one_sentence(given, sentence):
     with pytest.raises(GranflowError, match=re.escape(sentence)):
         law_names(given)
 
 
-def test_the_verb_refuses_before_it_reads_or_runs(capsys, tmp_path):
+def test_the_command_rejects_unknown_contact_models_before_reading_the_scene(capsys, tmp_path):
     assert main(["compare", "nowhere.yaml", "--laws", "linaer", "--out", str(tmp_path)]) == 2
     message = capsys.readouterr().err
-    assert "There is no law linaer. Did you mean linear?" in message and "Traceback" not in message
+    assert "Unknown contact model linaer. Did you mean linear?" in message and "Traceback" not in message
 
 
 def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
@@ -181,7 +181,7 @@ def fitted(**materials):
     )  # fmt: skip
 
 
-def test_laws_get_the_restitution_they_can_take():
+def test_contact_models_get_a_restitution_of_their_kind():
     variants = {each.key: each for each in variants_of(fitted(), ["zhou", "linear", "thornton"], 0.1)}
     assert variants["zhou"].scene.pairs["glass-glass"].restitution.sigma == 2.0
     expected = np.exp(-2.0 * np.sqrt(0.1 / 9.9))
@@ -194,7 +194,7 @@ def test_laws_get_the_restitution_they_can_take():
     assert thornton.scene.pairs["glass-glass"].restitution is None
 
 
-def test_scenes_are_made_smaller_but_for_what_is_listed():
+def test_reduction_keeps_explicit_positions():
     (one,) = variants_of(fitted(), ["hertz"], 0.1, most_particles=31)
     assert {name: group.count for name, group in one.scene.particles.items()} == {"listed": 1, "poured": 30}
     (whole,) = variants_of(fitted(), ["hertz"], 0.1)
@@ -203,13 +203,13 @@ def test_scenes_are_made_smaller_but_for_what_is_listed():
 
 
 def run_of(stages, stopped=""):
-    """What a run looks like to the choice of a stage: contacts at the end of each."""
+    """Stand-in for a run with the contact count at the end of each stage."""
     columns = {"stage": np.array(list(stages)), "contact_count": np.array(list(stages.values()), dtype=float)}
     return SimpleNamespace(columns=columns, stopped=stopped)
 
 
-def test_the_bed_is_described_in_a_stage_that_all_finished_runs_have():
-    """A stage that waits for rest may end before its first row; a run that was stopped has no say."""
+def test_the_densest_stage_is_common_to_all_complete_runs():
+    """A stage that waits for rest may end before its first row; aborted runs do not count."""
     whole, quick = run_of({"fill": 5, "settle": 9, "open": 0}), run_of({"fill": 6, "open": 1})
     assert densest_stage([whole, whole]) == "settle"
     assert densest_stage([whole, quick, run_of({"settle": 3}, "Stopped: x")]) == "fill"

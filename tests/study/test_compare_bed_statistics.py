@@ -1,4 +1,4 @@
-"""What the comparison watches, on snapshots made by hand: contact times, force distribution, heights."""
+"""Statistics of the comparison on synthetic snapshots: contact durations, force distribution, heights."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ from granflow.study.compare.contact_durations import ContactFollower, FollowedCo
 
 
 def snapshot(time, pairs=(), forces=None, stage="run", particles=None):
-    """A moment with contacts (first, second, wall)."""
+    """Snapshot with contacts (id_i, id_j, wall)."""
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 3)
     force = np.ones(len(rows)) if forces is None else np.asarray(forces, dtype=float)
     contacts = {"id_i": rows[:, 0], "id_j": rows[:, 1], "wall": rows[:, 2], "normal_force": force}
     return Snapshot(time, 0, stage, particles or {}, contacts, {}, {})
 
 
-A, A_SEEN_FROM_THE_OTHER, WALL, OTHER_WALL = (3, 7, -1), (7, 3, -1), (3, -1, 0), (3, -1, 1)
+A, A_SWAPPED, WALL, OTHER_WALL = (3, 7, -1), (7, 3, -1), (3, -1, 0), (3, -1, 1)
 
 
 def followed(*moments):
@@ -30,18 +30,17 @@ def followed(*moments):
     return seen[order].tolist(), ended[order].tolist()
 
 
-def test_contacts_begin_and_end_half_way_between_looks():
-    seen, ended = followed((0.0, []), (1.0, [A]), (2.0, [A_SEEN_FROM_THE_OTHER]), (4.0, []))
+def test_contacts_begin_and_end_midway_between_samples():
+    seen, ended = followed((0.0, []), (1.0, [A]), (2.0, [A_SWAPPED]), (4.0, []))
     assert seen == [2.5] and ended == [True]
 
 
-def test_first_and_last_looks_censor():
-    """What was there at the first look is left out; what is there at the last counts as longer."""
+def test_contacts_of_the_first_sample_are_ignored_and_of_the_last_censored():
     seen, ended = followed((0.0, [WALL]), (1.0, [WALL, OTHER_WALL]), (2.0, [OTHER_WALL]), (3.0, [OTHER_WALL]))
     assert seen == [2.5] and ended == [False]
 
 
-def test_contacts_without_force_are_none():
+def test_contacts_without_force_are_ignored():
     record = FollowedContacts()
     follower = ContactFollower(record)
     for time, force in ((0.0, 0.0), (1.0, 2.0), (2.0, 0.0)):
@@ -49,8 +48,8 @@ def test_contacts_without_force_are_none():
     assert [values.tolist() for values in record.arrays()] == [[1.0], [True]]
 
 
-def test_survival_is_that_of_kaplan_and_meier():
-    """Of 5 one ends at 1 (4/5 remain); one is lost at 2; of 3 one ends at 3 (4/5 2/3); of 2 one ends at 4 (half)."""
+def test_survival_matches_kaplan_and_meier():
+    """Of 5 one ends at 1 (4/5 left); one is censored at 2; of 3 one ends at 3 (4/5 2/3); of 2 one ends at 4 (half)."""
     times, share = survival(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([True, False, True, True, False]))
     np.testing.assert_array_equal(times, [1.0, 3.0, 4.0])
     np.testing.assert_allclose(share, [4 / 5, 8 / 15, 4 / 15])
@@ -58,14 +57,14 @@ def test_survival_is_that_of_kaplan_and_meier():
     assert np.isnan(median_of(*survival(np.ones(3), np.zeros(3, dtype=bool))))
 
 
-def test_median_of_exponential_lifetimes_is_found_through_censoring():
-    """Lifetimes of mean 1 have the median ln 2, whatever part of them is cut off at random."""
+def test_median_of_exponential_lifetimes_is_unbiased_by_censoring():
+    """Lifetimes of mean 1 have the median ln 2 for any random censoring."""
     random = np.random.default_rng(1)
     life, cut = random.exponential(1.0, 4000), random.uniform(0.0, 3.0, 4000)
     assert median_of(*survival(np.minimum(life, cut), life <= cut)) == pytest.approx(np.log(2.0), rel=0.05)
 
 
-def test_bursts_look_when_due_and_at_no_other_time():
+def test_bursts_sample_only_when_due():
     times = list(bursts(1.0, 2, 3, 0.01))
     np.testing.assert_allclose(times, [[0.25, 0.26, 0.27], [0.75, 0.76, 0.77]])
     monitor = ContactBursts(times, 0.01)
@@ -88,7 +87,7 @@ def test_bursts_look_when_due_and_at_no_other_time():
     assert ended.tolist() == [False, True] or ended.tolist() == [True, False]
 
 
-def test_a_step_longer_than_the_looks_are_apart_skips_looks():
+def test_a_step_longer_than_the_sampling_interval_skips_samples():
     monitor = ContactBursts([[0.0, 0.1, 0.2, 0.3]], 0.1)
     monitor.observe(snapshot(0.0))
     monitor.observe(snapshot(0.22))
@@ -120,7 +119,7 @@ class Sideways:
     gravity = (-2.0, 0.0, 0.0)
 
 
-def test_heights_are_against_gravity():
+def test_heights_are_opposite_to_gravity():
     particles = {
         "position": np.array([[1.0, 9.0, 9.0], [3.0, 0.0, 0.0]]), "mass": np.array([3.0, 1.0]),
         "radius": np.array([0.5, 0.5]), "velocity": np.array([[3.0, 4.0, 0.0]] * 2),

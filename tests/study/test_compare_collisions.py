@@ -1,4 +1,4 @@
-"""Collisions over three decades under both linear springs: closed forms, and what is said of the claim."""
+"""Collisions over three decades of velocity with both linear springs: closed forms and assessment."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from granflow.study.compare.variants import variants_of
 
 REFERENCE = 0.1 * SPEED
 FLOOR = 0.01 * SPEED
-"""Per contact no spring is softer than that of a hundredth of the fastest approach."""
+"""Eq. 19 per contact uses at least the spring of a hundredth of the largest impact velocity."""
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def of_law(columns, law, name):
     return columns[name][columns["law"] == law]
 
 
-def test_exact_columns_are_those_of_hertz(columns):
+def test_exact_columns_match_hertz(columns):
     velocity = columns["velocity"]
     np.testing.assert_allclose(columns["duration_exact"], duration(velocity), rtol=1e-9)
     np.testing.assert_allclose(columns["overlap_max_exact"], overlap_max(velocity), rtol=1e-9)
@@ -36,7 +36,7 @@ def test_exact_columns_are_those_of_hertz(columns):
 
 @pytest.mark.parametrize("law", ["linear_onset", "linear_reference"])
 def test_springs_collide_as_harmonic_oscillators(columns, law):
-    """Half a period pi sqrt(M/alpha) and a largest overlap v sqrt(M/alpha), 100 steps and more in each."""
+    """Half a period pi sqrt(M/alpha) and a maximum overlap v sqrt(M/alpha), at least 100 steps each."""
     velocity = of_law(columns, law, "velocity")
     alpha = spring(np.maximum(velocity, FLOOR)) if law == "linear_onset" else np.full(len(velocity), spring(REFERENCE))
     np.testing.assert_allclose(of_law(columns, law, "duration"), np.pi * np.sqrt(MASS_EFF / alpha), rtol=1e-3)
@@ -44,11 +44,11 @@ def test_springs_collide_as_harmonic_oscillators(columns, law):
     np.testing.assert_allclose(of_law(columns, law, "restitution"), 1.0, atol=1e-3)
 
 
-def test_claim_is_judged_from_the_numbers(columns):
-    """One spring is off by 10^0.2 at ten times its velocity; per contact nothing changes."""
-    wrong, mended, unstable = assess_collisions(columns)
+def test_the_assessment_follows_from_the_columns(columns):
+    """The one spring deviates by 10^0.2 at ten times its velocity; Eq. 19 per contact does not."""
+    wrong, corrected, unstable = assess_collisions(columns)
     assert wrong.holds and f"+{100.0 * (10.0**0.2 - 1.0):.1f} %" in wrong.why
-    assert mended.holds and f"+{100.0 * (np.pi / 2.9432751838 - 1.0):.1f} %" in mended.why
+    assert corrected.holds and f"+{100.0 * (np.pi / 2.9432751838 - 1.0):.1f} %" in corrected.why
     assert unstable.holds is None
 
 
@@ -62,8 +62,8 @@ def test_collisions_are_drawn(columns, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 20_000
 
 
-def made_up(restitution):
-    """Columns of one spring at ten times its velocity: `restitution` by step, 0.8 asked."""
+def synthetic_columns(restitution):
+    """Columns of one spring at ten times its velocity: `restitution` by step, target 0.8."""
     rows = [{"law": "linear_reference", "step": step, "velocity_over_reference": 10.0, "restitution": reached}
             for step, reached in restitution.items()]  # fmt: skip
     found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
@@ -71,8 +71,8 @@ def made_up(restitution):
     return found | ones | {"restitution_exact": np.full(len(rows), 0.8)}
 
 
-def test_stability_is_judged_against_the_fine_step():
-    """A law that promises another restitution than asked is not unstable; one that gains by the coarse step is."""
-    assert assess_collisions(made_up({"fine": 1.0, "coarse": 1.05}))[2].holds is False
-    gained = assess_collisions(made_up({"fine": 0.8, "coarse": 1.0}))[2]
+def test_stability_is_assessed_against_the_fine_step():
+    """A wrong restitution with the fine step is not an instability; a gain with the coarse step is."""
+    assert assess_collisions(synthetic_columns({"fine": 1.0, "coarse": 1.05}))[2].holds is False
+    gained = assess_collisions(synthetic_columns({"fine": 0.8, "coarse": 1.0}))[2]
     assert gained.holds and "+25.0 %" in gained.why

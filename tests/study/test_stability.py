@@ -1,4 +1,4 @@
-"""The stability study in a reduced form: verdicts, rebounds, weights and bounds against theory worked out here."""
+"""The stability study in reduced form: verdicts, rebounds, weights and stability limits against theory."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ from granflow.simulation import Simulation
 from granflow.study.stability import bed_cases, report
 from granflow.study.stability.case_families import all_cases
 from granflow.study.stability.cases import CaseResult, StabilityCase, run_case
-from granflow.study.stability.pair_cases import SpherePair, rebound, rebound_result
+from granflow.study.stability.pair_cases import ParticlePair, rebound, rebound_result
 from granflow.study.stability.time_step_bounds import POISSON, real_bounds
 from granflow.study.stability.worker_pool import run_cases
 
@@ -38,9 +38,9 @@ def raising(error):
     [
         (lambda: finding(0.503, 0.003), "accurate", "stable and accurate"),
         (lambda: finding(0.52, 0.02), "error", "stable, error 2 % (restitution 0.52 for 0.5)"),
-        (lambda: finding(0.9, 0.4, "x is so"), "error", "stable, error 40 % (restitution 0.9 for 0.5), said: x is so"),
+        (lambda: finding(0.9, 0.4, "x"), "error", "stable, error 40 % (restitution 0.9 for 0.5), warning: x"),
         (lambda: finding(0.9, 0.4), "defect", "defect: silent error 40 % (restitution 0.9 for 0.5)"),
-        (lambda: finding(math.nan, 0.0), "defect", "defect: restitution is not a number, and nothing stopped the run"),
+        (lambda: finding(math.nan, 0.0), "defect", "defect: restitution is not finite, and the run did not abort"),
         (lambda: raising(GranflowError("Too soft.\nRaise it.")), "refused", "refused: Too soft. Raise it."),
         (lambda: raising(IndexError("off the end")), "defect", "defect: IndexError: off the end"),
     ],
@@ -50,24 +50,24 @@ def test_verdicts(work, kind, verdict):
     assert (verdict_on.kind, verdict_on.verdict) == (kind, verdict)
 
 
-def test_a_case_that_ends_its_process_is_a_defect_and_the_next_one_runs():
+def test_a_crash_is_a_defect_and_the_next_case_runs():
     last, well = run_cases([case_of(partial(os._exit, 3), "a"), case_of(partial(finding, 0.5, 0.0), "b")], print, 60.0)
-    assert last.verdict == "defect: its process ended without an answer"
+    assert last.verdict == "defect: the process ended without a result"
     assert well.verdict == "stable and accurate"
 
 
-def test_a_case_that_hangs_is_given_up():
+def test_a_case_beyond_the_time_limit_is_a_defect():
     (hung,) = run_cases([case_of(partial(time.sleep, 300.0))], print, 1.0)
     assert hung.verdict == "defect: not finished in 1 s"
 
 
-def test_pairs_reach_their_restitution_or_the_one_their_step_allows(taichi_f64):
-    """At theta = 0.5 the step allows e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
+def test_pairs_reach_their_restitution_or_the_limit_of_the_time_step(taichi_f64):
+    """At theta = 0.5 the step permits e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
     pairs = (
-        SpherePair(restitution=0.0),
-        SpherePair(restitution=0.5),
-        SpherePair(restitution=1.0),
-        SpherePair(restitution=0.5, radius_ratio=5.0),
+        ParticlePair(restitution=0.0),
+        ParticlePair(restitution=0.5),
+        ParticlePair(restitution=1.0),
+        ParticlePair(restitution=0.5, radius_ratio=5.0),
     )
     found = rebound(pairs)
     assert found.restitution[1:] == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
@@ -77,39 +77,39 @@ def test_pairs_reach_their_restitution_or_the_one_their_step_allows(taichi_f64):
     tangent = k * math.sqrt((5.0 * mass / (4.0 * k)) ** 0.4) / 0.8
     least = math.sqrt(tangent * found.time_step**2 / (0.25 * mass))
     assert found.restitution[0] == pytest.approx(least, rel=0.05)
-    asked_nothing = rebound_result(pairs, 0)
-    assert asked_nothing.error == pytest.approx(least, rel=0.05)
-    assert [words.split(":")[0] for words in asked_nothing.warnings] == ["a0-b0"]
+    without_target = rebound_result(pairs, 0)
+    assert without_target.error == pytest.approx(least, rel=0.05)
+    assert [text.split(":")[0] for text in without_target.warnings] == ["a0-b0"]
     assert rebound_result(pairs, 1).warnings == ()
 
 
-def test_a_step_above_the_bound_is_refused(taichi_f64):
-    refused = run_case(case_of(partial(rebound_result, (SpherePair(),), 0, "f64", 2.0)))
+def test_a_step_above_the_limit_is_refused(taichi_f64):
+    refused = run_case(case_of(partial(rebound_result, (ParticlePair(),), 0, "f64", 2.0)))
     assert refused.kind == "refused"
     assert "above the stable" in refused.verdict
 
 
-def test_the_real_bound_is_that_of_theory_and_the_check_lies_below_it(taichi_f64):
-    """Elastic spheres that stick: 2 sqrt(M / (S Kt)), S of a grain that turns between others, Kt / K by Mindlin.
+def test_the_measured_limit_matches_theory_and_exceeds_that_of_the_check(taichi_f64):
+    """Elastic particles without sliding: 2 sqrt(M / (S Kt)), S of a particle rotating between others, Mindlin's Kt / K.
 
-    Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All of a straight chain
-    turn the same way, so that contacts slip twice as much; M = m/2: S = 5 again.
+    Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All particles of a straight
+    chain rotate in the same direction, which doubles the tangential displacement; M = m/2: S = 5 again.
     """
     ratio = 2.0 * (1.0 - POISSON) / (2.0 - POISSON)
     modes = {"between 2": 5.0, "between 6": 10.0, "between 12": 20.0, "chain of 10": 5.0}
     found = {bound.lattice: bound for bound in real_bounds("hertz, e 1", True)}
     for name, count in modes.items():
-        assert found[name].real / found[name].scale == pytest.approx(2.0 / math.sqrt(count * ratio), rel=0.03), name
+        assert found[name].bound / found[name].scale == pytest.approx(2.0 / math.sqrt(count * ratio), rel=0.03), name
     for bound in found.values():
         assert 1.0 / 1.02 < bound.ratio < 2.0 * 1.02, bound
 
 
-def test_a_weight_a_million_times_as_heavy_is_carried(taichi_f64, monkeypatch):
-    """Steadily, but for what each contact loses when it first turns: its largest overlap grows by F/M dt^2/8 at most.
+def test_a_particle_carries_a_million_times_its_mass(taichi_f64, monkeypatch):
+    """Up to the loss of each contact at its first reversal: the maximum overlap grows by at most F/M dt^2/8.
 
-    The light grain's mass M, and the tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
+    M: mass of the light particle; tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
     """
-    monkeypatch.setattr(bed_cases, "STILL_STEPS", 2000)
+    monkeypatch.setattr(bed_cases, "REST_STEPS", 2000)
     found = bed_cases.column_at_rest("zhou", (2.5e3, 2.5e9), 1e11)
     volume = 4 / 3 * math.pi * 1e-9
     weight = 9.81 * volume * (2.5e3 + 2.5e9)
@@ -123,8 +123,8 @@ def test_a_weight_a_million_times_as_heavy_is_carried(taichi_f64, monkeypatch):
     assert found.reached == pytest.approx(weight, rel=lost)
 
 
-def test_particles_made_half_overlapping_part_with_what_their_law_gives_back(taichi_f64):
-    """Zhou's law gives back e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
+def test_initially_overlapping_particles_separate_with_the_returned_energy(taichi_f64):
+    """Zhou's model returns e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
     particles = {"grains": bed_cases.particles_at([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
     weightless = {"gravity": 0.0, "walls": {}}
     scene = bed_cases.scene_with("zhou", particles, 1e-3, **weightless, numerics={"max_overlap": 0.8})
@@ -138,18 +138,18 @@ def test_particles_made_half_overlapping_part_with_what_their_law_gives_back(tai
     simulation.free()
 
 
-def test_every_case_has_a_place_of_its_own():
+def test_every_case_has_a_unique_row_and_column():
     for cases in (all_cases(), all_cases(full=True)):
         assert len({(case.family, case.row, case.column) for case in cases}) == len(cases)
     named = " ".join(case.name for case in all_cases(full=True))
     for part in ("1e+05 Pa", "1e+12 Pa", "e = 0,", "e = 0.001", "1e-06 m/s", "density 1 : 1e+06", "radius 1 : 100",
-                 "R = 1e-06 m", "R = 1 m", "f32", "heavy on light", "column of 100", "squeezed", "50 % overlapping",
+                 "R = 1e-06 m", "R = 1 m", "f32", "heavy on light", "column of 100", "squeezed", "overlap 50 %",
                  "1 km/s", "friction 0", "friction 10", "no gravity", "Γ = 100", "0.01", ", 5"):  # fmt: skip
         assert part in named, part
 
 
-def test_without_matplotlib_all_but_the_figure_comes(monkeypatch, tmp_path, capsys):
-    """And the command says what is a defect, by its exit code too."""
+def test_all_but_the_figure_is_written_without_matplotlib(monkeypatch, tmp_path, capsys):
+    """The command reports defects, also by its exit code."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     works = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
     monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(works)])

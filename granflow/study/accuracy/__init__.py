@@ -1,4 +1,4 @@
-"""Error against run time: collisions of two bodies, and whole scenes."""
+"""Error against run time: collisions of two particles, and complete scenes."""
 
 from granflow.study.accuracy.report import measure_two_bodies, write_two_bodies
 from granflow.study.accuracy.scene_points import measure_scene

@@ -1,4 +1,4 @@
-"""What the study of two bodies varies: law, integrator, precision, time step, and the collisions themselves."""
+"""Parameters of the two-particle study: contact model, integrator, precision, time step and kinds of collision."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,25 +14,30 @@ from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
-"""Of one collision: its duration over the time step."""
+"""Steps per collision: duration of the collision over the time step."""
 FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))
-"""The same, ten to a decade."""
+"""Steps per collision of the full study, ten per decade."""
 VELOCITIES = (0.1, 1.0, 5.0)
-"""Of approach [m/s]."""
+"""Approach velocities [m/s]."""
 PHASES = 32
-"""Collisions of each kind, first touching at times spread evenly over a step."""
-BEAD = 5e-3
-"""Diameter [m] of the bead whose elastic collision at 1 m/s all others last as long as."""
+"""Collisions of each kind; their times of first contact are evenly spaced over one step."""
+DIAMETER = 5e-3
+"""Diameter [m] of the reference particle; its elastic collision at 1 m/s sets the duration of all collisions."""
 YOUNG_MODULUS = 50e6
-"""Of the beads [Pa]: glass softened as in the scenes that ship. Stiffer ones overlap less, and single precision has
-fewer digits for that."""
+"""Young's modulus of the particles [Pa]: glass, softened as in the example scenes.
+
+Stiffer particles overlap less, so that single precision resolves fewer digits of the overlap.
+"""
 DISTANCE = 60e-3
-"""Of the collisions from the origin [m]: so far out in a hopper, single precision has this much fewer digits left."""
+"""Distance of the collisions from the origin [m].
+
+Representative of a hopper: single precision resolves fewer digits of the overlap at this distance.
+"""
 
 
 @dataclass(frozen=True)
 class StudiedLaw:
-    """A law of the study: its name there, `contact.normal` of a scene, and the restitutions asked of it."""
+    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to reproduce."""
 
     name: str
     normal: Any
@@ -40,20 +45,20 @@ class StudiedLaw:
 
     @property
     def law_name(self) -> str:
-        """Its name in the catalog."""
+        """Name of the contact model in the catalog."""
         return str(self.normal if isinstance(self.normal, str) else self.normal["law"])
 
 
 @dataclass(frozen=True)
 class Integrator:
-    """A way to step."""
+    """A time integration scheme."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class CollisionKind:
-    """One kind of collision: restitution asked, approach velocity [m/s], diameter [m], and its exact numbers."""
+    """One kind of collision: target restitution, approach velocity [m/s], diameter [m], and the exact solution."""
 
     restitution: float
     velocity: float
@@ -61,8 +66,8 @@ class CollisionKind:
     exact: Exact
 
     @property
-    def words(self) -> str:
-        """For people."""
+    def text(self) -> str:
+        """Text for reports."""
         return f"e = {self.restitution:g} at {self.velocity:g} m/s"
 
 
@@ -76,43 +81,46 @@ STUDIED_LAWS = (
 
 
 INTEGRATORS = (Integrator("leapfrog"),)
-"""The only one: docs/accuracy.md says what became of others."""
+"""The only integrator; docs/accuracy.md compares it with alternatives."""
 
 
-def bead_case() -> PaperCase:
-    """Two beads of softened glass."""
+def reference_case() -> PaperCase:
+    """Two particles of softened glass."""
     glass = PRESETS["glass"]
     solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
-    return PaperCase("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=BEAD)
+    return PaperCase("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER)
 
 
 def common_duration() -> float:
-    """How long every collision of the study lasts [s]."""
-    return bead_case().duration(1.0, 1.0)
+    """Duration of every collision of the study [s]."""
+    return reference_case().duration(1.0, 1.0)
 
 
 def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
-    """All collisions of one law, in sizes that make them last equally long (durations go with the diameter)."""
-    case, found = bead_case(), []
+    """All kinds of collision of one contact model.
+
+    The diameters make all durations equal: the duration is proportional to the diameter.
+    """
+    case, found = reference_case(), []
     for e in law.restitutions:
         for velocity in VELOCITIES:
-            matching = exact_of(law.law_name, case, e, velocity, BEAD)
-            diameter = BEAD * common_duration() / matching.duration
+            matching = exact_of(law.law_name, case, e, velocity, DIAMETER)
+            diameter = DIAMETER * common_duration() / matching.duration
             found.append(CollisionKind(e, velocity, diameter, exact_of(law.law_name, case, e, velocity, diameter)))
     return tuple(found)
 
 
 def exact_of(law: str, case: PaperCase, e: float, velocity: float, diameter: float) -> Exact:
-    """Exact numbers of two spheres of a diameter [m] meeting at a velocity [m/s]."""
+    """Exact solution for two particles of a diameter [m] that collide at a velocity [m/s]."""
     return EXACT[law](e, case.stiffness(diameter), case.mass_eff(diameter), velocity)
 
 
 def collisions_of(kinds: tuple[CollisionKind, ...]) -> list[HeadOnCollision]:
-    """Every kind `PHASES` times over."""
-    case = bead_case()
+    """Every kind of collision, repeated `PHASES` times."""
+    case = reference_case()
     return [case.head_on(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)]
 
 
 def first_contact_times(kinds: tuple[CollisionKind, ...], time_step: float) -> np.ndarray:
-    """When each of them first touches [s]: within the first step, evenly spread for every kind."""
+    """Times of first contact [s], (kinds * PHASES,): within the first step, evenly spaced for every kind."""
     return np.tile(time_step * (np.arange(PHASES) + 0.5) / PHASES, len(kinds))

@@ -1,4 +1,4 @@
-"""Collisions of one law side by side, run again with one time step after another, watched and timed."""
+"""Simultaneous collisions under one contact model, repeated with several time steps, sampled and timed."""
 
 from dataclasses import dataclass, replace
 from math import ceil
@@ -25,25 +25,32 @@ from granflow.study.accuracy.axes import (
 from granflow.study.accuracy.exact import end_overlap_ratio
 from granflow.study.paper.head_on_collisions import FORCES_TO_END, sample, share_to_end, side_by_side
 
-SAMPLED_COMPLETELY = 200
-"""Up to so many steps every one is looked at; beyond, only those around the largest overlap and the end."""
+MAX_FULLY_SAMPLED_STEPS = 200
+"""Largest number of steps per collision at which every step is sampled.
+
+Beyond it, sampling covers the steps around the maximum overlap and the end only.
+"""
 SAMPLES_AROUND = 12
-"""Steps before and after these that are looked at: an error of first order moves them by a step or so."""
+"""Sampled steps before and after these events: a first-order error shifts them by about one step."""
 MAX_DURATIONS = 1.6
-"""Collisions not over after this many of their durations are given up."""
+"""Largest simulated time, over the duration of a collision; a collision that lasts longer counts as unfinished."""
 SKIN = 1.0
-"""Over the smallest diameter: no search falls into a collision; the same at every time step, as the kernels are."""
+"""Skin over the smallest diameter.
+
+No neighbor-list rebuild occurs during a collision. The skin is equal for all time steps, so that the kernels are, too.
+"""
 FINEST = 5000
-"""Steps a collision with which the scene is made; every law is stable then."""
+"""Steps per collision of the initial scene; every contact model is stable at this resolution."""
 REPEATS = 5
-"""Timings of the same work."""
+"""Number of repeated timings."""
 
 
 @dataclass(frozen=True)
-class Reached:
-    """What collisions with `steps` a duration reached, each (kinds, phases); nan where it was not seen.
+class CollisionResults:
+    """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not observed.
 
-    `seconds` (repeats,): wall time [s] of one collision, timings of all side by side shared out.
+    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): wall time of one collision [s], the total
+    of all simultaneous collisions divided by their number.
     """
 
     steps: float
@@ -55,7 +62,7 @@ class Reached:
 
 
 class CollisionBench:
-    """All collisions of one law with one integrator in one scene; compiled once, run with any time step."""
+    """All collisions of one contact model and integrator in one scene; compiled once for all time steps."""
 
     def __init__(self, studied_law: StudiedLaw, integrator: Integrator, backend: Backend) -> None:
         self.studied_law, self.integrator, self.backend = studied_law, integrator, backend
@@ -65,25 +72,25 @@ class CollisionBench:
         self.engine = Engine(self.plan, backend)
         self.engine.set_walls([], [])
 
-    def run(self, steps: float, repeats: int = REPEATS) -> Reached:
-        """Collisions of so many steps. Raises SceneError where that step is not stable."""
+    def run(self, steps: float, repeats: int = REPEATS) -> CollisionResults:
+        """Run the collisions with `steps` time steps per duration. Raises SceneError if that time step is unstable."""
         scene, plan, _ = self._planned(steps)
         self._use_time_step(plan)
-        numbers, course = self._sample_course(scene, steps)
+        numbers, samples = self._sample_contacts(scene, steps)
         seconds = np.array([self._timed(scene, steps) for _ in range(repeats)])
-        found = [self._measured(numbers, course[:, :, pair], pair) for pair in range(len(self.velocity))]
+        found = [self._measured(numbers, samples[:, :, pair], pair) for pair in range(len(self.velocity))]
         restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
-        return Reached(steps, plan.time_step, restitution, duration, overlap, seconds)
+        return CollisionResults(steps, plan.time_step, restitution, duration, overlap, seconds)
 
     def free(self) -> None:
-        """Give the device's memory back."""
+        """Free the device memory."""
         self.engine.free()
 
     def _planned(self, steps: float) -> tuple[Scene, Plan, np.ndarray]:
-        """The scene with a time step, its plan, and where the spheres of each pair stand in it.
+        """Scene with a time step, its plan, and the indices of the two particles of each pair.
 
-        Every kind of sphere meets its own kind only, at its own speed, and all collisions last equally long: the plan,
-        which reckons with the largest speed for all, is told the smallest.
+        The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind
+        at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
         """
         time_step = common_duration() / steps
         skin = SKIN * min(kind.diameter for kind in self.kinds)
@@ -95,31 +102,31 @@ class CollisionBench:
         return scene, plan_for(scene, on_gpu=not self.backend.on_cpu), pair_ids
 
     def _use_time_step(self, plan: Plan) -> None:
-        """Go on with another time step, which the kernels get as an argument: nothing is compiled again."""
+        """Change the time step. It is a kernel argument, so that no kernel is recompiled."""
         self.plan = replace(self.plan, step=plan.step)
         self.engine.state.clock.change(plan.time_step)
 
     def _start(self, scene: Scene) -> None:
-        """All spheres back to where the scene has them."""
+        """Reset all particles to their initial state."""
         self.engine.state.count = 0
         self.engine.insert(initial_particles(scene))
         self.engine.refresh()
 
-    def _sample_course(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the steps looked at (looks,), and overlap [m], rate [m/s], force [N] then (looks, 3, pairs)."""
+    def _sample_contacts(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
+        """Sampled steps (samples,), and overlap [m], overlap rate [m/s] and force [N] (samples, 3, pairs)."""
         self._start(scene)
-        numbers, course, now = self._sampled_steps(steps), [], 0
+        numbers, samples, now = self._sampled_steps(steps), [], 0
         for number in numbers:
             if number > now:
                 self.engine.advance(number - now)
             now = number
-            course.append(sample(self.engine, self.pair_ids))
-        return np.array(numbers), np.array(course)
+            samples.append(sample(self.engine, self.pair_ids))
+        return np.array(numbers), np.array(samples)
 
     def _sampled_steps(self, steps: float) -> list[int]:
-        """After which steps to look."""
+        """Numbers of steps after which the state is sampled."""
         last = ceil(MAX_DURATIONS * steps) + SAMPLES_AROUND
-        if steps <= SAMPLED_COMPLETELY:
+        if steps <= MAX_FULLY_SAMPLED_STEPS:
             return list(range(last + 1))
         duration = common_duration()
         events = {round(steps * kind.exact.peak_time / duration) for kind in self.kinds} | {round(steps)}
@@ -127,16 +134,16 @@ class CollisionBench:
         return sorted({0, *near, last})
 
     def _timed(self, scene: Scene, steps: float) -> float:
-        """Wall time [s] of one collision."""
+        """Wall time of one collision [s]."""
         self._start(scene)
         whole = ceil(steps) + 1
         began = perf_counter()
         self.engine.advance(whole)
         return (perf_counter() - began) * steps / whole / len(self.velocity)
 
-    def _measured(self, numbers: np.ndarray, course: np.ndarray, pair: int) -> tuple[float, float, float]:
-        """Restitution, duration [s] and largest overlap [m] of one pair; a pair that has not parted has e = 0."""
-        overlap, rate, force = course.T
+    def _measured(self, numbers: np.ndarray, samples: np.ndarray, pair: int) -> tuple[float, float, float]:
+        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated."""
+        overlap, rate, force = samples.T
         parted = force[-1] == 0.0 and rate[-1] < 0.0
         restitution = float(-rate[-1] / self.velocity[pair]) if parted else 0.0
         largest = _parabola_max(overlap)
@@ -147,7 +154,7 @@ class CollisionBench:
         end_ratio = end_overlap_ratio(self.studied_law.law_name, self.kinds[pair // PHASES].restitution)
         if end_ratio is None:
             end = numbers[last] + share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
-        else:  # from there on it flew freely
+        else:  # free flight from this step on
             missed = (end_ratio * largest - overlap[last + 1]) / -rate[last + 1]
             end = numbers[last + 1] - missed / self.plan.time_step
         first_contact = (pair % PHASES + 0.5) / PHASES
@@ -155,7 +162,7 @@ class CollisionBench:
 
 
 def _parabola_max(overlap: np.ndarray) -> float:
-    """Largest overlap [m]: the top of the parabola through the largest seen and its neighbors."""
+    """Maximum overlap [m]: vertex of the parabola through the largest sample and its two neighbors."""
     index = int(np.argmax(overlap))
     if not 0 < index < len(overlap) - 1:
         return float(overlap[index])

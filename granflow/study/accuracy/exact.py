@@ -1,4 +1,4 @@
-"""Exact numbers of a head-on collision under each law of the study: closed forms, and one smooth quadrature."""
+"""Exact solution of a head-on collision for each contact model of the study: closed forms, and one quadrature."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from numpy.polynomial.legendre import leggauss
 from granflow.laws import theory
 
 NODES = 80
-"""Of the quadrature: its integrands are smooth."""
+"""Nodes of the Gauss-Legendre quadrature; the integrands are smooth."""
 
 
 @dataclass(frozen=True)
 class Exact:
-    """Restitution, duration [s], time of the largest overlap [s], largest overlap [m]."""
+    """Restitution, duration [s], time of the maximum overlap [s], maximum overlap [m]."""
 
     restitution: float
     duration: float
@@ -23,14 +23,14 @@ class Exact:
 
 
 def zhou(e: float, k: float, mass: float, velocity: float) -> Exact:
-    """Zhou's law (Zhou 2011, Eqs. 5 and 13-15); `k` Hertz stiffness [N/m^1.5], `mass` effective [kg]."""
+    """Zhou's model (Zhou 2011, Eqs. 5 and 13-15); `k` Hertz stiffness [N/m^1.5], `mass` effective [kg]."""
     scale = float(theory.time_scale(k, mass, velocity))
     duration = float(theory.duration(e, k, mass, velocity))
     return Exact(e, duration, theory.LOADING_DURATION * scale, float(theory.overlap_max(k, mass, velocity)))
 
 
 def linear(e: float, k: float, mass: float, velocity: float) -> Exact:
-    """Spring of Eq. 19 and dashpot: an oscillator let go when its force has vanished (Schwager & Poeschel 2007)."""
+    """Spring of Eq. 19 with dashpot: an oscillator until its force vanishes (Schwager & Poeschel 2007)."""
     oscillator = _Oscillator(float(theory.equivalent_spring(k, mass, velocity)), mass, velocity, e)
     return Exact(e, oscillator.end, oscillator.peak, float(oscillator.at(oscillator.peak)))
 
@@ -38,29 +38,29 @@ def linear(e: float, k: float, mass: float, velocity: float) -> Exact:
 def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
     """Hertz's spring with Tsuji's damping, as an oscillator z = d^(5/4) in the time ds = (5/4) d^(1/4) dt.
 
-    Both laws have M v dv/dz = -(4/5) (k z + c v) then (Antypov & Elliott 2011), so that
+    In these variables both models satisfy M v dv/dz = -(4/5) (k z + c v) (Antypov & Elliott 2011), so that
 
         t = (4/5) int z(s)^(-1/5) ds
     """
     oscillator = _Oscillator(0.8 * k, mass, velocity, e)
-    rise = _real_time(oscillator, 0.0, oscillator.peak)
-    fall = rise if e == 1.0 else _real_time(oscillator, oscillator.peak, oscillator.end)
+    rise = _contact_time(oscillator, 0.0, oscillator.peak)
+    fall = rise if e == 1.0 else _contact_time(oscillator, oscillator.peak, oscillator.end)
     return Exact(e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8)
 
 
 EXACT: Mapping[str, Callable[[float, float, float, float], Exact]] = {"zhou": zhou, "hertz": hertz, "linear": linear}
-"""By name of the law; arguments as of `zhou`."""
+"""Exact solution by name of the contact model; arguments as in `zhou`."""
 
 
 def end_overlap_ratio(law: str, e: float) -> float | None:
-    """Overlap at which the force of a parting contact vanishes, over the largest; None where a dashpot decides it."""
+    """Overlap at which the force vanishes during unloading, over the maximum; None where it depends on a dashpot."""
     if law == "zhou":
         return 1.0 - float(theory.recovery(e))
     return 0.0 if e == 1.0 else None
 
 
 class _Oscillator:
-    """M z'' = -K z - 2 zeta sqrt(K M) z' from z = 0 at a velocity, until its force vanishes; zeta < 1 from e."""
+    """M z'' = -K z - 2 zeta sqrt(K M) z' from z = 0 with a velocity, until its force vanishes; e sets zeta < 1."""
 
     def __init__(self, stiffness: float, mass: float, velocity: float, e: float) -> None:
         zeta = theory.damping_ratio_for(e)
@@ -72,14 +72,14 @@ class _Oscillator:
 
     def at(self, time: float | np.ndarray) -> np.ndarray:
         """z at a time [s]."""
-        grown = np.exp(-self.decay * np.asarray(time)) * np.sin(self.frequency * np.asarray(time))
-        return np.asarray(self.velocity / self.frequency * grown)
+        displacement = np.exp(-self.decay * np.asarray(time)) * np.sin(self.frequency * np.asarray(time))
+        return np.asarray(self.velocity / self.frequency * displacement)
 
 
-def _real_time(oscillator: _Oscillator, begin: float, end: float) -> float:
-    """Time [s] that the contact takes while the oscillator goes from `begin` to `end`, s = begin + (end - begin) q^5.
+def _contact_time(oscillator: _Oscillator, begin: float, end: float) -> float:
+    """Contact time [s] for the oscillator time from `begin` to `end`, s = begin + (end - begin) q^5.
 
-    At the first touch z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth.
+    At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth.
     """
     nodes, weights = leggauss(NODES)
     q = 0.5 * (nodes + 1.0)

@@ -1,20 +1,23 @@
-"""Orders of convergence, fitted where errors fall with the time step and are not yet at the floor of the precision."""
+"""Orders of convergence, fitted where errors decrease with the time step and exceed the round-off floor."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 ASYMPTOTIC = 0.05
-"""The fit begins at the first error below this."""
-FALLING = 0.9
-"""It ends where neither the next error nor, by as much again, the one after is below this share of the last."""
-FEWEST = 4
-"""Points of a fit."""
+"""The fit begins at the first error below this value."""
+DECREASE = 0.9
+"""Required ratio of successive errors.
+
+The fit ends where neither the next error over the last is below it, nor the second next below its square.
+"""
+MIN_POINTS = 4
+"""Minimum number of points of a fit."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Errors ~ steps^-order between two numbers of steps a collision."""
+    """error = prefactor * steps^-order from `first` to `last` steps per collision."""
 
     order: float
     first: float
@@ -22,33 +25,36 @@ class Order:
     prefactor: float
 
     def at(self, steps: np.ndarray) -> np.ndarray:
-        """The fitted error."""
+        """Fitted error."""
         return self.prefactor * steps**-self.order
 
     @property
-    def words(self) -> str:
-        """For a table."""
+    def text(self) -> str:
+        """Text for tables."""
         return f"{self.order:.2f} ({self.first:g} to {self.last:g})"
 
 
 def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
-    """Straight line through the logarithms by least squares; None where fewer than FEWEST points fall."""
+    """Least-squares line through the logarithms; None if fewer than MIN_POINTS points decrease."""
     below = np.flatnonzero(error < ASYMPTOTIC)
     if not len(below):
         return None
     first = last = int(below[0])
-    while (ahead := _falls_on(error, last)) is not None:
+    while (ahead := _next_decreasing(error, last)) is not None:
         last = ahead
-    if last + 1 - first < FEWEST:
+    if last + 1 - first < MIN_POINTS:
         return None
     part = slice(first, last + 1)
     slope, intercept = np.polyfit(np.log(steps[part]), np.log(error[part]), 1)
     return Order(-float(slope), float(steps[first]), float(steps[last]), float(np.exp(intercept)))
 
 
-def _falls_on(error: np.ndarray, last: int) -> int | None:
-    """Index of the next error that is clearly smaller; one may stand out, where different collisions take turns."""
+def _next_decreasing(error: np.ndarray, last: int) -> int | None:
+    """Index of the next clearly smaller error.
+
+    One outlier is permitted: the largest error may change from one kind of collision to another.
+    """
     for ahead in (1, 2):
-        if last + ahead < len(error) and 0.0 < error[last + ahead] < FALLING**ahead * error[last]:
+        if last + ahead < len(error) and 0.0 < error[last + ahead] < DECREASE**ahead * error[last]:
             return last + ahead
     return None

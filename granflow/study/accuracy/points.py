@@ -1,4 +1,4 @@
-"""Points of the study of two bodies: errors of one kind of collision at one time step, and what it costs."""
+"""Points of the two-particle study: errors and wall time of one kind of collision at one time step."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -15,20 +15,25 @@ from granflow.errors import GranflowError, SceneError
 from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import shortest_phase
 from granflow.study.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
-from granflow.study.accuracy.collisions import REPEATS, CollisionBench, Reached
+from granflow.study.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
-WORDS = {"restitution": "restitution", "duration": "duration", "overlap_max": "largest overlap", "energy": "energy"}
+QUANTITY_LABELS = {
+    "restitution": "restitution",
+    "duration": "duration",
+    "overlap_max": "maximum overlap",
+    "energy": "energy",
+}
 
 
 @dataclass(frozen=True)
 class StudyPoint:
-    """One row of the CSV, in SI.
+    """One row of the CSV, in SI units.
 
-    `steps`: duration of the collision over the time step; `share`: time step over the shorter of loading and unloading,
-    which is what `numerics.time_step_fraction` of a scene is. Errors are relative to the exact value, that of the
-    energy
-    kept to the energy brought; root mean square and worst over the phases of first touch. `seconds`: of one collision.
+    `steps`: duration of the collision over the time step. `share`: time step over the shorter of loading and unloading,
+    as `numerics.time_step_fraction` of a scene. Errors are relative to the exact value; the energy error is the error
+    of the final kinetic energy over the initial one. `*_error`: root mean square over the phases of first contact;
+    `*_error_worst`: maximum. `seconds_*`: wall time of one collision [s].
     """
 
     law: str
@@ -55,7 +60,7 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class StudyLine:
-    """All points of one law, integrator and precision."""
+    """All points of one contact model, integrator and precision."""
 
     law: str
     integrator: str
@@ -64,29 +69,30 @@ class StudyLine:
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Steps of a collision, rising (n,)."""
+        """Steps per collision in ascending order (n,)."""
         return np.array(sorted({point.steps for point in self.points}))
 
     def error(self, quantity: str) -> np.ndarray:
-        """Largest error of any kind of collision (n,); nan where one was not seen to its end."""
+        """Largest error of all kinds of collision (n,); nan where the end of a collision was not observed."""
         return self._over_kinds(f"{quantity}_error")
 
     def seconds(self, which: str = "median") -> np.ndarray:
-        """Wall time of a collision [s] (n,)."""
+        """Wall time per collision [s] (n,); `which`: median, min or max."""
         return self._over_kinds(f"seconds_{which}")
 
     def kinds(self) -> list[list[StudyPoint]]:
-        """Points of each kind of collision by rising steps."""
+        """Points of each kind of collision, in ascending order of steps."""
         names = dict.fromkeys((point.restitution, point.velocity) for point in self.points)
         matching = [[p for p in self.points if (p.restitution, p.velocity) == name] for name in names]
         return [sorted(points, key=lambda point: point.steps) for points in matching]
 
     def _over_kinds(self, name: str) -> np.ndarray:
+        """Maximum of a field over the kinds of collision for each number of steps (n,)."""
         return np.array([max_or_nan(getattr(p, name) for p in self.points if p.steps == n) for n in self.steps])
 
 
 def max_or_nan(values: Iterable[float]) -> float:
-    """Largest value, nan if one is."""
+    """Maximum of the values; nan if any value is nan."""
     return float(np.max(np.array(list(values))))
 
 
@@ -97,16 +103,18 @@ def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
 
 
 @contextmanager
-def spare_process() -> Iterator[ProcessPoolExecutor]:
-    """One process beside this one: Taichi can be started with one precision a process.
+def worker_process() -> Iterator[ProcessPoolExecutor]:
+    """One worker process: Taichi supports one precision per process.
 
-    It ends with what stands inside, also where that is interrupted. Raises GranflowError where it dies.
+    The process ends with the `with` block, also on an interrupt. Raises GranflowError if the process dies.
     """
     process = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
     try:
         yield process
     except BrokenProcessPool:
-        raise GranflowError("A process of this study died, perhaps for want of memory: try it again.") from None
+        raise GranflowError(
+            "A process of this study ended unexpectedly, possibly due to lack of memory: run it again."
+        ) from None
     except BaseException:
         for child in active_children():
             child.terminate()
@@ -118,7 +126,7 @@ def spare_process() -> Iterator[ProcessPoolExecutor]:
 def line_in_process(
     studied_law: StudiedLaw, integrator: Integrator, precision: Precision, steps: Sequence[float], repeats: int
 ) -> tuple[StudyLine, list[str]]:
-    """`measured_line` on one CPU thread, in a process that has not started Taichi otherwise."""
+    """`measured_line` on one CPU thread, in a process that has not started Taichi with other settings."""
     return measured_line(studied_law, integrator, start("cpu", precision, 1), steps, repeats)
 
 
@@ -129,7 +137,7 @@ def measured_line(
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
 ) -> tuple[StudyLine, list[str]]:
-    """Measure all points of one line; also words for the steps that were refused as not stable."""
+    """Measure all points of one line; the second result describes the steps rejected as unstable."""
     bench = CollisionBench(studied_law, integrator, backend)
     points: list[StudyPoint] = []
     refused: list[float] = []
@@ -139,40 +147,43 @@ def measured_line(
         except SceneError:
             refused.append(count)
     bench.free()
-    words = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps a collision"]
-    return StudyLine(studied_law.name, integrator.name, backend.precision, tuple(points)), words if refused else []
+    descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
+    return StudyLine(
+        studied_law.name, integrator.name, backend.precision, tuple(points)
+    ), descriptions if refused else []
 
 
-def _points(bench: CollisionBench, reached: Reached, precision: str) -> list[StudyPoint]:
-    seconds = reached.seconds
+def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
+    """One point per kind of collision, with errors over the phases (PHASES,) and wall times."""
+    seconds = results.seconds
     shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
-              "steps": float(reached.steps), "time_step": reached.time_step, "repeats": len(seconds),
+              "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip
     found = []
     for index, kind in enumerate(bench.kinds):
-        errors = dict(zip(QUANTITIES, _errors(reached, kind, index), strict=True))
+        errors = dict(zip(QUANTITIES, _errors(results, kind, index), strict=True))
         rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
         given = {"restitution": kind.restitution, "velocity": kind.velocity,
-               "share": reached.time_step / _phase(bench, kind)}  # fmt: skip
+               "share": results.time_step / _phase(bench, kind)}  # fmt: skip
         found.append(StudyPoint(**shared, **given, **rms, **worst))  # type: ignore[arg-type]
     return found
 
 
-def _errors(reached: Reached, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
-    """In the order of QUANTITIES, each (phases,)."""
-    exact, e = kind.exact, reached.restitution[index]
+def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
+    """Errors in the order of QUANTITIES, each (phases,)."""
+    exact, e = kind.exact, results.restitution[index]
     return (
         e / exact.restitution - 1.0,
-        reached.duration[index] / exact.duration - 1.0,
-        reached.overlap_max[index] / exact.overlap_max - 1.0,
+        results.duration[index] / exact.duration - 1.0,
+        results.overlap_max[index] / exact.overlap_max - 1.0,
         e**2 - exact.restitution**2,
     )
 
 
 def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
-    """Shorter of loading and unloading of a kind [s], as a plan reckons it."""
+    """Shorter of loading and unloading time of a kind of collision [s], by the formula of the plan."""
     matching = [m for m in pair_cases_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
     scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
     return scaled * kind.diameter

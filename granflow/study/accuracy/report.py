@@ -1,4 +1,4 @@
-"""`granflow accuracy` without a scene: measure all lines, write CSV, figures and a page."""
+"""`granflow accuracy` without a scene: measures all lines and writes CSV, figures and a page."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,14 @@ from granflow.study.accuracy.axes import (
 from granflow.study.accuracy.collisions import REPEATS
 from granflow.study.accuracy.figures import QUANTITY_HEIGHT, WORK_HEIGHT, draw_quantities, draw_work
 from granflow.study.accuracy.orders import fitted_order
-from granflow.study.accuracy.points import QUANTITIES, WORDS, StudyLine, columns, line_in_process, spare_process
+from granflow.study.accuracy.points import (
+    QUANTITIES,
+    QUANTITY_LABELS,
+    StudyLine,
+    columns,
+    line_in_process,
+    worker_process,
+)
 from granflow.study.accuracy.recommend import (
     default_sentence,
     recommendation,
@@ -38,14 +45,14 @@ POINTS = "accuracy.csv"
 WORK, ERRORS = "accuracy.png", "accuracy_quantities.png"
 
 LEAD = (
-    "What accuracy costs: collisions of two beads under every law, integrator and precision with time steps over three "
-    "decades, against the exact solution, and the wall time they took."
+    "Accuracy against cost: collisions of two particles for every contact model, integrator and precision, with time "
+    "steps over three decades, compared with the exact solution, and their wall time."
 )
 
 
 @dataclass(frozen=True)
 class TwoBodyStudy:
-    """All lines measured, and what was refused."""
+    """All measured lines, and descriptions of the rejected time steps."""
 
     lines: tuple[StudyLine, ...]
     refused: tuple[str, ...]
@@ -53,24 +60,28 @@ class TwoBodyStudy:
 
     @property
     def recommendation(self) -> str:
-        """The sentence that the study ends in."""
+        """Concluding sentence of the study."""
         return recommendation(self.lines, self.target)
 
 
 def measure_two_bodies(
     target: float,
     full: bool = False,
-    report: Callable[[str], None] = lambda words: None,
+    report: Callable[[str], None] = lambda text: None,
     studied_laws: Sequence[StudiedLaw] = STUDIED_LAWS,
     precisions: Sequence[Precision] = PRECISIONS,
     steps: Sequence[float] | None = None,
 ) -> TwoBodyStudy:
-    """Measure every combination, each precision in a process of its own; `full` takes more steps and repeats."""
+    """Measure every combination, each precision in a separate process.
+
+    `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
+    messages.
+    """
     counts = steps or (FULL_STEPS if full else STEPS)
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
     for precision in precisions:
-        with spare_process() as process:
+        with worker_process() as process:
             for studied_law in studied_laws:
                 for integrator in INTEGRATORS:
                     report(f"{studied_law.name}, {integrator.name}, {precision}")
@@ -82,7 +93,7 @@ def measure_two_bodies(
 
 
 def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
-    """Write CSV and page, with figures where matplotlib is installed; raises GranflowError at the end where not."""
+    """Write CSV and page, with figures if matplotlib is installed; otherwise raise GranflowError at the end."""
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, columns([point for line in study.lines for point in line.points]))
     missing = _draw(out, study)
@@ -92,7 +103,7 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
 
 
 def _draw(out: Path, study: TwoBodyStudy) -> GranflowError | None:
-    """Both figures; what is missing to draw them."""
+    """Draw both figures; returns the error if matplotlib is missing."""
     try:
         require_plotting()
     except GranflowError as error:
@@ -103,21 +114,26 @@ def _draw(out: Path, study: TwoBodyStudy) -> GranflowError | None:
 
 
 def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
+    """HTML page with recommendation, tables, figures and method."""
     lines, target = study.lines, study.target
     rows = table_rows(lines, target)
-    table_of_requirements = PageTable("What every combination reaches and needs.", table_heads(target), rows)
+    table_of_requirements = PageTable("Accuracy and requirement of every combination.", table_heads(target), rows)
     heads, by_velocity = velocity_rows(lines, target)
-    velocity_table = PageTable(f"Steps a collision for {100.0 * target:g} % by approach velocity.", heads, by_velocity)
+    velocity_table = PageTable(
+        f"Steps per collision for {100.0 * target:g} % by approach velocity.", heads, by_velocity
+    )
     work: list[str | PageTable | Picture] = [study.recommendation, default_sentence(lines, target)]
     errors: list[str | PageTable | Picture] = []
     if has_figures:
         caption = (
-            "Largest error of the restitution over all collisions of a line, (a) against the wall time of a "
+            "Largest restitution error over all collisions of a line, (a) against the wall time per "
             f"collision on one core, median of {lines[0].points[0].repeats} timings, (b) against the time step, with "
-            f"the orders fitted in double precision. Errors below 1e-9 are drawn there. Dotted: {100.0 * target:g} %."
+            f"the orders fitted in double precision. Errors below 1e-9 are drawn at 1e-9. Dotted: {100.0 * target:g} %."
         )
         work.append(Picture(out / WORK, caption, (WORK, POINTS)))
-        errors.append(Picture(out / ERRORS, "All errors in double precision, with fitted orders.", (ERRORS,)))
+        errors.append(
+            Picture(out / ERRORS, "All errors in double precision, with fitted orders of convergence.", (ERRORS,))
+        )
     return Page(
         "Error against run time",
         LEAD,
@@ -126,10 +142,10 @@ def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
             Section(
                 "Slow impacts in single precision",
                 [
-                    "A slow impact overlaps little, and an overlap is a small difference of large numbers: that, "
-                    "and not the "
-                    "time step, bounds single precision; with very short steps, "
-                    "positions no longer change at all.",
+                    "The overlap is a small difference of large numbers, and smallest in a slow impact. The "
+                    "resolution of the overlap, not the "
+                    "time step, limits the accuracy of single precision; with very short time steps, "
+                    "positions do not change at all.",
                     velocity_table,
                 ],
             ),
@@ -140,34 +156,38 @@ def _page(out: Path, study: TwoBodyStudy, has_figures: bool) -> Page:
 
 
 def _orders_table(lines: Sequence[StudyLine]) -> PageTable:
+    """Table of the fitted orders of all errors."""
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
-        rows.append((line.law, line.integrator, line.precision, *(order.words if order else "–" for order in orders)))
-    heads = ("law", "integrator", "precision", *(WORDS[quantity] for quantity in QUANTITIES))
+        rows.append((line.law, line.integrator, line.precision, *(order.text if order else "–" for order in orders)))
+    heads = ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
     caption = (
-        "Orders of convergence, in brackets the steps a collision between which they were fitted; a dash where "
-        "errors do not fall over enough points."
+        "Orders of convergence; in parentheses the range of steps per collision of the fit; a dash where "
+        "the errors decrease over too few points."
     )
     return PageTable(caption, heads, rows)
 
 
 def _method() -> str:
+    """Description of the collisions, errors, exact solutions and timings."""
     return (
-        f"Pairs of equal beads of glass, softened to {YOUNG_MODULUS / 1e6:g} MPa as in the scenes that ship, meet "
-        f"head on at {', '.join(f'{v:g}' for v in VELOCITIES)} m/s with restitutions of "
-        f"{', '.join(f'{e:g}' for e in RESTITUTIONS)} (1 for the elastic law), {PHASES} times each, first touching at "
-        "times spread evenly over a step, so that no lucky phase flatters. They stand side by side in one scene, "
-        f"{1e3 * DISTANCE:g} mm from the origin, and are as large as makes all collisions last equally long. An "
-        "error is the root mean square over the phases; a line shows the largest of all its collisions. That of the "
-        "energy is of the share of the energy kept. Exact: Zhou (2011), Eqs. 5 and 13-15; the oscillator let go at "
-        "zero force (Schwager & Poeschel 2007), onto which Hertz with Tsuji's damping is mapped (Antypov & Elliott "
-        "2011). Largest overlap: between steps by a parabola. Wall time: of the steps of one duration, on one "
-        "thread, after compiling, shared among all pairs; below some thirty steps, starting the kernels shows."
+        f"Pairs of equal glass particles, softened to {YOUNG_MODULUS / 1e6:g} MPa as in the example scenes, collide "
+        f"head-on at {', '.join(f'{v:g}' for v in VELOCITIES)} m/s with restitutions of "
+        f"{', '.join(f'{e:g}' for e in RESTITUTIONS)} (1 for the elastic model), {PHASES} times each, with times of "
+        "first contact evenly spaced over one step, so that no phase biases the result. All pairs are in one scene, "
+        f"{1e3 * DISTANCE:g} mm from the origin; their diameters make all collisions last equally long. An "
+        "error is the root mean square over the phases; a line shows the largest error of all its collisions. The "
+        "energy error refers to the retained share of the energy. Exact solutions: Zhou (2011), Eqs. 5 and 13-15; "
+        "the oscillator until zero force (Schwager & Poeschel 2007), onto which Hertz with Tsuji's damping is mapped "
+        "(Antypov & Elliott 2011). Maximum overlap: parabola through the samples. Wall time: steps of one duration, "
+        "on one thread, after compilation, divided by the number of pairs; below about thirty steps, kernel launches "
+        "contribute noticeably."
     )
 
 
 def _refused(study: TwoBodyStudy) -> list[str]:
+    """Sentence on the time steps that were rejected as unstable; empty without one."""
     if not study.refused:
         return []
-    return [f"Left out as not stable, by the bound that `granflow check` uses: {'; '.join(study.refused)}."]
+    return [f"Omitted because unstable by the limit of `granflow check`: {'; '.join(study.refused)}."]

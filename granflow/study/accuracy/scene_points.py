@@ -1,4 +1,4 @@
-"""From the runs of a scene to errors, the noise they stand in, and a recommendation."""
+"""Errors of the runs of a scene, their statistical noise, and the recommended time step."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -10,13 +10,13 @@ import numpy as np
 from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 from granflow.study.accuracy.axes import PRECISIONS
-from granflow.study.accuracy.points import spare_process
+from granflow.study.accuracy.points import worker_process
 from granflow.study.accuracy.scene_runs import (
     STEP_FAMILIES,
     RunOutcome,
     SceneTask,
     StepFamily,
-    ordered,
+    common_quantities,
     phase_of,
     restitution_error,
     run_task,
@@ -26,21 +26,25 @@ from granflow.study.accuracy.scene_runs import (
 SHARES = (0.1, 0.2, 0.28, 0.4)
 """Time steps over the shortest phase of a contact."""
 SINGLE_SHARES = (0.2,)
-"""Of runs in other than double precision."""
+"""Time steps over the shortest phase for runs in mixed and single precision."""
 REFERENCE = 0.05
-"""The share that all others are compared with, in double precision."""
+"""Share of the reference run in double precision."""
 SEEDS = 3
 FULL_SEEDS = 5
 FINER = 0.5
-"""`full` takes a reference this much finer."""
+"""Factor on the time step of the reference with `full`."""
 SIGMAS = 2.0
-"""The noise told is this many standard errors."""
+"""Reported noise, in standard errors."""
 ENERGY_ERROR = "energy_error"
 
 
 @dataclass(frozen=True)
 class ScenePoint:
-    """One step of a scene in one precision: values and errors by quantity, wall seconds of each run (seeds,)."""
+    """Results of a scene with one time step and precision.
+
+    `time_step` [s]; `values` and relative `errors` by quantity; `seconds` (seeds,): wall time of each run [s];
+    `simulated` time [s]; `stopped`: reason of an abort, otherwise empty.
+    """
 
     family: str
     precision: str
@@ -55,7 +59,7 @@ class ScenePoint:
 
     @property
     def cost(self) -> tuple[float, float, float]:
-        """Wall seconds per simulated second: median, least, most."""
+        """Wall time per simulated time [s/s]: median, minimum, maximum."""
         if self.stopped:
             return inf, inf, inf
         shared = self.seconds / self.simulated
@@ -66,9 +70,9 @@ class ScenePoint:
 class SceneStudy:
     """All points of a scene.
 
-    `noise`: by quantity, what two means over the seeds differ by without any error (SIGMAS standard errors); `spread`:
-    standard deviation from seed to seed of the reference; both relative, like the errors. `own_share`: what the scene
-    itself takes.
+    `noise`: statistical difference of two means over the seeds by quantity (SIGMAS standard errors). `spread`:
+    standard deviation over the seeds of the reference. Both are relative, like the errors. `own_share`, `own_time_step`
+    [s]: values of the unmodified scene.
     """
 
     title: str
@@ -83,11 +87,14 @@ class SceneStudy:
 
     @property
     def quantities(self) -> list[str]:
-        """Those with an error against the reference."""
+        """Names of the quantities with an error relative to the reference."""
         return list(self.noise)
 
     def within_target(self, point: ScenePoint) -> bool:
-        """Whether restitution, ledger and every quantity are within the target, or not told from noise."""
+        """Whether restitution, energy budget and every quantity are within the target or below the noise.
+
+        The noise applies to the quantities of the bed only.
+        """
         if point.stopped:
             return False
         inside = all(point.errors[name] <= max(self.target, self.noise[name]) for name in self.noise)
@@ -95,13 +102,13 @@ class SceneStudy:
 
     @property
     def best(self) -> ScenePoint | None:
-        """The cheapest point that meets the target."""
+        """Cheapest point within the target; None without one."""
         return min(filter(self.within_target, self.points), key=lambda point: point.cost[0], default=None)
 
 
 @dataclass(frozen=True)
 class _Runs:
-    """All seeds with one step, in one precision."""
+    """Runs of all seeds with one time step and precision."""
 
     family: str
     precision: str
@@ -112,11 +119,11 @@ class _Runs:
 
     @property
     def stopped(self) -> str:
-        """Why there are no values, if there are none."""
+        """Reason of the first abort; empty if all runs finished."""
         return next((outcome.stopped for outcome in self.outcomes if outcome.stopped), "")
 
     def value(self, name: str) -> np.ndarray:
-        """Of every seed (seeds,)."""
+        """Values of a quantity for every seed (seeds,)."""
         return np.array([outcome.values[name] for outcome in self.outcomes])
 
 
@@ -124,14 +131,14 @@ def measure_scene(
     task: SceneTask,
     target: float,
     full: bool = False,
-    report: Callable[[str], None] = lambda words: None,
+    report: Callable[[str], None] = lambda text: None,
     shares: Sequence[float] = SHARES,
     precisions: Sequence[Precision] = PRECISIONS,
 ) -> SceneStudy:
-    """Run the scene with every step and precision, the finest first; `full` takes more seeds and a finer reference.
+    """Run the scene with every time step and precision, the finest first.
 
-    `precisions` begin with f64. Raises SceneError for a scene that cannot be run, GranflowError where its finest step
-    does not run to the end.
+    `full`: more seeds and a finer reference. `precisions` begin with f64. Raises SceneError for an invalid scene,
+    GranflowError if the run with the finest time step aborts.
     """
     task = task.with_overrides("output.energy_budget=true")
     scene = task.scene()
@@ -144,12 +151,12 @@ def measure_scene(
         plain = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
             plain = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *plain]
-        with spare_process() as process:
+        with worker_process() as process:
             for family, share in plain:
-                report(f"{family.name} step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
+                report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
                 runs.append(_run(process, task, family, share, phase, precision, seeds))
                 if runs[0].stopped:
-                    raise GranflowError(f"Not even the finest step of this study runs to its end. {runs[0].stopped}")
+                    raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
     count = sum(group.count for group in scene.particles.values())
     return _study(runs, finest, scene.title, (own_share, own_share * phase), count, len(seeds), target)
 
@@ -163,7 +170,7 @@ def _run(
     precision: str,
     seeds: Sequence[int],
 ) -> _Runs:
-    """All seeds, and the restitution, in that process."""
+    """Run all seeds and measure the restitution error in the given process."""
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
     outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
     error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()
@@ -173,8 +180,12 @@ def _run(
 def _study(
     runs: Sequence[_Runs], finest: float, title: str, given: tuple[float, float], count: int, seeds: int, target: float
 ) -> SceneStudy:
+    """Combine the runs to errors, noise and spread relative to the reference run.
+
+    `given`: share and time step [s] of the unmodified scene.
+    """
     reference = next(each for each in runs if each.share == finest and each.precision == "f64")
-    quantities = [name for name in ordered([o.values for r in runs for o in r.outcomes if not o.stopped])
+    quantities = [name for name in common_quantities([o.values for r in runs for o in r.outcomes if not o.stopped])
                   if name != ENERGY_ERROR]  # fmt: skip
     scales = {name: abs(float(reference.value(name).mean())) or 1.0 for name in quantities}
     noise = {name: _noise(runs, reference, name) / scales[name] for name in quantities}
@@ -184,7 +195,7 @@ def _study(
 
 
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
-    """SIGMAS standard errors of a mean difference to the reference, its scatter from all steps together."""
+    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps."""
     scatter = []
     for each in runs:
         if not each.stopped and each is not reference:
@@ -194,6 +205,7 @@ def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
 
 
 def _point(runs: _Runs, reference: _Runs, scales: dict[str, float]) -> ScenePoint:
+    """Means over the seeds and relative errors of one time step; `scales`: reference values by quantity."""
     values, errors = {}, {}
     if not runs.stopped:
         values = {name: float(runs.value(name).mean()) for name in (ENERGY_ERROR, *scales)}

@@ -1,4 +1,4 @@
-"""`granflow accuracy SCENE`: sentences, table, CSV, figure and page of one scene's study."""
+"""`granflow accuracy SCENE`: sentences, table, CSV, figure and page of the study of one scene."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,68 +17,71 @@ HEIGHT = 3.9
 LOWEST = 1e-7
 
 LEAD = (
-    "What accuracy costs in this scene: the same run with one time step after another, several seeds each, against the "
-    "finest step."
+    "Accuracy against cost in this scene: the same run with several time steps and seeds, compared with the "
+    "finest time step."
 )
 
 
 def scene_recommendation(study: SceneStudy) -> str:
-    """The one sentence that the study ends in."""
+    """Concluding sentence of the study."""
     best, requested = study.best, f"{100.0 * study.target:g} % error in restitution"
     if best is None:
-        return f"No time step of this study keeps to {requested} and the rest of the scene within that or its noise."
+        return f"No time step of this study satisfies {requested} with all other errors within that limit or the noise."
     median, least, most = best.cost
     step = f"dt = {best.time_step:.3g} s (time_step_fraction {best.share:g})"
     if best.family != "fixed":
         step = f"run.time_step {best.family} with time_step_fraction {best.share:g}"
     return (
         f"For {requested} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
-        f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The scene as it stands takes "
+        f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The unmodified scene uses "
         f"dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g})."
     )
 
 
 def noise_sentence(study: SceneStudy) -> str:
-    """How far seeds differ, and how many errors drown in that."""
+    """Spread over the seeds, and the number of errors above the noise."""
     significant = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
             study.quantities]  # fmt: skip
-    spreads = ", ".join(f"{_words(name)} {_percent(spread)}" for name, spread in study.spread.items())
+    spreads = ", ".join(f"{_label(name)} {_percent(spread)}" for name, spread in study.spread.items())
     return (
-        f"Grains forget where they were: one seed differs from another by {spreads} (standard deviation with the "
-        f"finest step, {study.seed_count} seeds). Errors of these quantities above the "
+        f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time step: "
+        f"{spreads}. Errors of these quantities above the "
         f"noise of {SIGMAS:g} standard errors: {sum(significant)} of {len(significant)}; the others, marked n, "
-        f"are noise."
+        f"are not significant."
     )
 
 
-def _words(name: str) -> str:
+def _label(name: str) -> str:
+    """Display name of a quantity, with its flow meter."""
     kind, _, meter = name.partition(".")
     return kind.replace("_", " ") + (f", {meter}" if meter else "")
 
 
 def _percent(value: float) -> str:
+    """A fraction in percent; small values as powers of ten, without unit."""
     if value == 0.0:
         return "0"
     return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}".replace("-", "−")
 
 
 def scene_heads(study: SceneStudy) -> tuple[str, ...]:
-    """Heads of `scene_rows`."""
+    """Column headings of `scene_rows`."""
     return (
-        "time step", "precision", "safety", "dt s", "restitution", "energy_budget",
-        *(_words(name) for name in study.quantities), "s per simulated s", "meets",
+        "time step", "precision", "fraction", "dt s", "restitution", "energy budget",
+        *(_label(name) for name in study.quantities), "s per simulated s", "within target",
     )  # fmt: skip
 
 
 def scene_rows(study: SceneStudy) -> list[tuple[str, ...]]:
-    """A row a point: relative errors, n where they are below the noise."""
+    """Table rows, one per point: relative errors; n marks errors below the noise."""
     return [_row(study, point) for point in study.points]
 
 
 def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
+    """Table cells of one point."""
     first = (point.family, point.precision, f"{point.share:g}", f"{point.time_step:.3g}")
     if point.stopped:
-        return (*first, *["–"] * (2 + len(study.quantities)), "–", "stopped")
+        return (*first, *["–"] * (2 + len(study.quantities)), "–", "aborted")
     errors = []
     for name in study.quantities:
         below = point.errors[name] <= study.noise[name]
@@ -91,7 +94,7 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
 
 
 def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
-    """Columns of the CSV; nan where a run stopped."""
+    """Columns of the CSV; nan for aborted runs."""
     rows = []
     for point in study.points:
         row: dict[str, Any] = {name: getattr(point, name) for name in
@@ -106,7 +109,7 @@ def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
 
 
 def write_scene(out: Path, study: SceneStudy) -> None:
-    """Write CSV and page, with a figure where matplotlib is installed; raises GranflowError at the end where not."""
+    """Write CSV and page, with a figure if matplotlib is installed; otherwise raise GranflowError at the end."""
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, scene_columns(study))
     missing: GranflowError | None = None
@@ -121,14 +124,17 @@ def write_scene(out: Path, study: SceneStudy) -> None:
 
 
 def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
-    """Every error against wall time in double precision; the restitution in all."""
+    """Draw every error against wall time, for all precisions."""
 
     def draw(figure: Any) -> None:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
             for precision, (style, marker) in LINE_STYLES.items():
                 _draw_errors(left, right, study, name, precision, color, style, marker)
-        for axes, title, x in ((left, "(a) restitution and ledger", "s"), (right, "(b) bed, against its noise", "s")):
+        for axes, title, x in (
+            (left, "(a) restitution and energy budget", "s"),
+            (right, "(b) bed quantities and their noise", "s"),
+        ):
             axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
             axes.axhline(study.target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
             axes.xaxis.set_minor_formatter("")
@@ -141,6 +147,7 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
 def _draw_errors(
     left: Any, right: Any, study: SceneStudy, name: str, precision: str, color: str, style: str, marker: str
 ) -> None:
+    """Plot one error of one precision against wall time; thin line: noise in double precision."""
     points = [p for p in study.points if p.precision == precision and not p.stopped]
     if not points:
         return
@@ -148,7 +155,7 @@ def _draw_errors(
     errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
     shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
     if shown:
-        label = f"{'energy ledger' if name == ENERGY_ERROR else _words(name)}, {precision}"
+        label = f"{'energy budget' if name == ENERGY_ERROR else _label(name)}, {precision}"
         line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
         axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
     if precision == "f64" and name in study.quantities:
@@ -156,26 +163,28 @@ def _draw_errors(
 
 
 def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
+    """HTML page with recommendation, noise, figure, table and method."""
     caption = (
-        "Errors relative to the finest step (restitution: to what the pairs are asked; ledger: to the energy that "
-        "passed); n: below the noise."
+        "Errors relative to the finest time step (restitution: relative to the target of each pair; energy budget: "
+        "relative to the energy throughput); n: below the noise."
     )
     parts: list[str | PageTable | Picture] = [scene_recommendation(study), noise_sentence(study)]
     if drawn:
-        words = (
-            "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy ledger. (b) "
-            "Quantities of the bed; thin lines: the noise of each, below which nothing is told. "
+        caption_text = (
+            "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy budget. (b) "
+            "Quantities of the bed; thin lines: noise of each quantity, below which errors are not significant. "
             f"Dotted: {100.0 * study.target:g} %."
         )
-        parts.append(Picture(out / FIGURE, words, (FIGURE, POINTS)))
+        parts.append(Picture(out / FIGURE, caption_text, (FIGURE, POINTS)))
     parts.append(PageTable(caption, scene_heads(study), scene_rows(study)))
-    stopped = [f"{p.precision}, safety {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
+    stopped = [f"{p.precision}, time_step_fraction {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
     method = (
-        f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: the largest error of any "
-        "pair of materials, over phases of first touch, from a tenth of the largest velocity on, as `granflow "
-        "restitution` measures it. Center height: of the mass, above the bottom of the domain, and coordination "
-        "number: averaged over the run. Mass flow: while the middle half of the mass passes. Wall time: search, "
-        "forces and motion, after compiling; median, least and most of the seeds."
+        f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: largest error of any "
+        "pair of materials, over phases of first contact, for velocities from a tenth of the largest, as measured by "
+        "`granflow restitution`. Center height: height of the center of mass above the bottom of the domain. Center "
+        "height and coordination number are averages over the run. Mass flow: mean while the middle half of the mass "
+        "passes. Wall time: neighbor list, forces and integration, after compilation; median, minimum and maximum "
+        "over the seeds."
     )
     return Page(f"Error against run time: {study.title}", LEAD, [
         Section("Work and precision", parts), Section("How this was computed", [method, *stopped]),

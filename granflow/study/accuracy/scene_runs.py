@@ -1,4 +1,4 @@
-"""Runs of one scene with one time step after another, each with several seeds: what they reach and cost."""
+"""Runs of one scene with several time steps and seeds: values and wall time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -21,51 +21,56 @@ from granflow.study.restitution import QUICK_VELOCITIES
 from granflow.study.restitution import measure as measure_restitution
 
 MAX_PARTICLES = 250
-"""Particles that a scene is cut down to, unless the whole is asked for."""
+"""Particle count to which a scene is reduced, unless all particles are requested."""
 SAMPLES = 200
-"""Moments over which center of mass and coordination number are averaged."""
+"""Number of samples for the means of center of mass and coordination number."""
 
 
 @dataclass(frozen=True)
 class StepFamily:
-    """A way to choose the step: its name, and the overrides that make it this share of the shortest phase [s]."""
+    """A choice of the time step: its name, and the overrides for a share of the shortest phase [s]."""
 
     name: str
     overrides: Callable[[float, float], list[str]]
 
 
 def _fixed(share: float, phase: float) -> list[str]:
+    """Overrides for a fixed time step."""
     return [f"run.time_step={float(share * phase)!r}"]
 
 
 def _adaptive(share: float, _phase: float) -> list[str]:
+    """Overrides for an adaptive time step; it does not depend on the phase."""
     return ["run.time_step=adaptive", f"numerics.time_step_fraction={share!r}"]
 
 
 STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
-"""One step throughout; and one that follows the scene."""
+"""Fixed and adaptive time step."""
 
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene file with overrides, and the simulated time to stop at [s]."""
+    """A scene file with overrides, and the simulated end time [s]."""
 
     path: Path
     overrides: tuple[str, ...]
     until: float | None
 
     def with_overrides(self, *more: str) -> "SceneTask":
-        """The same with more overrides."""
+        """The same task with additional overrides."""
         return SceneTask(self.path, (*self.overrides, *more), self.until)
 
     def scene(self) -> Scene:
-        """Read it."""
+        """Load the scene. Raises SceneError if it is invalid."""
         return load_scene(self.path, self.overrides)
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Values by quantity, wall seconds of search, forces and motion, and steps; or why there are none."""
+    """Result of a run, or the reason of its abort (`stopped`).
+
+    `values` by quantity; `seconds`: wall time of neighbor list, forces and integration [s]; `simulated` time [s].
+    """
 
     values: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
@@ -75,7 +80,7 @@ class RunOutcome:
 
 
 def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
-    """Overrides that leave no more than `most` particles in the groups whose count the scene states."""
+    """Overrides that reduce the groups with an explicit `count` to at most `most` particles, in proportion."""
     counted = {
         name: group.count for name, group in scene.particles.items() if scene.is_given("particles", name, "count")
     }
@@ -86,14 +91,14 @@ def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
 
 
 def phase_of(scene: Scene) -> tuple[float, float]:
-    """Shortest phase of any contact [s], and the time step over it that the scene's own plan takes."""
+    """Shortest phase of any contact [s], and the time step of the scene over this phase."""
     plan = plan_for(scene)
     phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in pair_cases_of(scene))
     return phase, plan.time_step / phase
 
 
 class _RunMeans:
-    """Averages over the run of what a moment shows."""
+    """Means over the run of center height [m] and coordination number."""
 
     def __init__(self, scene: Scene) -> None:
         gravity = np.array(scene.gravity)
@@ -104,7 +109,7 @@ class _RunMeans:
         self._samples: dict[str, list[float]] = {"center_height": [], "coordination_number": []}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Take in one moment; one without particles says nothing."""
+        """Add a snapshot; a snapshot without particles is ignored."""
         mass = snapshot.particles["mass"] if snapshot.particles else np.zeros(0)
         if not len(mass):
             return
@@ -113,12 +118,12 @@ class _RunMeans:
         self._samples["coordination_number"].append(snapshot.totals["coordination_number"])
 
     def values(self) -> dict[str, float]:
-        """By quantity."""
+        """Means by quantity."""
         return {name: float(np.mean(seen)) for name, seen in self._samples.items() if seen}
 
 
 def run_task(task: SceneTask) -> RunOutcome:
-    """One run. A step that is not stable and a guard that trips are told in the outcome."""
+    """Run a task. The outcome reports an unstable time step or an abort."""
     scene = task.scene()
     means = _RunMeans(scene)
     total_duration = sum(duration for _, duration in stage_durations(scene))
@@ -127,7 +132,7 @@ def run_task(task: SceneTask) -> RunOutcome:
         simulation = Simulation(scene, observers=[every(interval, means.update, ("particles", "totals"))])
         result = simulation.run(until=task.until)
     except SceneError as error:
-        return RunOutcome(stopped=str(error).partition(": ")[2])  # the place is this study's own override
+        return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
     except RunError as error:
         return RunOutcome(stopped=str(error))
     simulation.free()
@@ -139,7 +144,7 @@ def run_task(task: SceneTask) -> RunOutcome:
 
 
 def restitution_error(task: SceneTask) -> float:
-    """Largest relative error of the restitution of any pair of materials, from a tenth of the largest velocity on."""
+    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the largest."""
     rows, _ = measure_restitution(task.scene())
     fastest = max(row.velocity for row in rows)
     slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
@@ -147,10 +152,10 @@ def restitution_error(task: SceneTask) -> float:
 
 
 def seeds_of(scene: Scene, count: int) -> list[Any]:
-    """Seeds from the scene's own on."""
+    """Consecutive seeds that start with the seed of the scene."""
     return [scene.seed + k for k in range(count)]
 
 
-def ordered(values: Sequence[dict[str, float]]) -> list[str]:
-    """Quantities that all runs have, in their order."""
+def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
+    """Quantities that are present in all runs, in the order of the first."""
     return [name for name in values[0] if all(name in each for each in values)]

@@ -1,4 +1,4 @@
-"""`granflow compare`: one scene under several normal laws, side by side."""
+"""`granflow compare`: one scene with several normal contact models, side by side."""
 
 from granflow.study.compare.report import compare
 from granflow.study.compare.variants import law_names

@@ -1,4 +1,4 @@
-"""What is watched while a variant runs: heights of the bed, normal forces, durations of contacts."""
+"""Observers of a variant's run: bed heights, normal forces, contact durations."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -10,76 +10,78 @@ from granflow.scene import Scene
 from granflow.snapshot import Snapshot
 from granflow.study.compare.contact_durations import ContactFollower, FollowedContacts
 
-TOPS = 95.0
-"""Percentile of the tops of grains that stands for the surface of the bed."""
+SURFACE_PERCENTILE = 95.0
+"""Percentile of the particle tops that defines the surface of the bed."""
 FORCE_EDGES = np.concatenate([np.arange(0.0, 8.01, 0.2), [np.inf]])
-"""Classes of force over mean force."""
-LEAST_CONTACTS = 10
-"""Contacts between grains that a frame must have to have a mean worth dividing by."""
+"""Bin edges of force over mean force."""
+MIN_CONTACTS = 10
+"""Minimum number of particle-particle contacts of a frame for a meaningful mean force."""
 
 
 @dataclass
 class BedHeights:
-    """Height of the center of mass and of the surface [m], against gravity, from the origin."""
+    """Heights of the center of mass and of the surface [m] above the origin, opposite to gravity."""
 
     up: np.ndarray
-    """(3,), zero where there is no gravity."""
+    """Unit vector opposite to gravity (3,); zero without gravity."""
     rows: list[tuple[float, float, float]] = field(default_factory=list)
     speeds: list[float] = field(default_factory=list)
-    """Speed [m/s] that few grains exceed at each moment: the percentile of the tops."""
+    """Percentile SURFACE_PERCENTILE of the particle speeds [m/s] in each snapshot."""
 
     @property
     def typical_speed(self) -> float:
-        """Median of the speeds [m/s]: what a color scale should reach."""
+        """Median of `speeds` [m/s], the upper end of the color scale."""
         return float(np.median(self.speeds)) if self.speeds else 0.0
 
     @classmethod
     def of(cls, scene: Scene) -> "BedHeights":
-        """Make the gauge for a scene."""
+        """Create the observer for a scene."""
         gravity = np.array(scene.gravity, dtype=float)
         strength = float(np.linalg.norm(gravity))
         return cls(-gravity / strength if strength > 0.0 else gravity)
 
     def update(self, snapshot: Snapshot) -> None:
-        """Add a row: time [s], center, surface; nan without grains or without gravity."""
+        """Add a row: time [s], center [m], surface [m]; nan without particles or without gravity."""
         particles = snapshot.particles
         if len(particles["mass"]):
             speed = np.linalg.norm(particles["velocity"], axis=1)
-            self.speeds.append(float(np.percentile(speed, TOPS)))
+            self.speeds.append(float(np.percentile(speed, SURFACE_PERCENTILE)))
         if not len(particles["mass"]) or not self.up.any():
             self.rows.append((snapshot.time, np.nan, np.nan))
             return
         height = particles["position"] @ self.up
         center = float(np.average(height, weights=particles["mass"]))
-        self.rows.append((snapshot.time, center, float(np.percentile(height + particles["radius"], TOPS))))
+        self.rows.append(
+            (snapshot.time, center, float(np.percentile(height + particles["radius"], SURFACE_PERCENTILE)))
+        )
 
 
 @dataclass
 class ForceHistogram:
-    """Normal forces between grains over their mean in the same frame: how many in each class, by stage."""
+    """Histogram of the normal forces between particles over their mean in the same frame, by stage."""
 
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
     def update(self, snapshot: Snapshot) -> None:
-        """Add the contacts of a frame, if they are enough."""
+        """Add the contacts of a frame with at least MIN_CONTACTS contacts."""
         contacts = snapshot.contacts
         assert contacts is not None
         force = contacts["normal_force"][contacts["id_j"] >= 0]
         force = force[force > 0.0]
-        if len(force) < LEAST_CONTACTS:
+        if len(force) < MIN_CONTACTS:
             return
         found, _ = np.histogram(force / force.mean(), FORCE_EDGES)
         self.counts[snapshot.stage] = self.counts.get(snapshot.stage, 0) + found
 
     def density(self, stage: str) -> np.ndarray:
-        """P(f/<f>) in the classes but the last, which is open; nan where a stage has no frames."""
+        """P(f/<f>) in all bins except the last, open one (bins - 1,); nan for a stage without frames."""
         found = self.counts.get(stage)
         if found is None:
             return np.full(len(FORCE_EDGES) - 2, np.nan)
         return np.asarray(found[:-1] / (found.sum() * np.diff(FORCE_EDGES[:-1])))
 
     def share_above(self, stage: str, multiple: float) -> float:
-        """Share of contacts of a stage with more than this multiple of the mean force; an edge of a class."""
+        """Share of contacts of a stage with more than this multiple of the mean force, which must be a bin edge."""
         found = self.counts.get(stage)
         if found is None:
             return float("nan")
@@ -87,7 +89,7 @@ class ForceHistogram:
 
 
 class ContactBursts:
-    """Looks at all contacts in quick succession, at several times of the run; see `ContactFollower`."""
+    """Samples all contacts in short bursts at several times of the run; see `ContactFollower`."""
 
     wants = frozenset({CONTACTS})
 
@@ -98,11 +100,11 @@ class ContactBursts:
         self._follower: ContactFollower | None = None
 
     def next_time(self) -> float:
-        """Time [s] of the next look."""
+        """Time of the next sample [s]; inf after the last."""
         return self._pending[0][0] if self._pending else inf
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Look, if a look is due; a run shows every observer its first moment."""
+        """Sample the contacts if a sample is due; a run calls every observer at its start."""
         if not self._pending or snapshot.time < self.next_time() - 0.5 * self._spacing:
             return
         if self._follower is None:
@@ -115,10 +117,11 @@ class ContactBursts:
             self._close()
 
     def finish(self) -> None:
-        """The run is over."""
+        """End the current burst at the end of the run."""
         self._close()
 
     def _close(self) -> None:
+        """End the current burst; its remaining contacts are censored."""
         if self._follower is not None:
             self._follower.close()
             self._follower = None

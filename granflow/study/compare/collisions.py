@@ -1,4 +1,7 @@
-"""Binary collisions over three decades of velocity: does a spring from one velocity serve, and does Eq. 19 mend it?"""
+"""Binary collisions over three decades of velocity.
+
+They show the range of a spring constant from one velocity, and the effect of Eq. 19 (Zhou 2011) per contact.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,15 +21,18 @@ from granflow.study.paper.head_on_collisions import HeadOnCollision, Outcomes, c
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
 FINE_STEPS = 100
-"""Steps in the shortest collision of all: what remains of an error is the law's."""
+"""Steps in the shortest collision: the remaining error results from the contact model."""
 COARSE_STEPS = 10
-"""Steps in an elastic Hertz collision at the reference velocity: what a user saves who knows one velocity only."""
+"""Steps in an elastic Hertz collision at the reference velocity: the time step for one known velocity."""
 STEPS = {"fine": FINE_STEPS, "coarse": COARSE_STEPS}
 
 
 @dataclass(frozen=True)
 class CollisionSubject:
-    """The collision that stands for the scene: two spheres of its first group."""
+    """Representative collision of the scene: two equal particles of its first group.
+
+    `diameter` [m], `mass_eff` [kg], `reference_velocity` [m/s].
+    """
 
     material: str
     pair_key: str
@@ -52,18 +58,18 @@ class CollisionSubject:
         return self.reference_velocity * np.logspace(-DECADES_BELOW, DECADES_ABOVE, count)
 
     def duration(self, velocity: float) -> float:
-        """Duration [s] of Zhou's contact (Eq. 13)."""
+        """Duration of a contact with Zhou's model [s] (Eq. 13)."""
         e = self.pair.restitution_at(velocity)
         return float(theory.duration(e, self.hertz_stiffness, self.mass_eff, velocity))
 
     def overlap_max(self, velocity: float) -> float:
-        """Largest overlap [m] of a Hertz contact (Eq. 5)."""
+        """Maximum overlap of a Hertz contact [m] (Eq. 5)."""
         return float(theory.overlap_max(self.hertz_stiffness, self.mass_eff, velocity))
 
 
 @dataclass(frozen=True)
 class LawSweep:
-    """What collisions under one law reached, by the names of STEPS; a law or step that is refused, with the reason."""
+    """Results of the collisions with one contact model by name in STEPS; `refused` gives the reason of a rejection."""
 
     variant: LawVariant
     outcomes: dict[str, Outcomes]
@@ -71,7 +77,7 @@ class LawSweep:
 
 
 def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | None:
-    """Two equal spheres of the scene's first group, of its middle size; None where its pair gives no restitution."""
+    """Two equal particles of the scene's first group, of mean diameter; None if their pair has no restitution."""
     group = next(iter(scene.particles.values()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
     key = next(key for key in keys if key in scene.pairs)
@@ -90,7 +96,7 @@ def sweeps_of(
     backend: Backend,
     steps: Sequence[str] = tuple(STEPS),
 ) -> list[LawSweep]:
-    """Collide the subject under every law, with a fine step and with one chosen at the reference velocity."""
+    """Run the collisions with every contact model, with a fine time step and one from the reference velocity."""
     shortest = min(subject.duration(velocity) for velocity in subject.velocities)
     elastic = float(theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity))
     time_steps = {"fine": shortest / FINE_STEPS, "coarse": elastic / COARSE_STEPS}
@@ -109,13 +115,14 @@ def sweeps_of(
 
 
 def _collisions(scene: Scene, subject: CollisionSubject, variant: LawVariant) -> list[HeadOnCollision]:
+    """Head-on collisions of the subject at all velocities, with the restitution of the variant."""
     material = scene.materials[subject.material].model_dump(by_alias=True, exclude_none=True)
     e = restitution_for(scene, subject.pair_key, str(variant.normal["law"]), subject.reference_velocity)
     return [HeadOnCollision(material, e, subject.diameter, float(velocity)) for velocity in subject.velocities]
 
 
 def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict[str, np.ndarray]:
-    """Columns of collisions.csv: a row for each law, step and velocity."""
+    """Columns of collisions.csv: one row per contact model, time step and velocity."""
     velocity = subject.velocities
     exact = {
         "duration_exact": np.array([subject.duration(v) for v in velocity]),
@@ -139,7 +146,7 @@ def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict
 
 @dataclass(frozen=True)
 class CollisionDeviation:
-    """Reached over exact less 1, for one law at one velocity."""
+    """Relative deviations from the exact solution for one contact model at one velocity."""
 
     duration: float
     overlap_max: float
@@ -147,7 +154,7 @@ class CollisionDeviation:
 
 
 def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> CollisionDeviation | None:
-    """How far collisions of a law are off at a multiple of the reference velocity; None where there are none."""
+    """Deviation of a contact model at a multiple of the reference velocity; None without such collisions."""
     if not columns:
         return None
     is_row = (columns["law"] == law) & (columns["step"] == step)
@@ -159,5 +166,5 @@ def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_referenc
 
 
 def floor_velocity(subject: CollisionSubject) -> float:
-    """Velocity [m/s] below which Eq. 19 per contact takes the spring of this velocity, as the law does in the scene."""
+    """Velocity [m/s] below which Eq. 19 per contact uses the spring of this velocity, as in the scene."""
     return MIN_VELOCITY_SHARE * float(subject.velocities.max())

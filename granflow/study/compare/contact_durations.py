@@ -1,4 +1,4 @@
-"""How long contacts last, from looks at all contacts in quick succession."""
+"""Contact durations from samples of all contacts in short intervals."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -7,35 +7,35 @@ import numpy as np
 
 from granflow.snapshot import Snapshot
 
-PARTNERS = 2**32
-"""More than there are ids: two of them make one number."""
-WALLS_FROM = 2**31
+KEY_BASE = 2**32
+"""Exceeds every id, so that two ids combine into one integer key."""
+FIRST_WALL_KEY = 2**31
 
 
 @dataclass
 class FollowedContacts:
-    """Contacts that began under observation: how long each was seen [s], and whether it was seen to end."""
+    """Contacts that began during a burst: observed duration [s] of each, and whether its end was observed."""
 
     observed: list[np.ndarray] = field(default_factory=list)
     has_ended: list[np.ndarray] = field(default_factory=list)
 
     def add(self, observed: np.ndarray, has_ended: bool) -> None:
-        """Take in contacts that all ended, or that were all still there when observation ended."""
+        """Add contacts that have all ended, or that all persist at the end of the burst (censored)."""
         self.observed.append(observed)
         self.has_ended.append(np.full(len(observed), has_ended))
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] and whether they ended, of all contacts."""
+        """Observed durations [s] (n,) and ended flags (n,) of all contacts."""
         if not self.observed:
             return np.empty(0), np.empty(0, dtype=bool)
         return np.concatenate(self.observed), np.concatenate(self.has_ended)
 
 
 class ContactFollower:
-    """Follows contacts with a force through one burst of looks.
+    """Tracks contacts with a nonzero force through one burst of samples.
 
-    A contact begins and ends half way between the two looks that saw the change. One that was there at the first look
-    does not count, one that is there at the last is known to last longer.
+    A contact begins and ends midway between the two samples that bracket the change. Contacts in the first sample are
+    ignored; contacts in the last sample are censored.
     """
 
     def __init__(self, followed: FollowedContacts) -> None:
@@ -45,7 +45,7 @@ class ContactFollower:
         self._time = np.nan
 
     def update(self, snapshot: Snapshot) -> None:
-        """See which contacts are there now; the snapshot must hold contacts."""
+        """Add a sample; the snapshot must contain contacts."""
         keys = keys_of(snapshot)
         if np.isnan(self._time):
             since = np.full(len(keys), -np.inf)
@@ -58,29 +58,29 @@ class ContactFollower:
         self._keys, self._since, self._time = keys, since, snapshot.time
 
     def close(self) -> None:
-        """The burst is over."""
+        """End the burst."""
         self._record(np.ones(len(self._keys), dtype=bool), self._time, has_ended=False)
 
     def _record(self, selected: np.ndarray, time: float, has_ended: bool) -> None:
+        """Add the selected contacts that began within the burst, with durations up to `time` [s]."""
         began = self._since[selected]
         self._followed.add(time - began[np.isfinite(began)], has_ended)
 
 
 def keys_of(snapshot: Snapshot) -> np.ndarray:
-    """One number for every contact with a force above zero, the same as long as the partners are."""
+    """One integer key per contact with a force above zero; it depends on the two partners only."""
     contacts = snapshot.contacts
     assert contacts is not None
     first, second, wall = (contacts[name].astype(np.int64) for name in ("id_i", "id_j", "wall"))
-    other = np.where(wall >= 0, WALLS_FROM + wall, second)
+    other = np.where(wall >= 0, FIRST_WALL_KEY + wall, second)
     low, high = np.minimum(first, other), np.maximum(first, other)
-    return (low * PARTNERS + high)[contacts["normal_force"] > 0.0]
+    return (low * KEY_BASE + high)[contacts["normal_force"] > 0.0]
 
 
 def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of contacts that last longer than a time: the times [s] at which some ended, and the share from then on.
+    """Survival function of the contact duration: times of observed ends [s], and share of longer contacts from then on.
 
-    The estimate of Kaplan and Meier (1958): contacts still there when observation ended count as long as they were
-    seen and are then left out.
+    Estimator of Kaplan and Meier (1958): a censored contact counts as at risk until its observation ends.
     """
     times = np.unique(observed[has_ended])
     at_risk = len(observed) - np.searchsorted(np.sort(observed), times)
@@ -89,13 +89,13 @@ def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, n
 
 
 def median_of(times: np.ndarray, share: np.ndarray) -> float:
-    """Time [s] that half of the contacts outlast; nan where more than half outlast all observation."""
+    """Median duration [s]; nan if more than half of the contacts outlast the observation."""
     below = np.flatnonzero(share <= 0.5)
     return float(times[below[0]]) if len(below) else float("nan")
 
 
 def bursts(end: float, count: int, samples: int, spacing: float) -> Iterable[list[float]]:
-    """Times [s] of the looks of each burst, the bursts spread evenly over the run that ends at `end` [s]."""
+    """Sample times [s] of each burst; the bursts are evenly spaced over a run that ends at `end` [s]."""
     for number in range(count):
         start = (number + 0.5) / count * end
-        yield [start + update * spacing for update in range(samples)]
+        yield [start + sample * spacing for sample in range(samples)]

@@ -1,4 +1,4 @@
-"""The figures of a comparison."""
+"""Figures of a comparison."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ ENERGIES = {
 def draw_all(
     out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """Write every PNG; returns their names. Raises GranflowError where matplotlib is not installed."""
+    """Write all PNG files; returns their names without suffix. Raises GranflowError without matplotlib."""
     figures: dict[str, tuple[Callable[[Any], None], float]] = {
         "course": (lambda figure: draw_course(figure, runs), 5.2),
         "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
@@ -39,16 +39,18 @@ def draw_all(
 
 
 def _style(number: int) -> dict[str, Any]:
+    """Color and line style of a run by its index."""
     return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
 
 
 def _legend(figure: Any, axes: Any) -> None:
+    """Shared legend of a figure, above the panels."""
     handles, names = axes.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=5)
 
 
 def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """What flows, how high the bed stands, contacts and overlaps against time."""
+    """Draw flow, bed heights, contacts and overlaps against time."""
     panels = figure.subplots(2, 2, sharex=True).ravel()
     meters = runs[0].meters
     for number, run in enumerate(runs):
@@ -64,12 +66,12 @@ def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
     panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
     panels[1].set_ylabel("height (mm): center, surface")
     panels[2].set(ylabel="coordination number", xlabel="time (s)")
-    panels[3].set(ylabel="mean overlap over radius (%)", xlabel="time (s)")
+    panels[3].set(ylabel="mean overlap / radius (%)", xlabel="time (s)")
     _legend(figure, panels[0])
 
 
 def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """What holds energy and where it was lost, a panel for each law."""
+    """Draw stored and dissipated energies, one panel per contact model."""
     panels = figure.subplots((len(runs) + 1) // 2, 2, sharex=True, sharey=True, squeeze=False)
     for number, (axes, run) in enumerate(zip(panels.ravel(), runs, strict=False)):
         for kind, (label, names) in enumerate(ENERGIES.items()):
@@ -86,7 +88,7 @@ def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
 
 
 def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """Distribution of normal forces, and share of contacts that last longer."""
+    """Draw the distribution of normal forces and the survival function of the contact duration."""
     left, right = figure.subplots(1, 2)
     stage = densest_stage(runs)
     middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
@@ -94,17 +96,17 @@ def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
         style = _style(number)
         density = run.forces.density(stage)
         left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **style)
-        times, share = run.lasting
+        times, share = run.duration_survival
         right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **style)
     left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
-    right.set(xlabel="time in contact (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
+    right.set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
     _legend(figure, left)
 
 
 def draw_collisions(
     figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
 ) -> None:
-    """Duration and largest overlap over exact, restitution with a fine step and with the reference step."""
+    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step."""
     panels = figure.subplots(2, 2, sharex=True).ravel()
     shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
     titles = {run.variant.key: run.variant.title for run in runs}
@@ -119,10 +121,10 @@ def draw_collisions(
         axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)
         axes.axvline(floor_velocity(subject), color="0.7", linestyle=":", linewidth=0.8)
         axes.set_title(f"({letter})")
-    panels[0].set(xscale="log", ylabel="contact time, reached / exact", yscale="log")
-    panels[1].set(ylabel="largest overlap, reached / exact", yscale="log")
-    panels[2].set(ylabel="restitution, reached / asked\nfine step", xlabel="approach velocity (m/s)")
-    panels[3].set(ylabel="restitution, reached / asked\nstep from reference", xlabel="approach velocity (m/s)")
+    panels[0].set(xscale="log", ylabel="contact duration, simulated / exact", yscale="log")
+    panels[1].set(ylabel="maximum overlap, simulated / exact", yscale="log")
+    panels[2].set(ylabel="restitution, simulated / target\nfine time step", xlabel="approach velocity (m/s)")
+    panels[3].set(ylabel="restitution, simulated / target\ntime step from reference", xlabel="approach velocity (m/s)")
     low, high = (f(a.get_ylim()[k] for a in panels[2:]) for k, f in enumerate((min, max)))
     for axes in panels[2:]:
         axes.set_ylim(low, high)

@@ -1,4 +1,4 @@
-"""A script for ParaView and pvpython that puts the PVDs of all variants beside each other."""
+"""Script for ParaView and pvpython that shows the PVD files of all variants side by side."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +10,12 @@ from granflow.study.compare.runs import VariantRun
 
 SCRIPT = "side_by_side.py"
 GAP = 0.25
-"""Room between two variants, over the width of the domain."""
+"""Gap between two variants, over the width of the domain."""
 
 _TEXT = '''\
 """{title}: {names}, from left to right.
 
-In ParaView: File > Load State, and choose this file. For a picture: pvpython {script} picture.png [TIME]
+In ParaView: File > Load State, and select this file. For an image: pvpython {script} picture.png [TIME]
 """
 
 import sys
@@ -23,10 +23,10 @@ from pathlib import Path
 
 from paraview.simple import *
 
-HERE = Path({here!r})
-if not HERE.exists() and "__file__" in globals():  # moved elsewhere together with its directories
+HERE = Path({directory!r})
+if not HERE.exists() and "__file__" in globals():  # the script and its directories were moved
     HERE = Path(__file__).resolve().parent
-SHIFT = {shift!r}  # [m], from one variant to the next
+SHIFT = {shift!r}  # offset between successive variants [m]
 NAMES = {names_by_key!r}
 
 view = GetActiveViewOrCreate("RenderView")
@@ -38,9 +38,9 @@ if picture:
     view.ViewSize = [1800, 900]
 for number, (key, name) in enumerate(NAMES.items()):
     offset = [number * each for each in SHIFT]
-    beads = Transform(Input=PVDReader(FileName=str(HERE / key / "particles.pvd")))
-    beads.Transform.Translate = offset
-    speed = Calculator(Input=beads)
+    particles = Transform(Input=PVDReader(FileName=str(HERE / key / "particles.pvd")))
+    particles.Transform.Translate = offset
+    speed = Calculator(Input=particles)
     speed.ResultArrayName, speed.Function = "speed", "mag(velocity)"
     spheres = Show(speed, view)
     spheres.SetRepresentationType("Point Gaussian")
@@ -71,8 +71,8 @@ scene.GoToFirst()
 ResetCamera(view)
 camera = GetActiveCamera()
 focus, distance = camera.GetFocalPoint(), camera.GetDistance()
-toward, up = {toward!r}, {up!r}
-camera.SetPosition(*(a + distance * b for a, b in zip(focus, toward)))
+view_axis, up = {view_axis!r}, {up!r}
+camera.SetPosition(*(a + distance * b for a, b in zip(focus, view_axis)))
 camera.SetViewUp(*up)
 ResetCamera(view)
 camera.Zoom(1.3)
@@ -85,7 +85,7 @@ if picture:
 
 
 def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> Path:
-    """Write the script; colors reach up to `speed` [m/s]."""
+    """Write the script into `out`; `speed` [m/s] is the upper end of the color scale."""
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     up = -np.array(scene.gravity, dtype=float)
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2
@@ -98,18 +98,18 @@ def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: flo
     top = 0.5 * (low + high)
     top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
     path = out / SCRIPT
-    names = {run.variant.key: run.variant.title + (" (stopped)" if run.stopped else "") for run in runs}
+    names = {run.variant.key: run.variant.title + (" (aborted)" if run.stopped else "") for run in runs}
     path.write_text(
         _TEXT.format(
             title=scene.title.replace('"', "'"),
             names=", ".join(names.values()),
             script=SCRIPT,
-            at_reference=str(out.resolve()),
+            directory=str(out.resolve()),
             shift=shift.tolist(),
             names_by_key=names,
             speed=speed,
             top=top.tolist(),
-            depth=view_axis.tolist(),
+            view_axis=view_axis.tolist(),
             up=axis.tolist(),
         ),
         encoding="utf-8",

@@ -1,4 +1,4 @@
-"""`granflow compare`: runs, collisions, files, and the page that shows them."""
+"""`granflow compare`: runs, collisions, output files and the page of the comparison."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from granflow.device.backend import start
 from granflow.errors import GranflowError
 from granflow.observe.report import readable
 from granflow.scene import Scene
-from granflow.study.compare.bed_statistics import FORCE_EDGES, TOPS
+from granflow.study.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
 from granflow.study.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
@@ -33,12 +33,19 @@ from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000
-"""More are left out unless the whole scene is asked for: four laws then run on two cores in some minutes."""
+"""Particle count to which a scene is reduced, unless all particles are requested.
+
+Four contact models then run within minutes on two cores.
+"""
 
 
 @dataclass(frozen=True)
 class SceneComparison:
-    """All that was found, and what was asked."""
+    """Settings and results of a comparison.
+
+    `reference_velocity` [m/s]; `reduced`: particle counts of the groups that were reduced; `until` [s]: end of each
+    run; `refused`: reason by title of the variant; `collisions`: columns of collisions.csv.
+    """
 
     scene: Scene
     reference_velocity: float
@@ -52,12 +59,12 @@ class SceneComparison:
 
     @property
     def assessments(self) -> list[Assessment]:
-        """What the numbers say of the claim about springs."""
+        """Assessment of the spring constants of the linear contact model."""
         return assess(self.collisions, self.runs)
 
     @property
     def rows(self) -> list[SummaryRow]:
-        """The table."""
+        """Rows of the summary table."""
         return summary(self.runs)
 
 
@@ -71,12 +78,12 @@ def compare(
     all_particles: bool = False,
     report: Callable[[str], None] = lambda text: None,
 ) -> SceneComparison:
-    """Run the scene under each law and write tables, figures, PVDs and the page into `out`.
+    """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
-    `reference_velocity` [m/s] is that of the one linear spring, by default a tenth of the fastest approach. `until`
-    [s] ends each run early; unless `all_particles`, scenes of more than MOST_PARTICLES are made smaller. `report`
-    hears what is
-    being done. Raises GranflowError where no law can run the scene.
+    `reference_velocity` [m/s]: impact velocity for the constant linear spring, by default a tenth of the largest
+    impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with more than MOST_PARTICLES
+    particles are reduced. `report` receives progress messages. Raises GranflowError if no contact model can run the
+    scene.
     """
     velocity = reference_velocity or reference_velocity_of(scene)
     most = None if all_particles else MOST_PARTICLES
@@ -98,19 +105,20 @@ def compare(
 
 
 def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] = lambda text: None) -> None:
-    """Every file but those of the runs themselves; the page has no figures where matplotlib is not installed."""
+    """Write all files except the output of the runs; without matplotlib the page has no figures."""
     _write_tables(found, out)
     write_script(out, found.scene, found.runs, max(run.typical_speed for run in found.runs) or 1.0)
     try:
-        drawn = draw_all(out, found.runs, found.subject, found.collisions)
+        figures = draw_all(out, found.runs, found.subject, found.collisions)
         missing = ""
     except GranflowError as error:
-        drawn, missing = [], str(error)
+        figures, missing = [], str(error)
         report(f"no figures: {missing}")
-    write_page(_page(found, out, drawn, missing), out / PAGE)
+    write_page(_page(found, out, figures, missing), out / PAGE)
 
 
 def _write_tables(found: SceneComparison, out: Path) -> None:
+    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv."""
     runs = found.runs
     write_columns(out / "compare.csv", summary_columns(runs, found.rows))
     write_columns(out / "heights.csv", {
@@ -119,17 +127,18 @@ def _write_tables(found: SceneComparison, out: Path) -> None:
            for column, name in enumerate(("time", "height_of_center", "height_of_surface"))},
     })  # fmt: skip
     write_columns(out / "forces.csv", _force_columns(runs))
-    lasting = [run.lasting for run in runs]
+    survival = [run.duration_survival for run in runs]
     write_columns(out / "durations.csv", {
-        "law": np.concatenate([np.repeat(r.variant.key, len(t)) for r, (t, _) in zip(runs, lasting, strict=True)]),
-        "time_in_contact": np.concatenate([times for times, _ in lasting]),
-        "share_lasting_longer": np.concatenate([share for _, share in lasting]),
+        "law": np.concatenate([np.repeat(r.variant.key, len(t)) for r, (t, _) in zip(runs, survival, strict=True)]),
+        "time_in_contact": np.concatenate([times for times, _ in survival]),
+        "share_lasting_longer": np.concatenate([share for _, share in survival]),
     })  # fmt: skip
     if found.collisions:
         write_columns(out / "collisions.csv", found.collisions)
 
 
 def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
+    """Columns of forces.csv: one row per contact model, stage and bin."""
     parts: list[tuple[np.ndarray, ...]] = []
     low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
     for run in runs:
@@ -142,44 +151,48 @@ def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[n] for part in parts or [empty]]) for n, name in enumerate(names)}
 
 
-def _page(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Page:
+def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Page:
+    """HTML page of the comparison; `missing` replaces the figures without matplotlib."""
     names = [run.variant.title for run in found.runs]
     lead = (
-        f"The scene {found.scene.path.name or found.scene.title} with the same seed and start under "
+        f"The scene {found.scene.path.name or found.scene.title} with the same seed and initial state, run with "
         f"{', '.join(names[:-1]) + ' and ' if names[1:] else ''}{names[-1]}. "
-        f"Only contact.normal, the time step and what a law needs as restitution differ."
+        f"Only contact.normal, the time step and the form of the restitution differ."
     )
     sections = [
-        _result_section(found), _course_section(found, out, drawn, missing), _contact_section(found, out, drawn),
-        _spring_section(found, out, drawn), _paraview_section(found), _method_section(found),
+        _result_section(found), _course_section(found, out, figures, missing), _contact_section(found, out, figures),
+        _spring_section(found, out, figures), _paraview_section(found), _method_section(found),
     ]  # fmt: skip
-    return Page(f"{found.scene.title}: laws side by side", lead, sections)
+    return Page(f"{found.scene.title}: contact models side by side", lead, sections)
 
 
-def _picture(out: Path, name: str, drawn: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
-    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in drawn else []
+def _picture(out: Path, name: str, figures: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
+    """The figure `name` if it was drawn, with links to the files `beside`."""
+    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in figures else []
 
 
 def size_note(found: SceneComparison) -> str:
-    """What was run of the scene, in a sentence."""
-    text = "The scene was run whole."
+    """Sentence on the particle counts and the end time of the runs."""
+    text = "The runs include all particles."
     if found.reduced:
         counts = ", ".join(
             f"{count} of {found.scene.particles[name].count} {name}" for name, count in found.reduced.items()
         )
-        text = f"To keep this short, not the whole scene was run but {counts}; --full runs all."
+        text = f"For a short run time the scene is reduced to {counts}; --full runs all particles."
     return text + (f" Every run ends at {found.until:g} s." if found.until is not None else "")
 
 
 def stage_note(found: SceneComparison) -> str:
-    """Which stage the starred rows are from."""
-    return f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces over all of it."
+    """Sentence on the stage of the starred rows."""
+    return (
+        f"* at the end of the stage {densest_stage(found.runs)}, which has the most contacts; forces: all frames of it."
+    )
 
 
 def stop_notes(found: SceneComparison) -> list[str]:
-    """Runs that a guard stopped, and laws that could not serve the scene."""
+    """Sentences on aborted runs and on contact models that cannot run the scene."""
     text = [
-        f"{run.variant.title} was stopped at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
+        f"{run.variant.title} was aborted at {run.time:.6g} s: {run.stopped.removeprefix('Stopped: ')}"
         for run in found.runs
         if run.stopped
     ]
@@ -187,98 +200,103 @@ def stop_notes(found: SceneComparison) -> list[str]:
 
 
 def _result_section(found: SceneComparison) -> Section:
+    """Section with the summary table."""
     first = found.runs[0].variant.title
     caption = (
-        f"Ratios are against {first}. {stage_note(found)} Heights of the center of mass and of the surface ({TOPS:g} % "
-        "of all tops lie below it) are against gravity, from the origin. <f> is the mean normal force of a frame."
+        f"Ratios are relative to {first}. {stage_note(found)} Heights of the center of mass and of the surface "
+        f"({SURFACE_PERCENTILE:g} % of all particle tops lie below it) are relative to the origin, against gravity. "
+        "<f> is the mean normal force of a frame."
     )
     return Section("Side by side", [
         size_note(found), *stop_notes(found), PageTable(caption, heads(found.runs), as_text(found.rows)),
-        "Numbers: compare.csv; each run has a directory of its own with timeseries.csv, result.json, run.log, the "
-        "scene as it was run, and its PVDs.",
+        "Numbers: compare.csv. Each run has a separate directory with timeseries.csv, result.json, run.log, the "
+        "resolved scene and the PVD files.",
     ])  # fmt: skip
 
 
-def _course_section(found: SceneComparison, out: Path, drawn: Sequence[str], missing: str) -> Section:
+def _course_section(found: SceneComparison, out: Path, figures: Sequence[str], missing: str) -> Section:
+    """Section with time series and energies."""
     course = (
-        "Course of the runs: flow (kinetic energy where there is no meter), height of the center of mass and of the "
-        f"surface ({TOPS:g} % of all tops lie below it; grains in free fall count), coordination number, mean overlap."
+        "Time series of the runs: flow (kinetic energy without a flow meter), height of the center of mass and of the "
+        f"surface ({SURFACE_PERCENTILE:g} % of all particle tops lie below it, including particles in free fall), "
+        "coordination number, mean overlap."
     )
-    energies = "Where the energy is and where it went. What a law loses by plastic unloading or damping is its own way."
+    energies = "Stored and dissipated energies. The contact models dissipate by plastic unloading or by damping."
     pictures = [
-        *_picture(out, "course", drawn, course, ("heights.csv",)), *_picture(out, "energies", drawn, energies, ()),
+        *_picture(out, "course", figures, course, ("heights.csv",)), *_picture(out, "energies", figures, energies, ()),
     ]  # fmt: skip
     return Section("Flow, height, energies", pictures or [missing])
 
 
-def _contact_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
+    """Section with force distribution and contact durations."""
     spacing = 1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT
     method = (
-        f"Durations: in {BURSTS} bursts spread evenly over the run all contacts with a force were looked at {SAMPLES} "
-        f"times in steps of {spacing:.3g} µs, an eighth of an elastic collision at the reference velocity. Followed "
-        f"are those that began in a burst; what was still there when it ended, after "
-        f"{readable(spacing * (SAMPLES - 1))} "
-        "µs, counts as longer (Kaplan and Meier 1958). A contact shorter than the distance of two looks can be "
-        "missed, and no duration is known better than that."
+        f"Durations: {BURSTS} bursts, evenly spaced over the run, each sample all contacts with a nonzero force "
+        f"{SAMPLES} times at intervals of {spacing:.3g} µs, an eighth of an elastic collision at the reference "
+        f"velocity. Contacts that begin within a burst count; those that persist at its end, after "
+        f"{readable(spacing * (SAMPLES - 1))} µs, are censored (Kaplan and Meier 1958). A contact shorter than the "
+        "sampling interval can be missed; the interval is also the resolution of the durations."
     )
     counted = [
         f"{run.variant.title}: {len(run.followed.arrays()[0])} contacts began, {int(run.followed.arrays()[1].sum())} "
-        "of them ended"
+        "of them ended within a burst"
         for run in found.runs
     ]
     caption = (
-        "Left: distribution of normal forces between grains over their mean in the same frame, all frames of the "
-        f"stage {densest_stage(found.runs)}. Right: how long new contacts last."
+        "Left: distribution of normal forces between particles over their mean in the same frame, all frames of the "
+        f"stage {densest_stage(found.runs)}. Right: share of new contacts that last longer than a time."
     )
-    picture = _picture(out, "contacts", drawn, caption, ("forces.csv", "durations.csv"))
+    picture = _picture(out, "contacts", figures, caption, ("forces.csv", "durations.csv"))
     return Section("Forces and durations of contacts", [*picture, method, "; ".join(counted) + "."])
 
 
-def _spring_section(found: SceneComparison, out: Path, drawn: Sequence[str]) -> Section:
+def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
+    """Section with the assessment of the linear springs."""
     assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
-    tables = [PageTable("What the numbers say.", ("claim", "verdict", "numbers"), assessed)] if assessed else []
+    tables = [PageTable("Assessment.", ("statement", "verdict", "numbers"), assessed)] if assessed else []
     if found.subject is None:
-        return Section("Is one spring enough?", tables)
+        return Section("Is one spring constant sufficient?", tables)
     subject = found.subject
     caption = (
-        f"Head-on collisions of two spheres of {1e3 * subject.diameter:.3g} mm ({subject.pair_key}), over Zhou's exact "
-        f"duration (Eq. 13), Hertz's largest overlap (Eq. 5) and the restitution asked: (a) to (c) with {FINE_STEPS} "
-        f"steps in the shortest collision, (d) with the step of {COARSE_STEPS} to an elastic collision at the "
+        f"Head-on collisions of two particles of {1e3 * subject.diameter:.3g} mm ({subject.pair_key}), relative to "
+        f"Zhou's exact duration (Eq. 13), Hertz's maximum overlap (Eq. 5) and the target restitution: (a) to (c) with "
+        f"{FINE_STEPS} steps in the shortest collision, (d) with {COARSE_STEPS} steps in an elastic collision at the "
         f"reference velocity of {subject.reference_velocity:.3g} m/s (dotted). Below {floor_velocity(subject):.3g} m/s "
-        "(dotted, fainter) Eq. 19 per contact keeps the spring of that velocity, here as in the scene."
+        "(dotted, fainter) Eq. 19 per contact uses the spring of that velocity, as in the scene."
     )
     refused = [
-        f"{sweep.variant.title}, {step} step, was refused: {why}"
+        f"{sweep.variant.title}, {step} time step, rejected: {why}"
         for sweep in found.sweeps
         for step, why in sweep.refused.items()
     ]
     return Section(
-        "Is one spring enough?",
-        [*tables, *_picture(out, "collisions", drawn, caption, ("collisions.csv",)), *refused],
+        "Is one spring constant sufficient?",
+        [*tables, *_picture(out, "collisions", figures, caption, ("collisions.csv",)), *refused],
     )
 
 
 def _paraview_section(found: SceneComparison) -> Section:
+    """Section on the ParaView script."""
     names = ", ".join(f"{run.variant.key}/particles.pvd" for run in found.runs)
     return Section("Side by side in ParaView", [
-        f"{SCRIPT} puts all runs beside each other, colored by speed: in ParaView by File > Load State, or for a "
-        f"picture by pvpython {SCRIPT} picture.png. Each run alone: {names}.",
+        f"{SCRIPT} shows all runs side by side, colored by speed: in ParaView with File > Load State, or as an "
+        f"image with pvpython {SCRIPT} picture.png. Individual runs: {names}.",
     ])  # fmt: skip
 
 
 def _method_section(found: SceneComparison) -> Section:
+    """Section on restitution, time steps and timings."""
     steps = "; ".join(
         f"{run.variant.title} {run.plan.time_step:.3g} s ({run.plan.step.limited_by})" for run in found.runs
     )
-    given = (
-        "" if found.scene.run.time_step == "auto" else " The scene gives a time step of its own, which was left out."
-    )
-    return Section("How this was measured", [
-        f"The spring from one velocity is that of Eq. 19 at {found.reference_velocity:.3g} m/s; where the scene has "
-        "Eq. 12 for the restitution and a law takes a number, it is the number of Eq. 12 at that velocity.",
-        f"Every law runs with its own automatic time step, from the same settings: {steps}.{given}",
-        "The energy ledger was on in all runs, which costs the same share of time in each. All runs were in one "
-        "process after one another, on the same threads; wall time is that of search and steps, without compilation "
-        "and output. Grains that rain fall from the same random numbers; where one finds its place taken by another, "
-        "it appears elsewhere, so that beds that differ can fill differently.",
+    given = "" if found.scene.run.time_step == "auto" else " The time step of the scene is ignored."
+    return Section("Method", [
+        f"The spring from one velocity is that of Eq. 19 at {found.reference_velocity:.3g} m/s. If the scene defines "
+        "the restitution by Eq. 12 and a contact model requires a number, it is the value of Eq. 12 at that velocity.",
+        f"Every contact model runs with its automatic time step, from the same settings: {steps}.{given}",
+        "All runs compute the energy budget, at the same relative cost. They run one after the other in one process, "
+        "on the same threads; wall time covers neighbor-list rebuilds and steps, without compilation "
+        "and output. Inserted particles use the same random numbers in all runs; if a sampled position is occupied, "
+        "another one is sampled, so that different beds can fill differently.",
     ])  # fmt: skip

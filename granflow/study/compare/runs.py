@@ -1,4 +1,4 @@
-"""One variant run to its end, or to the guard that stops it, with everything that is compared."""
+"""Run of one variant to its end or abort, with all compared quantities."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -24,27 +24,30 @@ from granflow.study.compare.variants import LawVariant
 BURSTS = 8
 SAMPLES = 48
 SAMPLES_PER_CONTACT = 8
-"""Looks in a burst, and in the duration of a Hertz contact at the reference velocity."""
+"""Samples per duration of an elastic Hertz contact at the reference velocity."""
 
 
 @dataclass(frozen=True)
 class VariantRun:
-    """What one variant did. `columns`: timeseries.csv by name without units, (rows,) each."""
+    """Result of one variant.
+
+    `columns`: columns of timeseries.csv by name without unit, (rows,) each; `time`: simulated time [s].
+    """
 
     variant: LawVariant
     plan: Plan
     step_count: int
     time: float
     seconds: float
-    """Wall clock of search and steps, without compilation and output."""
+    """Wall time of neighbor-list rebuilds and steps [s], without compilation and output."""
     compile_seconds: float
     stopped: str
-    """What the guard said that ended the run early; empty if none did."""
+    """Message of the abort; empty for a complete run."""
     columns: dict[str, np.ndarray]
     heights: np.ndarray
     """(rows, 3): time [s], height of the center of mass and of the surface [m]."""
     typical_speed: float
-    """Speed [m/s] that a color scale should reach."""
+    """Upper end of the color scale [m/s]."""
     forces: ForceHistogram
     followed: FollowedContacts
 
@@ -54,22 +57,22 @@ class VariantRun:
         return [name.partition(".")[2] for name in self.columns if name.startswith("flow_mass.")]
 
     def mass_flow(self, meter: str) -> float:
-        """Steady mass flow [kg/s] through a meter, as `granflow run` gives it."""
+        """Steady mass flow through a meter [kg/s], as reported by `granflow run`."""
         columns = (self.columns[name].tolist() for name in ("time", "stage", f"flow_mass.{meter}"))
         return steady_flow(list(zip(*columns, strict=True)))
 
     @cached_property
-    def lasting(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] and the share of contacts that last longer."""
+    def duration_survival(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and share of contacts that last longer, (n,) each."""
         return survival(*self.followed.arrays())
 
     @property
     def median_duration(self) -> float:
-        """Time [s] that half of the contacts outlast."""
-        return median_of(*self.lasting)
+        """Median contact duration [s]."""
+        return median_of(*self.duration_survival)
 
     def at_end_of(self, stage: str) -> int | None:
-        """Row of the last moment of a stage, None where the run did not finish it."""
+        """Last row of a stage; None if the run did not complete the stage."""
         rows = np.flatnonzero(self.columns["stage"] == stage)
         if not len(rows) or (self.stopped and rows[-1] + 1 == len(self.columns["stage"])):
             return None
@@ -79,7 +82,7 @@ class VariantRun:
 def run_variant(
     variant: LawVariant, out: Path, arch: str, reference_velocity: float, until: float | None
 ) -> VariantRun | str:
-    """Run a variant into a directory; the reason in words where its law cannot serve the scene."""
+    """Run a variant with output into `out`; returns the reason if its contact model cannot run the scene."""
     assert variant.scene is not None
     scene = variant.scene
     heights, forces = BedHeights.of(scene), ForceHistogram()
@@ -121,7 +124,7 @@ def run_variant(
 
 
 def hertz_duration(scene: Scene, velocity: float) -> float:
-    """Duration [s] of the shortest elastic collision that the scene can have at an approach velocity (Eq. 13)."""
+    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Eq. 13)."""
     durations = []
     for pair_case in pair_cases_of(scene):
         k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
@@ -130,7 +133,7 @@ def hertz_duration(scene: Scene, velocity: float) -> float:
 
 
 def read_time_series(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a timeseries.csv by their names without units; `stage` as words, all others as numbers."""
+    """Columns of a timeseries.csv by name without unit; `stage` as strings, all others as float64."""
     with path.open(newline="", encoding="utf-8") as file:
         heads, *rows = csv.reader(file)
     found = {}
@@ -144,7 +147,10 @@ def run_all(
     variants: Sequence[LawVariant], directories: Sequence[Path], arch: str, reference_velocity: float,
     until: float | None, report: Callable[[str], None],
 ) -> tuple[list[VariantRun], dict[str, str]]:  # fmt: skip
-    """Run every variant; what ran, and why others could not. Raises GranflowError where none could."""
+    """Run every variant.
+
+    Returns the runs, and the reasons of rejected variants by title. Raises GranflowError if no variant can run.
+    """
     ran, refused = [], {each.title: each.refused for each in variants if each.scene is None}
     for variant, out in zip(variants, directories, strict=True):
         if variant.scene is None:
@@ -156,5 +162,7 @@ def run_all(
         else:
             refused[variant.title] = done
     if not ran:
-        raise GranflowError("No law can run this scene: " + " ".join(f"{n}: {why}" for n, why in refused.items()))
+        raise GranflowError(
+            "No contact model can run this scene: " + " ".join(f"{n}: {why}" for n, why in refused.items())
+        )
     return ran, refused

@@ -1,4 +1,4 @@
-"""The table at the end: a row for each number, a column for each law, and its ratio to the first."""
+"""Summary table: one row per quantity, one column per contact model, with the ratio to the first."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,42 +9,42 @@ from granflow.observe.report import readable
 from granflow.study.compare.runs import VariantRun
 
 STRONG = 2.0
-"""Contacts with more than this multiple of the mean force are counted as strong."""
-NOTHING = "–"
+"""Multiple of the mean force above which a contact counts as strong."""
+MISSING = "–"
 
 
-SHOWN = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
-"""Small numbers as they are shown: unit, and the factor from SI."""
+DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
+"""Display unit and factor from SI."""
 
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One number of every run in SI, in the order of the runs; nan where a run has none."""
+    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value."""
 
     name: str
     unit: str
     values: tuple[float, ...]
-    shown: tuple[str, float] = ("", 1.0)
-    """Unit and factor with which it is shown; no unit: as it is."""
+    display: tuple[str, float] = ("", 1.0)
+    """Display unit and factor from SI; an empty unit for dimensionless quantities."""
     at_stage: bool = False
-    """Whether it belongs to the densest stage."""
+    """Whether the value refers to the densest stage."""
 
     @property
     def label(self) -> str:
-        """The name, with a star where it belongs to the densest stage."""
+        """Name, with a star if the value refers to the densest stage."""
         return f"{self.name} *" if self.at_stage else self.name
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """Over the first run's; nan where that is 0 or missing."""
+        """Ratios to the value of the first run; nan if that is 0 or missing."""
         first = self.values[0]
         return tuple(value / first if first else float("nan") for value in self.values)
 
 
 def densest_stage(runs: Sequence[VariantRun]) -> str:
-    """The stage at whose end the first run that came to its end has the most contacts: where the bed is.
+    """Stage at the end of which the first complete run has the most contacts.
 
-    Only stages that all such runs have rows of: one that waits for rest may be over before its first row.
+    Only stages with rows in all complete runs qualify: a stage that waits for rest may end before its first row.
     """
     finished = [run for run in runs if not run.stopped] or list(runs[:1])
     columns = finished[0].columns
@@ -54,31 +54,35 @@ def densest_stage(runs: Sequence[VariantRun]) -> str:
 
 
 def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows; one that no run has a number for is left out."""
+    """All rows with a finite value of at least one run."""
     stage = densest_stage(runs)
     rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
     return [row for row in rows if np.isfinite(row.values).any()]
 
 
 def _row(
-    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], shown: str = ""
+    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
 ) -> SummaryRow:
+    """One row; `display` is a key of DISPLAY_UNITS or empty."""
     values = tuple(float(number(run)) for run in runs)
-    return SummaryRow(name, unit, values, SHOWN[shown] if shown else (unit, 1.0))
+    return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
 
 
 def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on time step, steps and wall time."""
     return [
         _row(runs, "time step", "s", lambda run: run.plan.time_step, "time"),
         _row(runs, "simulated time", "s", lambda run: run.time),
         _row(runs, "steps needed", "", lambda run: run.step_count),
         _row(runs, "wall time of steps", "s", lambda run: run.seconds),
-        _row(runs, "wall time a step", "s", lambda run: run.seconds / max(run.step_count, 1), "time"),
+        _row(runs, "wall time per step", "s", lambda run: run.seconds / max(run.step_count, 1), "time"),
         _row(runs, "compilation", "s", lambda run: run.compile_seconds),
     ]
 
 
 def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the mass flow through each meter."""
+
     def flow(meter: str) -> Callable[[VariantRun], float]:
         return lambda run: run.mass_flow(meter)
 
@@ -86,7 +90,7 @@ def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
-    """Reader of a column of the time series at the end of a stage; nan for a run that did not finish it."""
+    """Function that returns the value of a column at the end of a stage; nan if a run did not complete the stage."""
 
     def number(run: VariantRun) -> float:
         row = run.at_end_of(stage)
@@ -96,6 +100,7 @@ def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
 
 
 def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
+    """Rows on the bed at the end of the densest stage."""
     when = at_end(stage, "time")
 
     def height(column: int) -> Callable[[VariantRun], float]:
@@ -117,13 +122,15 @@ def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
 
 
 def _contacts(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the contacts of the complete run."""
     return [
-        _row(runs, "largest overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
-        _row(runs, "median contact time", "s", lambda run: run.median_duration, "time"),
+        _row(runs, "maximum overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
+        _row(runs, "median contact duration", "s", lambda run: run.median_duration, "time"),
     ]
 
 
 def _energies(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """Rows on the energies at the end of the run; rows of zeros are omitted."""
     names = {
         "kinetic energy, end": "kinetic_energy",
         "lost: plastic": "plastic_dissipation",
@@ -141,26 +148,26 @@ def _energies(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def heads(runs: Sequence[VariantRun]) -> list[str]:
-    """Heads of the table; titles of several words stand in two lines."""
+    """Column headings of the table; titles of several words use two lines."""
     first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
     return ["", "unit", first, *(head for title in others for head in (title, "ratio"))]
 
 
 def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
-    """Cells of the table: the first law's number, then number and ratio of each other."""
+    """Cells of the table: value of the first contact model, then value and ratio of each other."""
     found = []
     for row in rows:
-        unit, factor = row.shown
+        unit, factor = row.display
         first, *others = (factor * value for value in row.values)
         cells = [row.label, unit, _number(first)]
         for value, ratio in zip(others, row.ratios[1:], strict=True):
-            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else NOTHING]
+            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else MISSING]
         found.append(cells)
     return found
 
 
 def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
-    """Columns of compare.csv: a row for each number and law."""
+    """Columns of compare.csv: one row per quantity and contact model."""
     laws = [run.variant.key for run in runs]
     return {
         "quantity": np.repeat([row.name for row in rows], len(laws)),
@@ -172,4 +179,5 @@ def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> d
 
 
 def _number(value: float) -> str:
-    return readable(value) if np.isfinite(value) else NOTHING
+    """Text of a value, or a dash for nan."""
+    return readable(value) if np.isfinite(value) else MISSING

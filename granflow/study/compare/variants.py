@@ -1,4 +1,4 @@
-"""The same scene under each law: what is put in its place, and what each law is matched by."""
+"""Variants of a scene with each contact model and matched parameters."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from granflow.scene.yaml12 import parse
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
 TYPICAL_SHARE = 0.1
-"""The reference velocity over the fastest approach expected, unless it is given."""
+"""Default reference velocity over the largest expected impact velocity."""
 
 
 @dataclass(frozen=True)
 class LawVariant:
-    """The scene under one law; `key` names its directory, `normal` is its `contact.normal`.
+    """The scene with one contact model; `key` names its directory, `normal` is its `contact.normal`.
 
-    A law that cannot serve the scene has no scene but the reason.
+    If the contact model cannot run the scene, `scene` is None and `refused` gives the reason.
     """
 
     key: str
@@ -34,36 +34,39 @@ class LawVariant:
 
 
 def law_names(given: str) -> tuple[str, ...]:
-    """The laws of a list with commas. Raises GranflowError for an unknown law, one named twice, or none."""
+    """Contact models of a comma-separated list.
+
+    Raises GranflowError for an unknown contact model, a repeated one, or an empty list.
+    """
     names = tuple(part.strip() for part in given.split(",") if part.strip())
     if not names:
-        raise GranflowError("No law is named: give at least one, such as --laws zhou,linear,hertz.")
+        raise GranflowError("--laws is empty: give at least one contact model, such as --laws zhou,linear,hertz.")
     for number, name in enumerate(names):
         if name not in NORMAL_LAWS:
-            remedy = suggestion_or_list(name, NORMAL_LAWS, "laws")
-            raise GranflowError(f"There is no law {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
+            remedy = suggestion_or_list(name, NORMAL_LAWS, "contact models")
+            raise GranflowError(f"Unknown contact model {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
         if name in names[:number]:
-            raise GranflowError(f"The law {name} is named twice: name each once.")
+            raise GranflowError(f"The contact model {name} is repeated: give each once.")
     return names
 
 
 def variant_keys(laws: Sequence[str]) -> list[str]:
-    """Directories of the variants of these laws."""
+    """Directory names of the variants of these contact models."""
     return [key for name in laws for key in (LINEAR_KEYS if name == "linear" else (name,))]
 
 
 def reference_velocity_of(scene: Scene) -> float:
-    """A typical approach velocity [m/s]: an order of magnitude below the fastest that the plan reckons with."""
+    """Typical impact velocity [m/s]: an order of magnitude below the largest that the plan assumes."""
     return TYPICAL_SHARE * max_impact_velocity(scene).value
 
 
 def variants_of(
     scene: Scene, laws: Sequence[str], reference_velocity: float, most_particles: int | None = None
 ) -> list[LawVariant]:
-    """The scene under each law, `linear` twice: per contact and from the reference velocity [m/s].
+    """The scene with each contact model, `linear` twice: per contact and from the reference velocity [m/s].
 
-    Every variant has its own automatic time step and keeps the energy ledger. With `most_particles`, groups that are
-    poured, packed or laid out are made smaller in proportion until the scene has no more.
+    Every variant has its automatic time step and computes the energy budget. `most_particles` reduces the groups
+    without explicit positions in proportion.
     """
     found = []
     for key, title, normal in _normals(scene, laws, reference_velocity):
@@ -93,7 +96,7 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
 
 
 def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: int | None) -> dict[str, Any]:
-    """The scene with the law in it, as a file would say it."""
+    """Scene description with the contact model, in the structure of a scene file."""
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["contact"]["normal"] = dict(normal)
     described["run"]["time_step"] = "auto"
@@ -110,9 +113,9 @@ def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: i
 
 
 def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
-    """What a law gets as restitution of a pair: the scene's; in place of Eq. 12 its number at the velocity [m/s].
+    """Restitution of a pair for a contact model: that of the scene, or the value of Eq. 12 at the velocity [m/s].
 
-    None where the law has it from the materials, or the scene gives none.
+    None if the contact model derives it from the materials, or if the scene does not define it.
     """
     kind, given = NORMAL_LAWS[law].restitution, scene.pairs[pair].restitution
     if kind == "nothing" or given is None or isinstance(given, float):
@@ -123,7 +126,7 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
 
 
 def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
-    """Smaller counts of the groups without given places, so that all together are at most `most` if they can."""
+    """Reduced counts of the groups without explicit positions, for at most `most` particles if possible."""
     explicit_kinds = ("positions", "file")
     scalable = {name: group.count for name, group in scene.particles.items() if group.insert.kind not in explicit_kinds}
     explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())

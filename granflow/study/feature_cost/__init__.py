@@ -1,4 +1,4 @@
-"""What leaving out saves: a scene timed step for step as it stands, and with one feature after the other off or on."""
+"""Cost of features: step time of a scene, and of its variants with one feature switched on or off."""
 
 from granflow.study.feature_cost.measure import FeatureCost, feature_costs
 from granflow.study.feature_cost.report import HEADS, cost_rows, remarks, write_feature_costs

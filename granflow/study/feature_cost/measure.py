@@ -1,4 +1,4 @@
-"""All variants of a scene from the same particles, side by side in one process, in turn, many times over."""
+"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,15 +19,15 @@ from granflow.study.feature_cost.variants import FeatureVariant, variants_of
 from granflow.walls.motion import Motion
 
 SHARE_BEFORE = 1.0 / 3.0
-"""Of the scene's longest run, simulated before the timing unless another time is given."""
+"""Default simulated time before the timing, over the longest run time of the scene."""
 ROUNDS = 25
 STEPS_BEFORE, STEPS = 10, 40
-"""Of each timing: steps in which contacts begin to remember, and steps that are timed."""
+"""Steps of each timing: warm-up steps that build the contact history, and timed steps."""
 
 
 @dataclass(frozen=True)
 class StartState:
-    """Where a scene stands when the timing begins: particles in the order of their id, and walls by plan order."""
+    """State at the start of the timing: particles in the order of their ids, and walls in plan order."""
 
     particles: ParticleData
     present: tuple[bool, ...]
@@ -37,18 +37,18 @@ class StartState:
 
 @dataclass(frozen=True)
 class FeatureCost:
-    """What a step costs with one variant; its ratio is that to the scene as it stands, round by round."""
+    """Cost of a step of one variant; `ratio` is relative to the baseline of the same round."""
 
     name: str
     plan: Plan
     nanoseconds: float
-    """Per particle and step, median."""
+    """Wall time per particle and step [ns], median."""
     ratio: tuple[float, float, float]
     """Lower quartile, median and upper quartile."""
     bytes_per_particle: float
     compile_seconds: float
     contacts_per_particle: float
-    """At the end of a timing; a contact between two particles counts once."""
+    """Contacts at the end of a timing; a contact between two particles counts once."""
 
 
 def feature_costs(
@@ -56,14 +56,14 @@ def feature_costs(
     arch: Arch = "cpu",
     threads: int | None = None,
     until: float | None = None,
-    report: Callable[[str], None] = lambda words: None,
+    report: Callable[[str], None] = lambda text: None,
     rounds: int = ROUNDS,
     only: Sequence[str] | None = None,
 ) -> list[FeatureCost]:
-    """Run a scene to the time `until` [s], then time it as it stands, first in the list, and every variant.
+    """Run a scene to the time `until` [s], then time the baseline, first in the list, and every variant.
 
-    `only`: names of the variants wanted. Raises GranflowError where no particle is there at that time or where a
-    guard stops a variant.
+    `only`: names of the requested variants. `report` receives progress messages. Raises GranflowError without
+    particles at that time, RunError if a variant aborts.
     """
     end = SHARE_BEFORE * _longest(scene) if until is None else until
     report(f"Running to {end:.3g} s")
@@ -72,13 +72,13 @@ def feature_costs(
     start, base, backend = start_of(simulation), simulation.plan, simulation.engine.state.backend
     simulation.free()
     if not len(start.particles):
-        raise GranflowError(f"At {end:.4g} s no particle is there to time steps on: give another time with --until.")
+        raise GranflowError(f"At {end:.4g} s the scene contains no particles to time: give another time with --until.")
     wanted = [each for each in variants_of(base) if only is None or each.name in only]
     engines = []
     for variant in wanted:
         report(f"Compiling {variant.name}")
         engines.append(engine_for(variant, base, start, backend))
-    report(f"Timing {len(engines)} variants {rounds} times in turn")
+    report(f"Timing {len(engines)} variants in {rounds} rounds")
     pairs = list(zip(engines, wanted, strict=True))
     times = np.array([[_nanoseconds(*pair, start) for pair in pairs] for _ in range(rounds + 1)])[1:]
     found = [
@@ -91,11 +91,12 @@ def feature_costs(
 
 
 def _longest(scene: Scene) -> float:
+    """Longest run time of the scene [s]: sum over the stages."""
     return sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
 
 
 def start_of(simulation: Simulation) -> StartState:
-    """The particles and walls of a simulation as they are now."""
+    """Current particles and walls of a simulation."""
     engine = simulation.engine
     particles = simulation.snapshot().particles
     data = ParticleData(*(particles[name] for name in ParticleData.__dataclass_fields__))
@@ -104,7 +105,7 @@ def start_of(simulation: Simulation) -> StartState:
 
 
 def engine_for(variant: FeatureVariant, base: Plan, start: StartState, backend: Backend) -> Engine:
-    """An engine for this variant of the scene with its walls as they stood, and no particles."""
+    """Engine for a variant with the walls of the start state, without particles."""
     engine = Engine(variant.plan(base, on_gpu=not backend.on_cpu), backend)
     engine.state.clock.load_state_dict(start.clock)
     count = len(variant.scene.walls)
@@ -113,7 +114,7 @@ def engine_for(variant: FeatureVariant, base: Plan, start: StartState, backend: 
 
 
 def restore(engine: Engine, variant: FeatureVariant, start: StartState) -> None:
-    """All particles where they stood, forces known, contacts without memory."""
+    """Restore the particles of the start state, with forces and an empty contact history."""
     engine.state.count = 0
     for row in (engine.state.neighbors.list_begin, engine.state.neighbors.list_end):
         row.fill(0)
@@ -123,7 +124,7 @@ def restore(engine: Engine, variant: FeatureVariant, start: StartState) -> None:
 
 
 def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
-    """The same grains of the materials that this scene gives their groups."""
+    """The same particles with the materials of their groups in this scene."""
     names = list(scene.materials)
     numbers = np.array([names.index(group.material) for group in scene.particles.values()], dtype=np.int32)
     return replace(particles, material=numbers[particles.group])
@@ -132,7 +133,7 @@ def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
 def _feature_cost(
     variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
-    """Numbers of one variant from its times and those of the scene as it stands, round by round."""
+    """Cost of one variant from its times and those of the baseline (rounds,)."""
     plan = engine.plan
     return FeatureCost(
         name=variant.name,
@@ -146,7 +147,7 @@ def _feature_cost(
 
 
 def _nanoseconds(engine: Engine, variant: FeatureVariant, start: StartState) -> float:
-    """Wall time per particle and step [ns], from where the particles stood; without the neighbor search."""
+    """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds."""
     restore(engine, variant, start)
     engine.advance(STEPS_BEFORE)
     rebuild_seconds, began = engine.timing.neighbor_list, perf_counter()

@@ -1,4 +1,4 @@
-"""The table of what leaving out saves: for the terminal, as CSV, and as Markdown for a page."""
+"""Table of feature costs: for the terminal, as CSV and as Markdown."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 
 
 def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
-    """One row a variant. Step, bytes and contacts are per particle; time is the ratio with its quartiles."""
+    """One row per variant. Step, bytes and contacts are per particle; time is the ratio with its quartiles."""
     return [
         (
             each.name,
@@ -27,18 +27,17 @@ def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
 
 
 def remarks(found: Sequence[FeatureCost]) -> list[str]:
-    """What a reader must know to read the table."""
+    """Remarks for the interpretation of the table."""
     simulated_ms = 1e3 * (STEPS_BEFORE + STEPS) * found[0].plan.time_step
     law = found[0].plan.law
-    law_remark = f"Without history elastic hertz stands for {law.name}. " if law.history_names else ""
+    law_remark = f"Without history, elastic hertz replaces {law.name}. " if law.history_names else ""
     return [
-        "Step, bytes and contacts are those of one particle; time is relative to the scene as it stands, the median "
-        "and quartiles of rounds in which every row had its turn. Searching for neighbors is not in it.",
-        f"Every timing begins with the same particles in the same places and lasts {simulated_ms:.2g} ms, since "
-        f"what is left "
-        "out changes what happens: contacts, at its end, says how far.",
-        f"{law_remark}Rotation goes with friction and rolling friction.",
-        "Radius and mass are kept for every particle in any scene: several radii cost nothing.",
+        "Step, bytes and contacts are per particle; time is relative to the baseline, as median and quartiles over "
+        "rounds that time every row once. Neighbor-list rebuilds are not included.",
+        f"Every timing starts from the same particle positions and covers {simulated_ms:.2g} ms of simulated time. "
+        "A feature also changes the motion; the contacts at the end of the timing show to which extent.",
+        f"{law_remark}Without rotation, friction and rolling friction are off, too.",
+        "Radius and mass are stored for every particle of any scene: several radii have no additional cost.",
     ]
 
 
@@ -52,10 +51,12 @@ def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> 
 
 
 def _line(cells: Sequence[str]) -> str:
+    """One line of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 
 def _columns(found: Sequence[FeatureCost]) -> dict[str, np.ndarray]:
+    """Columns of feature_cost.csv: one row per variant."""
     columns = {"variant": np.array([each.name for each in found])}
     for column, end in enumerate(("low", "median", "high")):
         columns[f"ratio_{end}"] = np.array([each.ratio[column] for each in found])

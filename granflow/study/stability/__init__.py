@@ -1,1 +1,1 @@
-"""Stiff and extreme cases, each run to an end and given a verdict, and the real bound of the time step."""
+"""Stability study: stiff and extreme cases with a verdict each, and the measured stability limit of the time step."""

@@ -1,4 +1,4 @@
-"""Many grains in hard places: weights that lie or fall, beds pressed, shot at and shaken; and what to measure."""
+"""Many-particle cases: static loads, falling, compressed, impacted and vibrated beds, and their measurements."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,27 +15,28 @@ DIAMETER = 2.0 * RADIUS
 LAWS: Mapping[str, Any] = {"zhou": "zhou", "hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}
 """Settings of `contact.normal` by name; every pair has restitution 0.5."""
 ROW = 4
-"""Grains along each side of a bed."""
+"""Particles along each edge of a bed."""
 SIDE = ROW * DIAMETER
 REST_STEPS = 20_000
-"""Steps for which what rests must go on resting."""
+"""Number of steps of a static case."""
 
 
 def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
-    """A scene of grains named after their materials, `grain` and `heavy`, with walls of `grain`.
+    """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
 
-    `changes`: friction, gravity, walls, numerics, run, young_modulus, density (of `heavy`), in place of the usual.
+    `changes` replace defaults: friction, gravity [m/s^2], walls, numerics, run, young_modulus [Pa], density of `heavy`
+    [kg/m^3], reach [m].
     """
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
     reach = changes.get("reach", 10.0 * SIDE)
     return Scene.model_validate({
-        "title": "Grains in a hard place",
+        "title": "Many particles in an extreme case",
         "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
         "materials": {
-            "grain": {**solid, "density": DENSITY}, "heavy": {**solid, "density": changes.get("density", DENSITY)}
+            "light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": changes.get("density", DENSITY)}
         },
-        "pairs": {"grain-grain": pair, "grain-heavy": pair, "heavy-heavy": pair},
+        "pairs": {"light-light": pair, "light-heavy": pair, "heavy-heavy": pair},
         "contact": {"normal": LAWS[law], "tangential": "mindlin", "rolling": "none"},
         "walls": changes.get("walls", {"floor": _plane([0, 0, 0], [0, 0, 1])}),
         "particles": particles,
@@ -47,11 +48,12 @@ def scene_with(law: str, particles: Mapping[str, Any], duration: float, **change
 
 
 def _plane(point: list[float], normal: list[float], motion: Any = ()) -> dict[str, Any]:
-    return {"shape": "plane", "point": point, "normal": normal, "material": "grain", "motion": list(motion)}
+    """Plane wall through a point [m] with a normal."""
+    return {"shape": "plane", "point": point, "normal": normal, "material": "light", "motion": list(motion)}
 
 
 def box_walls(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
-    """A floor, which may move, and four walls around a bed of that spread."""
+    """A floor, optionally moving, and four walls around a bed with this relative spacing."""
     low, high = -0.5 * SIDE * (1.0 + spread), 0.5 * SIDE * (1.0 + spread)
     return {
         "floor": _plane([0, 0, 0], [0, 0, 1], motion),
@@ -60,8 +62,8 @@ def box_walls(motion: Any = (), spread: float = 0.0) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "grain") -> dict[str, Any]:
-    """A group of grains at given places [m]."""
+def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str = "light") -> dict[str, Any]:
+    """A group of particles at positions (n, 3) [m]."""
     return {
         "material": material, "diameter": DIAMETER, "velocity": np.asarray(velocity, float).tolist(),
         "insert": {"kind": "positions", "positions": np.asarray(positions, float).tolist()},
@@ -69,9 +71,9 @@ def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str 
 
 
 def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
-    """Places (n, 3) [m] of a cube of grains that just touch, its lowest at `height` over the floor.
+    """Positions (n, 3) [m] of a cube of touching particles, `height` [m] above the floor.
 
-    With `spread` they stand apart by that share, shifted at random.
+    `spread` increases the spacing by this fraction and adds random shifts.
     """
     points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
     points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
@@ -81,7 +83,7 @@ def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
 
 
 def energy_budget_result(scene: Scene) -> CaseResult:
-    """Run the scene; the error is the magnitude of `energy_error` at the end."""
+    """Run the scene; the error is the magnitude of `energy_error` at the end of the run."""
     simulation = Simulation(scene)
     try:
         result = simulation.run()
@@ -89,7 +91,7 @@ def energy_budget_result(scene: Scene) -> CaseResult:
         simulation.free()
     error = float(result.totals["energy_error"])
     step = simulation.plan.step
-    return CaseResult("energy ledger", 0.0, error, abs(error), step.value, step.warnings)
+    return CaseResult("energy error", 0.0, error, abs(error), step.value, step.warnings)
 
 
 def energy_budget_result_of(
@@ -100,15 +102,18 @@ def energy_budget_result_of(
 
 
 def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
-    """Grains in a column at rest, lowest first, each of its density: the floor must go on carrying their weight."""
+    """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
+
+    `densities` [kg/m^3] from bottom to top; `young_modulus` [Pa].
+    """
     weights = GRAVITY * 4.0 / 3.0 * np.pi * RADIUS**3 * np.array(densities)
     heavy = max(densities)
-    names = ["heavy" if density == heavy and heavy != DENSITY else "grain" for density in densities]
+    names = ["heavy" if density == heavy and heavy != DENSITY else "light" for density in densities]
 
     def scene(heights: np.ndarray) -> Scene:
         centers = np.stack([0.0 * heights, 0.0 * heights, heights], axis=1)
         groups = {
-            f"{name}s": particles_at(centers[[each == name for each in names]], material=name)
+            name: particles_at(centers[[each == name for each in names]], material=name)
             for name in dict.fromkeys(names)
         }
         reach = max(10.0 * SIDE, 2.5 * RADIUS * len(densities))
@@ -131,7 +136,7 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 
 
 def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
-    """Overlap [m] at which contact number `index` of a column, the floor's being 0, carries a load [N]."""
+    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor."""
     low, high = 0.0, RADIUS
     radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
     lower, upper = masses[index], masses[index + 1]

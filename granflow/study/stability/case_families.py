@@ -1,4 +1,4 @@
-"""All cases: families of stiff and extreme ones, each a grid of rows and columns."""
+"""All cases: families of stiff and extreme cases, each a grid of rows and columns."""
 
 from collections.abc import Iterator
 from functools import cache, partial
@@ -21,7 +21,7 @@ from granflow.study.stability.bed_cases import (
 )
 from granflow.study.stability.cases import CaseResult, StabilityCase
 from granflow.study.stability.lattices import LATTICES
-from granflow.study.stability.pair_cases import SpherePair, rebound_result
+from granflow.study.stability.pair_cases import ParticlePair, rebound_result
 from granflow.study.stability.time_step_bounds import LAWS as BOUND_LAWS
 from granflow.study.stability.time_step_bounds import RESOLUTION, real_bounds
 
@@ -37,21 +37,21 @@ RATIOS: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0)
 DENSITY_RATIOS = (1.0, 1e3, 1e6)
 
 SPREAD = 0.1
-"""Grains that fall begin as far apart, over their diameter."""
+"""Initial gap between falling particles, over their diameter."""
 
 STEPS = "time step against restitution"
 STIFFNESS = "stiffness against velocity"
 SIZES = "size against precision"
 UNEQUAL = "unequal partners"
-MANY = "many grains"
-BOUNDS = "real bound of the step"
+MANY = "many particles"
+BOUNDS = "stability limit of the time step"
 
-STICKING = ", friction"
-CAREFUL = "the check takes grains to touch up to 12 others, where these touch fewer"
+WITH_FRICTION = ", friction"
+CONSERVATIVE_WARNING = "the check assumes up to 12 contacts per particle, more than in this lattice"
 
 
 def all_cases(full: bool = False) -> list[StabilityCase]:
-    """Every case; `full` with all moduli and ratios instead of every other one."""
+    """All cases; `full` includes all moduli, sizes and ratios instead of every other one."""
     stride = 1 if full else 2
     moduli = MODULI if full else (1e5, 1e7, 1e9, 1e12)
     return [
@@ -61,54 +61,59 @@ def all_cases(full: bool = False) -> list[StabilityCase]:
 
 
 def _step_cases() -> Iterator[StabilityCase]:
-    pairs = tuple(SpherePair(restitution=e) for e in RESTITUTIONS)
+    """Restitution at time steps relative to the largest permitted one."""
+    pairs = tuple(ParticlePair(restitution=e) for e in RESTITUTIONS)
     for share in SHARES:
         for index, e in enumerate(RESTITUTIONS):
             run = partial(rebound_result, pairs, index, "f64", share)
-            yield StabilityCase(STEPS, f"e = {e:g}", f"{share:g}", "the restitution asked for", run)
+            yield StabilityCase(STEPS, f"e = {e:g}", f"{share:g}", "the target restitution", run)
 
 
 def _stiffness_cases(moduli: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Young's modulus and impact velocity at the automatic time step."""
     for modulus in moduli:
         for velocity in VELOCITIES:
-            pair = SpherePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
+            pair = ParticlePair(young_modulus=modulus, restitution=STEEL, velocity=velocity)
             run = partial(rebound_result, (pair,), 0)
             yield StabilityCase(STIFFNESS, f"{modulus:.0e} Pa", f"{velocity:g} m/s", "e(v) of Eq. 12", run)
 
 
 def _size_cases(radii: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Particle radius and precision."""
     for precision in PRECISIONS:
         for radius in radii:
-            run = partial(rebound_result, (SpherePair(radius=radius),), 0, precision)
-            yield StabilityCase(SIZES, precision, f"R = {radius:g} m", "the restitution asked for", run, precision)
+            run = partial(rebound_result, (ParticlePair(radius=radius),), 0, precision)
+            yield StabilityCase(SIZES, precision, f"R = {radius:g} m", "the target restitution", run, precision)
 
 
 def _unequal_cases(ratios: tuple[float, ...]) -> Iterator[StabilityCase]:
+    """Ratios of radius and density of the two particles."""
     for density in DENSITY_RATIOS:
         for ratio in ratios:
-            run = partial(rebound_result, (SpherePair(radius_ratio=ratio, density_ratio=density),), 0)
-            reference = "the restitution asked for, and momentum"
+            run = partial(rebound_result, (ParticlePair(radius_ratio=ratio, density_ratio=density),), 0)
+            reference = "the target restitution and conservation of momentum"
             yield StabilityCase(UNEQUAL, f"density 1 : {density:g}", f"radius 1 : {ratio:g}", reference, run)
 
 
 def _many_cases() -> Iterator[StabilityCase]:
+    """Columns and beds of many particles."""
     for law in bed_cases.LAWS:
         yield StabilityCase(
-            MANY, law, "heavy on light", "weight on the floor", partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11)
+            MANY, law, "heavy on light", "the weight on the floor", partial(column_at_rest, law, (2.5e3, 2.5e9), 1e11)
         )
         yield StabilityCase(
-            MANY, law, "column of 100", "weight on the floor", partial(column_at_rest, law, (2.5e3,) * 100, 5e7)
+            MANY, law, "column of 100", "the weight on the floor", partial(column_at_rest, law, (2.5e3,) * 100, 5e7)
         )
         for column, (particles, duration, changes) in _beds().items():
             run = partial(energy_budget_result_of, law, particles, duration, changes)
-            yield StabilityCase(MANY, law, column, "the energy ledger", run)
+            yield StabilityCase(MANY, law, column, "the energy budget", run)
 
 
 def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
-    """Grains, duration [s] and what is changed, for each case judged by the energy ledger."""
-    resting_bed = {"grains": particles_at(bed_positions())}
-    falling = {"grains": particles_at(bed_positions(spread=SPREAD))}
-    half = {"grains": particles_at([[-0.75 * RADIUS, 0, 1e-2], [0.75 * RADIUS, 0, 1e-2]])}
+    """Particles, duration [s] and changed settings for each case assessed by the energy budget."""
+    resting_bed = {"bed": particles_at(bed_positions())}
+    falling = {"bed": particles_at(bed_positions(spread=SPREAD))}
+    half = {"bed": particles_at([[-0.75 * RADIUS, 0, 1e-2], [0.75 * RADIUS, 0, 1e-2]])}
     bullet = [0.3 * RADIUS, 0.2 * RADIUS, SIDE + 2.0 * DIAMETER]
     shot = {**resting_bed, "projectile": particles_at([bullet], [0.0, 0.0, -1000.0])}
     opposed = {
@@ -117,17 +122,17 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
     }
     speed, depth = 0.05, 5 * 0.05 * RADIUS
     piston = {"kind": "translation", "velocity": [0, 0, -speed], "end": depth / speed}
-    lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "grain", "motion": [piston]}
+    lid = {"shape": "plane", "point": [0, 0, SIDE], "normal": [0, 0, -1], "material": "light", "motion": [piston]}
     vibration = {"kind": "vibration", "direction": [0, 0, 1], "frequency": 50.0, "gamma": 100.0}
-    open_guard = {"numerics": {"max_overlap": LARGEST_OVERLAP}}
+    no_limit = {"numerics": {"max_overlap": LARGEST_OVERLAP}}
     wide = box_walls(spread=SPREAD)
     weightless = {"gravity": 0.0, "walls": {}}
     return {
         "squeezed": (resting_bed, 1.5 * depth / speed, {"walls": {**box_walls(), "lid": lid}}),
-        "made 50 % overlapping": (half, 1e-3, weightless),
-        "the same, guard off": (half, 1e-3, {**weightless, **open_guard}),
+        "initial overlap 50 %": (half, 1e-3, weightless),
+        "overlap 50 %, limit off": (half, 1e-3, {**weightless, **no_limit}),
         "1 km/s, soft": (shot, 1e-4, {"walls": box_walls()}),
-        "1 km/s, 70 GPa, guard off": (shot, 3e-5, {"walls": box_walls(), "young_modulus": 7e10, **open_guard}),
+        "1 km/s, 70 GPa, limit off": (shot, 3e-5, {"walls": box_walls(), "young_modulus": 7e10, **no_limit}),
         "friction 0": (falling, 0.02, {"walls": wide, "friction": 0.0}),
         "friction 10": (falling, 0.02, {"walls": wide, "friction": 10.0}),
         "no gravity": (opposed, 0.01, weightless),
@@ -140,24 +145,29 @@ def _beds() -> dict[str, tuple[dict[str, Any], float, dict[str, Any]]]:
 
 
 def _bound_cases() -> Iterator[StabilityCase]:
+    """Measured stability limits of all contact models and lattices."""
     for law in BOUND_LAWS:
         for friction in (False, True):
             for lattice in LATTICES:
-                column = lattice + STICKING * friction
-                reference = "the step that check allows: 1 to 2 times it"
+                column = lattice + WITH_FRICTION * friction
+                reference = "1 to 2 times the limit of the check"
                 yield StabilityCase(BOUNDS, law, column, reference, partial(bound_result, law, friction, lattice))
 
 
 def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
-    """The real bound over the check's, to be 1 to 2; below 1 the check promises too much, and no error is small."""
+    """Measured stability limit over that of the check, required to be 1 to 2.
+
+    Below 1 the check accepts unstable time steps, which counts as an error of 100 %.
+    """
     bound = _bounds_by_lattice(law, friction)[lattice]
     ratio, inside = bound.ratio, float(np.clip(bound.ratio, 1.0, 2.0))
     too_large, too_small = ratio * RESOLUTION < 1.0, ratio > 2.0 * RESOLUTION
     error = 1.0 if too_large else ratio / 2.0 - 1.0 if too_small else 0.0
-    statement = (CAREFUL,) if too_small else ()
-    return CaseResult("real bound over the check's", inside, ratio, error, bound.allowed, statement)
+    warnings = (CONSERVATIVE_WARNING,) if too_small else ()
+    return CaseResult("measured limit over that of the check", inside, ratio, error, bound.allowed, warnings)
 
 
 @cache
 def _bounds_by_lattice(law: str, friction: bool) -> dict[str, Any]:
+    """Measured stability limits of one contact model; cached, since they share one engine."""
     return {bound.lattice: bound for bound in real_bounds(law, friction)}

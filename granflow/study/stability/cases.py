@@ -1,4 +1,4 @@
-"""What a case is, how it is run to an end, and the verdict on it."""
+"""A case of the stability study, its execution, and its verdict."""
 
 import math
 import time as clock
@@ -10,16 +10,16 @@ from granflow.device.backend import Precision
 from granflow.errors import GranflowError
 
 ACCURATE = 0.01
-"""An error up to this is none."""
-NOT_OWNED = 0.1
-"""An error beyond this must have been warned of, or the case is a defect."""
+"""Largest error of an accurate case."""
+SILENT_LIMIT = 0.1
+"""Largest error without a warning; a larger silent error is a defect."""
 
 Kind = Literal["accurate", "error", "refused", "defect"]
 
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What a case came to: the number in question, what it should be, what it was, and the error as a fraction."""
+    """Result of a case: quantity, expected and reached value, relative error, and time step [s]."""
 
     quantity: str
     expected: float
@@ -27,12 +27,12 @@ class CaseResult:
     error: float
     time_step: float
     warnings: tuple[str, ...] = ()
-    """What is said of the error before the run: what the plan warns of, what the check does not know."""
+    """Warnings that announce the error: those of the plan, and known limitations of the check."""
 
 
 @dataclass(frozen=True)
 class StabilityCase:
-    """One stiff or extreme case: a place in the grid of its family, what it is held against, and the work."""
+    """One stiff or extreme case: row and column in the grid of its family, reference, and function to run."""
 
     family: str
     row: str
@@ -43,13 +43,13 @@ class StabilityCase:
 
     @property
     def name(self) -> str:
-        """Family and place."""
+        """Family, row and column."""
         return f"{self.family}: {self.row}, {self.column}"
 
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """A case with its verdict; numbers are nan where it was refused."""
+    """A case with its verdict; numbers are nan for refused cases. `time_step` and wall time `seconds` in s."""
 
     family: str
     row: str
@@ -67,7 +67,7 @@ class CaseOutcome:
 
 
 def run_case(case: StabilityCase) -> CaseOutcome:
-    """Run a case to its end, whatever that is, and judge it."""
+    """Run a case and return its verdict. Every exception becomes a verdict."""
     began = clock.perf_counter()
     case_result = CaseResult("", math.nan, math.nan, math.nan, math.nan)
     try:
@@ -75,13 +75,13 @@ def run_case(case: StabilityCase) -> CaseOutcome:
         kind, verdict = verdict_on(case_result)
     except GranflowError as refusal:
         kind, verdict = "refused", f"refused: {' '.join(str(refusal).split())}"
-    except Exception as failure:  # whatever it is, it is a defect to be shown and not the end of the study
+    except Exception as failure:  # any failure is a defect of the case and must not end the study
         kind, verdict = "defect", f"defect: {type(failure).__name__}: {failure}"
     return case_outcome(case, case_result, clock.perf_counter() - began, kind, verdict)
 
 
 def case_outcome(case: StabilityCase, case_result: CaseResult, seconds: float, kind: Kind, verdict: str) -> CaseOutcome:
-    """The case with a verdict."""
+    """Combine a case, its result and its verdict."""
     return CaseOutcome(
         case.family, case.row, case.column, case.precision, case.reference, case_result.quantity, case_result.expected,
         case_result.reached, case_result.error, case_result.time_step, seconds, kind, verdict,
@@ -89,20 +89,20 @@ def case_outcome(case: StabilityCase, case_result: CaseResult, seconds: float, k
 
 
 def verdict_on(case_result: CaseResult) -> tuple[Kind, str]:
-    """Verdict on what was found."""
+    """Kind of verdict and its text for a result."""
     if not (math.isfinite(case_result.reached) and math.isfinite(case_result.error)):
-        return "defect", f"defect: {case_result.quantity} is not a number, and nothing stopped the run"
+        return "defect", f"defect: {case_result.quantity} is not finite, and the run did not abort"
     if case_result.error <= ACCURATE:
         return "accurate", "stable and accurate"
     statement = f" ({case_result.quantity} {case_result.reached:.4g} for {case_result.expected:.4g})"
     if case_result.warnings:
-        return "error", f"stable, error {percent(case_result.error)}{statement}, said: {case_result.warnings[0]}"
-    if case_result.error > NOT_OWNED:
+        return "error", f"stable, error {percent(case_result.error)}{statement}, warning: {case_result.warnings[0]}"
+    if case_result.error > SILENT_LIMIT:
         return "defect", f"defect: silent error {percent(case_result.error)}{statement}"
     return "error", f"stable, error {percent(case_result.error)}{statement}"
 
 
 def percent(share: float) -> str:
-    """A fraction in percent, two digits."""
+    """A fraction in percent with two digits."""
     value = 100.0 * share
     return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"

@@ -1,6 +1,6 @@
-"""Grains that touch as closely as they can, for the real bound of the time step: lone, in rows, and packed.
+"""Lattices of touching particles for the stability limit of the time step: single particles, a chain, a dense block.
 
-Grains at the rim are anchors, far too heavy to move: what they hold is pressed as in the midst of a bed.
+Particles at the boundary are anchors, too heavy to move; they confine the free particles as in the interior of a bed.
 """
 
 from collections.abc import Mapping
@@ -11,40 +11,41 @@ import numpy as np
 
 CHAIN_LENGTH = 10
 HALF_CELLS = 6
-"""Size of the block of densely packed grains in halves of its cubic cell."""
+"""Edge length of the dense block, in halves of its cubic cell."""
 
 
 @dataclass(frozen=True)
 class TestLattice:
-    """Centers (n, 3) over the distance of neighbors, and which of them are anchors (n,)."""
+    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,)."""
 
     centers: np.ndarray
     is_anchor: np.ndarray
 
     @property
     def max_contacts(self) -> int:
-        """Contacts that one of these grains can have at once, as far as `check` can tell."""
+        """Largest number of simultaneous contacts per particle that `check` can assume."""
         return len(self.centers) - 1
 
     @property
     def has_free_pairs(self) -> bool:
-        """Whether free grains touch each other; else they touch anchors alone."""
+        """Whether free particles touch each other; otherwise they touch anchors only."""
         return int(np.sum(~self.is_anchor)) > 1
 
 
-def _cage(directions: np.ndarray) -> TestLattice:
-    """One free grain between anchors in these directions (n, 3)."""
+def _confined_particle(directions: np.ndarray) -> TestLattice:
+    """One free particle between anchors in the given directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
 
 
 def _chain() -> TestLattice:
+    """Straight chain along z with an anchor at each end."""
     place = np.arange(CHAIN_LENGTH + 2)
     return TestLattice(place[:, None] * np.array([[0.0, 0.0, 1.0]]), (place == 0) | (place == CHAIN_LENGTH + 1))
 
 
 def _block() -> TestLattice:
-    """Densest packing, face-centered cubic, within anchors."""
+    """Face-centered cubic packing enclosed by anchors."""
     points = np.array([p for p in product(range(HALF_CELLS + 1), repeat=3) if sum(p) % 2 == 0])
     return TestLattice(points / np.sqrt(2.0), np.any((points == 0) | (points == HALF_CELLS), axis=1))
 
@@ -53,10 +54,10 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 _DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
 
 LATTICES: Mapping[str, TestLattice] = {
-    "between 2": _cage(_AXES[[2, 5]]),
-    "between 6": _cage(_AXES),
-    "between 12": _cage(_DIAGONALS),
+    "between 2": _confined_particle(_AXES[[2, 5]]),
+    "between 6": _confined_particle(_AXES),
+    "between 12": _confined_particle(_DIAGONALS),
     "chain of 10": _chain(),
     "densest packing": _block(),
 }
-"""By name: a grain held between others, a straight chain of equal grains, and a block of them with 12 contacts each."""
+"""Lattices by name: one particle between anchors, a straight chain, and a block with 12 contacts per particle."""

@@ -1,4 +1,4 @@
-"""Head-on collisions, any number of pairs far apart in one scene, each run until it has parted."""
+"""Head-on collisions of any number of distant pairs in one scene, until all pairs have separated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,22 +17,25 @@ from granflow.study.stability.cases import CaseResult
 
 POISSON = 0.25
 GAP = 1e-3
-"""Gap at the start over the smaller radius."""
+"""Initial gap over the smaller radius."""
 SPACING = 5.0
 """Distance of neighboring pairs over the larger radius."""
 RUN_DURATIONS = 3.0
-"""Durations of the slowest collision that a run lasts beyond its first touch."""
+"""Run time after first contact, in durations of the slowest collision."""
 SKIN = 0.3
-"""Neighbors are listed within this share of the smaller radius: one for all, so that kernels are compiled once."""
+"""Skin over the smallest radius; equal for all cases, so that the kernels compile once."""
 
 
 @dataclass(frozen=True)
-class SpherePair:
-    """Two spheres of one elasticity that meet head on, SI; the second's radius and density over the first's."""
+class ParticlePair:
+    """Two particles of equal elasticity that collide head-on, in SI units.
+
+    `radius_ratio`, `density_ratio`: second particle over the first.
+    """
 
     young_modulus: float = 1e8
     restitution: float | tuple[float, float, float] = 0.7
-    """A number, or sigma, psi and the limit velocity of Eq. 12."""
+    """A number, or sigma, psi and limit velocity [m/s] of Eq. 12."""
     velocity: float = 1.0
     radius: float = 1e-3
     density: float = 2500.0
@@ -41,18 +44,18 @@ class SpherePair:
 
     @property
     def masses(self) -> np.ndarray:
-        """Masses of both (2,) [kg]."""
+        """Masses of both particles (2,) [kg]."""
         sizes = np.array([1.0, self.radius_ratio**3 * self.density_ratio])
         return 4.0 / 3.0 * np.pi * self.radius**3 * self.density * sizes
 
     @property
     def velocities(self) -> np.ndarray:
-        """Velocities of both towards each other (2,) [m/s], without momentum."""
+        """Velocities of both particles (2,) [m/s] with zero total momentum."""
         return self.velocity * self.masses[::-1] / self.masses.sum() * np.array([1.0, -1.0])
 
     @property
     def requested(self) -> float:
-        """The restitution that it should reach."""
+        """Target restitution."""
         if isinstance(self.restitution, float):
             return self.restitution
         return float(VelocityRestitution(*self.restitution)(self.velocity))
@@ -60,7 +63,7 @@ class SpherePair:
 
 @dataclass(frozen=True)
 class Rebound:
-    """What pairs reached (n,): restitution, and the momentum that came from nowhere over m v."""
+    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m."""
 
     restitution: np.ndarray
     momentum: np.ndarray
@@ -69,10 +72,10 @@ class Rebound:
 
 
 @cache
-def rebound(pairs: tuple[SpherePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
-    """Let the pairs collide with Zhou's law, at `share` of the largest step that is allowed, or at the default step.
+def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
+    """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
 
-    Raises SceneError where the step is refused, RunError where a guard stops the run.
+    Raises SceneError if the time step is refused, RunError if the run aborts.
     """
     step = None if share is None else share * _largest_step(pairs)
     simulation = Simulation(scene_of(pairs, precision, step))
@@ -87,13 +90,13 @@ def rebound(pairs: tuple[SpherePair, ...], precision: Precision = "f64", share: 
 
 
 @cache
-def _largest_step(pairs: tuple[SpherePair, ...]) -> float:
-    """The largest step that is allowed [s]."""
+def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
+    """Largest permitted time step [s]."""
     return plan_for(scene_of(pairs, "f64")).step.stable_below
 
 
-def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float | None = None) -> Scene:
-    """All pairs in one scene, each of materials of its own, in a square across their line of flight."""
+def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: float | None = None) -> Scene:
+    """Scene of all pairs with separate materials, in a square grid normal to the approach direction."""
     side = int(np.ceil(np.sqrt(len(pairs))))
     spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
     materials, pairs_of_materials, particles = {}, {}, {}
@@ -105,8 +108,8 @@ def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float
             materials[name] = {
                 "young_modulus": pair.young_modulus, "poisson_ratio": POISSON, "density": pair.density * ratio
             }  # fmt: skip
-            particles[name] = {"material": name, **_sphere(pair, number, spacing * row, spacing * column)}
-        pairs_of_materials["-".join(names)] = {"restitution": _asked(pair), "friction": 0}
+            particles[name] = {"material": name, **_particle(pair, number, spacing * row, spacing * column)}
+        pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
     reach = spacing * (side + 1)
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
 
@@ -127,26 +130,27 @@ def scene_of(pairs: Sequence[SpherePair], precision: Precision, time_step: float
     })  # fmt: skip
 
 
-def _sphere(pair: SpherePair, number: int, y: float, z: float) -> dict[str, Any]:
-    """Diameter, velocity and place of the first or second sphere of a pair; they touch at x = 0."""
+def _particle(pair: ParticlePair, number: int, y: float, z: float) -> dict[str, Any]:
+    """Diameter, velocity and position of the first or second particle of a pair; first contact is at x = 0."""
     radius = pair.radius * (pair.radius_ratio if number else 1.0)
     gap = 0.5 * GAP * pair.radius * min(pair.radius_ratio, 1.0)
-    place = (radius + gap) * (1.0 if number else -1.0)
+    position = (radius + gap) * (1.0 if number else -1.0)
     return {
         "diameter": [2.0 * radius], "velocity": [[float(pair.velocities[number]), 0.0, 0.0]],
-        "insert": {"kind": "positions", "positions": [[place, y, z]]},
+        "insert": {"kind": "positions", "positions": [[position, y, z]]},
     }  # fmt: skip
 
 
-def _asked(pair: SpherePair) -> Any:
+def _restitution_setting(pair: ParticlePair) -> Any:
+    """`restitution` of the pair in the structure of a scene file."""
     if isinstance(pair.restitution, float):
         return pair.restitution
     sigma, psi, limit = pair.restitution
     return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
 
 
-def _duration(pair: SpherePair) -> float:
-    """Time [s] until a pair has come together and parted, with patience."""
+def _duration(pair: ParticlePair) -> float:
+    """Time [s] for approach and separation of a pair, with a safety margin."""
     masses, modulus = pair.masses, 0.5 * pair.young_modulus / (1.0 - POISSON**2)
     radius_eff = pair.radius * pair.radius_ratio / (1.0 + pair.radius_ratio)
     k, mass = theory.hertz_stiffness(modulus, radius_eff), float(masses.prod() / masses.sum())
@@ -155,13 +159,13 @@ def _duration(pair: SpherePair) -> float:
 
 
 def rebound_result(
-    pairs: tuple[SpherePair, ...], index: int, precision: Precision = "f64", share: float | None = None
+    pairs: tuple[ParticlePair, ...], index: int, precision: Precision = "f64", share: float | None = None
 ) -> CaseResult:
-    """The worse of restitution and momentum of one of the pairs; errors are over the velocity of approach."""
+    """Larger error of restitution and momentum of one pair, relative to the approach velocity."""
     found, requested = rebound(pairs, precision, share), pairs[index].requested
     reached, momentum_error = float(found.restitution[index]), float(found.momentum[index])
     others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]
-    statement = tuple(words for words in found.warnings if not words.startswith(tuple(others)))
+    warnings = tuple(text for text in found.warnings if not text.startswith(tuple(others)))
     if momentum_error > abs(reached - requested):
-        return CaseResult("momentum made", 0.0, momentum_error, momentum_error, found.time_step, statement)
-    return CaseResult("restitution", requested, reached, abs(reached - requested), found.time_step, statement)
+        return CaseResult("momentum error", 0.0, momentum_error, momentum_error, found.time_step, warnings)
+    return CaseResult("restitution", requested, reached, abs(reached - requested), found.time_step, warnings)

@@ -1,7 +1,7 @@
-"""The real bound of the time step: how large a step may be before grains held by others gain energy.
+"""Measured stability limit of the time step: the largest step at which confined particles do not gain energy.
 
-Grains are pressed to the overlap that the check reckons with and nudged; then the step is raised until the nudge
-grows. What `check` would allow for the same grains is worked out beside it.
+Particles with the overlap that the check assumes get a small perturbation; a bisection finds the time step at which
+the perturbation grows. The limit of `check` for the same particles is the reference.
 """
 
 from collections.abc import Mapping
@@ -27,23 +27,25 @@ from granflow.study.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
 ANCHOR = 1e9
-"""Density of an anchor over that of a grain."""
+"""Density of an anchor over that of a free particle."""
 VELOCITY = 1e-3
-"""Approach velocity [m/s] for whose largest overlap the grains are pressed: so little that no row of them buckles."""
+"""Approach velocity [m/s] whose maximum overlap the particles get; small enough to avoid buckling of chains."""
 SPRING = 1e3
 """Stiffness [N/m] of the linear springs."""
 PERTURBATION = 1e-3
-"""Speed of the nudge over that velocity."""
+"""Speed of the perturbation over VELOCITY."""
 GROWTH_LIMIT = 1e4
-"""Kinetic energy over that of the nudge from which on it has grown: a hundredth of what a collision brings. Contacts
-that turn for the first time within a step set free some of what presses them, up to a fiftieth of that, once."""
+"""Kinetic energy over that of the perturbation that counts as growth: a hundredth of the energy of a collision.
+
+A contact that reverses for the first time within a step releases up to a fiftieth of that, once.
+"""
 CHECKS, STEPS_PER_CHECK = 30, 10
 LOWEST, HIGHEST = 0.25, 4.0
-"""Steps between which the bound is sought, over the check's."""
+"""Search range of the bisection, over the limit of the check."""
 RESOLUTION = 1.02
-"""Ratio of the steps between which it is left."""
+"""Final ratio of the bisection interval."""
 FRICTION = 10.0
-"""So much that nothing slides."""
+"""Friction coefficient that prevents sliding."""
 
 LAWS: Mapping[str, tuple[Any, float]] = {
     "zhou": ("zhou", 0.5),
@@ -64,12 +66,12 @@ LAWS: Mapping[str, tuple[Any, float]] = {
     ),
     "kuwabara_kono": ({"law": "kuwabara_kono", "reference_velocity": VELOCITY}, 0.5),
 }  # fmt: skip
-"""Setting of `contact.normal` and restitution by name."""
+"""`contact.normal` and restitution by name."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The largest step [s] at which nothing grew, what the check allows [s], and where."""
+    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice."""
 
     law: str
     friction: bool
@@ -81,18 +83,18 @@ class Bound:
 
     @property
     def ratio(self) -> float:
-        """The real bound over the check's."""
+        """Measured limit over the limit of the check."""
         return self.bound / self.allowed
 
 
 def real_bounds(law: str, friction: bool) -> list[Bound]:
-    """The real bound on every lattice with one law."""
+    """Measured stability limits on every lattice with one contact model."""
     plan = plan_for(_scene(law, FRICTION if friction else 0.0))
     engine, bounds = Engine(plan, start("cpu", "f64")), []
     for name, lattice in LATTICES.items():
         pair_case = _pair_case(plan, lattice)
         allowed = stable_step(pair_case, plan.law, VELOCITY)
-        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*_bodies(pair_case)))
+        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*_pair_arguments(pair_case)))
         particles = _particles(lattice, overlap_at(plan.law, pair_case), friction)
         bound = _find_bound(engine, particles, allowed)
         bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
@@ -101,8 +103,8 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
 
 
 def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
-    """Largest overlap [m] of a collision at VELOCITY, as the check reckons it."""
-    pair, radius, mass, speed = _bodies(pair_case)
+    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check."""
+    pair, radius, mass, speed = _pair_arguments(pair_case)
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
     if law.name == "thornton":
         pressure = law.pair_constants(pair)[2]
@@ -110,22 +112,23 @@ def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
         return ThorntonCollision(k, radius, mass, speed, pressure, yield_overlap).overlap_max
     if law.tangential_stiffness_grows:
         return float(theory.overlap_max(k, mass, speed))
-    return speed * float(np.sqrt(mass / law.loading_stiffness(*_bodies(pair_case))))
+    return speed * float(np.sqrt(mass / law.loading_stiffness(*_pair_arguments(pair_case))))
 
 
-def _bodies(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
+def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
+    """Pair, effective radius [m], effective mass [kg] and velocity [m/s] for stiffness functions."""
     return pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY
 
 
 def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
-    """How the grains of a lattice meet: each other, or anchors alone."""
-    partner = "grains" if lattice.has_free_pairs else "anchors"
-    bounds = next(each for each in pair_cases_of(plan.scene) if each.name == f"grains-{partner}")
-    return replace(bounds, contact_count=lattice.max_contacts)
+    """Pair case of a lattice: free particles with each other, or with anchors only."""
+    partner = "free" if lattice.has_free_pairs else "anchors"
+    pair_case = next(each for each in pair_cases_of(plan.scene) if each.name == f"free-{partner}")
+    return replace(pair_case, contact_count=lattice.max_contacts)
 
 
 def _scene(law: str, friction: float) -> Scene:
-    """Grains and anchors of one hardness without gravity; only their kinds matter, they are put in later."""
+    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later."""
     normal, restitution = LAWS[law]
     solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
     pair: dict[str, Any] = {"friction": friction}
@@ -136,12 +139,12 @@ def _scene(law: str, friction: float) -> Scene:
     region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
     group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
     return Scene.model_validate({
-        "title": "The real bound of the time step",
+        "title": "Stability limit of the time step",
         "gravity": [0, 0, 0],
         "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
         "pairs": {f"{a}-{b}": pair for a, b in (names[:1] * 2, names, names[1:] * 2)},
         "contact": {"normal": normal, "tangential": "mindlin" if friction else "none", "rolling": "none"},
-        "particles": {"grains": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
+        "particles": {"free": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
         "domain": {"min": [-side] * 3, "max": [side] * 3, "on_exit": "delete"},
         "run": {"duration": 1.0, "velocity_max": VELOCITY},
         "numerics": {"max_overlap": LARGEST_OVERLAP, "skin": RADIUS},
@@ -150,9 +153,9 @@ def _scene(law: str, friction: float) -> Scene:
 
 
 def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> ParticleData:
-    """The lattice at this overlap, its free grains nudged at random.
+    """Particles of the lattice with this overlap [m]; random perturbation of the free particles.
 
-    `with_friction` where friction keeps them in line.
+    Without friction the perturbation is limited to the directions in which the lattice extends.
     """
     count = len(lattice.centers)
     perturbation = (
@@ -162,7 +165,7 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
         * ~lattice.is_anchor[:, None]
     )
     if not with_friction:
-        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0  # rows give way sideways, at any step
+        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0  # chains are laterally unstable at any time step
     kind = lattice.is_anchor.astype(np.int32)
     return ParticleData(
         position=lattice.centers * (2 * RADIUS - overlap),
@@ -175,7 +178,7 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
 
 
 def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
-    """The step [s] above which the nudge grows, by bisection."""
+    """Time step [s] above which the perturbation grows, by bisection."""
     low, high = LOWEST * allowed, HIGHEST * allowed
     while high > RESOLUTION * low:
         middle = float(np.sqrt(low * high))
@@ -184,7 +187,7 @@ def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> floa
 
 
 def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
-    """Whether the nudge grows at this step [s]."""
+    """Whether the perturbation grows at this time step [s]."""
     _restart(engine, particles, step)
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
     initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
@@ -202,14 +205,15 @@ def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
 
 
 def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
+    """Kinetic energy of translation and rotation [J]; velocities (n, 3)."""
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
 
 
 def _restart(engine: Engine, particles: ParticleData, step: float) -> None:
-    """Empty the engine and fill it anew at another step [s]: what was compiled serves all steps."""
+    """Reset the engine to the initial particles with another time step [s]; no kernel is recompiled."""
     engine.state.clock.change(step)
     control = engine.state.control
-    for position in (3.0 * particles.position, particles.position):  # apart, where contacts forget; then together
+    for position in (3.0 * particles.position, particles.position):  # first separated, which clears the contact history
         engine.state.count = 0
         control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
         engine.insert(replace(particles, position=position))

@@ -1,4 +1,4 @@
-"""Cases in processes of their own, two at a time: one start of Taichi each, and a limit for what hangs."""
+"""Worker pool of the stability study: two processes with one Taichi start each, and a time limit per case."""
 
 import multiprocessing
 from collections.abc import Callable, Sequence
@@ -12,15 +12,15 @@ from granflow.study.stability.cases import CaseOutcome, CaseResult, StabilityCas
 
 WORKER_COUNT = 2
 TIMEOUT = 180.0
-"""A case that takes longer [s] is given up."""
+"""Time limit per case [s]."""
 
 Report = Callable[[CaseOutcome], None]
 
 
 def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
-    """Every case's outcome in the order of the cases; `report` hears of each as it comes.
+    """Outcomes of all cases, in the order of the cases; `report` receives each outcome on completion.
 
-    Cases of one precision that follow each other run in one process, in which they may share work.
+    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to each case.
     """
     with ThreadPoolExecutor(WORKER_COUNT) as executor:
         parts = executor.map(lambda batch: _run_batch(batch, report, timeout), _batches(cases))
@@ -29,7 +29,7 @@ def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = T
 
 
 def _batches(cases: Sequence[StabilityCase]) -> list[list[StabilityCase]]:
-    """The cases of each family and precision."""
+    """Batches of cases with equal family and precision."""
     batches: dict[tuple[str, str], list[StabilityCase]] = {}
     for case in cases:
         batches.setdefault((case.family, case.precision), []).append(case)
@@ -37,7 +37,7 @@ def _batches(cases: Sequence[StabilityCase]) -> list[list[StabilityCase]]:
 
 
 def _run_batch(batch: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
-    """Run cases of one precision; after one that hangs or kills its process the others go on in a new one."""
+    """Run the cases of a batch; after a timeout or a crash the remaining cases run in a new process."""
     found: list[CaseOutcome] = []
     while len(found) < len(batch):
         context = multiprocessing.get_context("spawn")
@@ -52,7 +52,7 @@ def _run_batch(batch: list[StabilityCase], report: Report, timeout: float) -> li
 
 
 def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
-    """Outcomes as they come, up to the first case that does not answer."""
+    """Receive outcomes up to the first case without a result."""
     found: list[CaseOutcome] = []
     for case in cases:
         reason = ""
@@ -62,7 +62,7 @@ def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeo
             try:
                 found.append(pipe.recv())
             except EOFError:
-                reason = "its process ended without an answer"
+                reason = "the process ended without a result"
         if reason:
             found.append(case_outcome(case, CaseResult("", nan, nan, nan, nan), timeout, "defect", f"defect: {reason}"))
         report(found[-1])
@@ -72,7 +72,7 @@ def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeo
 
 
 def _run_in_worker(pipe: Any, cases: Sequence[StabilityCase]) -> None:
-    """In the child: start once, run the cases, send each outcome."""
+    """Worker process: start Taichi, run the cases and send each outcome."""
     start("cpu", cases[0].precision, 1)
     for case in cases:
         pipe.send(run_case(case))
