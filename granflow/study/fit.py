@@ -181,7 +181,7 @@ def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarra
 def write_fit(out: Path, data: Measurements, result: Fit) -> None:
     """Write `fit.csv`, then `fit.png`. Raises GranflowError if matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
-    table = {"velocity": data.velocity, "analysis": data.restitution, "fitted": result.curve(data.velocity)}
+    table = {"velocity": data.velocity, "measured": data.restitution, "fitted": result.curve(data.velocity)}
     write_columns(out / "fit.csv", table | {"residual": result.residual})
     draw_to(out / "fit.png", lambda figure: _draw(figure, data, result), HEIGHT)
 
@@ -192,7 +192,7 @@ def _draw(figure: Any, data: Measurements, result: Fit) -> None:
     velocity = np.geomspace(low, high, 300)
     axes.semilogx(velocity, result.curve(velocity), color=COLORS[0], label=_legend(result))
     bars = data.uncertainty if data.absolute else None
-    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="analysis", **POINTS)
+    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS)
     axes.set(xlabel="approach velocity $v$ [m/s]", ylabel="restitution coefficient $e$", ylim=(0.0, 1.05))
     axes.set_xlim(low, high)
     axes.legend(loc="lower left")

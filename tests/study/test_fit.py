@@ -139,9 +139,9 @@ def test_the_ways_a_table_may_be_written(tmp_path, text):
 
 def test_deviations_and_weights(tmp_path):
     deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
-    np.testing.assert_array_equal(deviations.spread, [0.1, 0.2])
+    np.testing.assert_array_equal(deviations.uncertainty, [0.1, 0.2])
     weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
-    np.testing.assert_array_equal(weights.spread, [0.5, 1.0])
+    np.testing.assert_array_equal(weights.uncertainty, [0.5, 1.0])
     assert (deviations.absolute, weights.absolute) == (True, False)
 
 

@@ -85,7 +85,7 @@ def test_frames_are_named_by_place_number_or_time(run, words, numbers):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [("7", "no such frame, but 0 to 3"), ("soon", "a time is asked"), ("3 mm", "give last, first, all")],
+    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is asked"), ("3 mm", "give last, first, all")],
 )
 def test_a_frame_that_there_is_not_is_refused(run, words, sentence):
     with pytest.raises(GranflowError, match=sentence):
@@ -96,7 +96,7 @@ def test_what_is_no_run_is_refused(tmp_path, capsys):
     assert main(["render", str(tmp_path / "none")]) == 2
     assert "there is no such directory" in capsys.readouterr().err
     assert main(["render", str(tmp_path)]) == 2
-    assert "holds no frames" in capsys.readouterr().err
+    assert "contains no particle frames" in capsys.readouterr().err
 
 
 def test_a_frame_cut_short_is_refused(run):
