@@ -138,7 +138,7 @@ def test_vectors_are_shown_by_magnitude_or_component():
 def test_the_range_holds_98_of_100_values_and_zero_if_near():
     values = np.arange(101.0)
     scale = scale_for("force", [values[:50], values[50:]], is_vector=True)
-    assert scale.limits == (0.0, 99.0) and scale.beyond == (False, True)
+    assert scale.limits == (0.0, 99.0) and scale.out_of_range == (False, True)
     assert (scale.title, scale.unit) == ("force\nmagnitude", "N")
     narrow = scale_for("radius", [2e-3 + 1e-5 * values])
     assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
@@ -218,15 +218,15 @@ AREAS = """
 import sys
 import numpy as np
 from granflow.study.render.camera import camera_for, view_of
-from granflow.study.render.frames import Grains
-from granflow.study.render.renderer import Painter
+from granflow.study.render.frames import FrameParticles
+from granflow.study.render.renderer import Renderer
 for words in ("front", "iso"):
     for radius in (0.07, 0.4):
         view = view_of(words)
         camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
-        painter = Painter((600, 600), camera)
-        grains = Grains(np.zeros((1, 3)), np.array([radius]), {})
-        painter.set_grains(grains, np.array([[0, 0, 0]], np.uint8))
+        painter = Renderer((600, 600), camera)
+        particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
+        painter.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
         share = np.mean(painter.draw().min(axis=2) < 128)
         distance = np.linalg.norm(camera.eye)
         seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))

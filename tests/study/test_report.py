@@ -149,7 +149,7 @@ def test_without_plotly_the_page_is_written_and_says_what_is_missing(run, capsys
     assert main(["report", str(run)]) == 0
     assert "pip install granflow[plot]" in capsys.readouterr().out
     html = (run / "report.html").read_text(encoding="utf-8")
-    assert "Plots need plotly" in html and "run has no frames" in html
+    assert "Plots require plotly" in html and "run has no frames" in html
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "something comes from outside of the page"
 
 
@@ -207,7 +207,7 @@ def test_the_log_tells_sessions_warnings_and_reasons(run):
     (run / "run.log").write_text("a line of nobody's\n" + LOG + AGAIN)
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
-    assert (first.began, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
+    assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
     assert (second.arch, second.resumed_from) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
     assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
         ("06", "warning"),
