@@ -9,10 +9,11 @@ import pytest
 from observe.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.cli import main
+from granflow.cli.render import FITS
 from granflow.errors import GranflowError
 from granflow.observe import ContactFrames, ParticleFrames, WallFrames
 from granflow.study.render import frames_of, selected_frames
-from granflow.study.render.bounding_points import corners_of, outermost_points
+from granflow.study.render.bounding_points import bounding_points, corners_of, outermost_points
 from granflow.study.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
 from granflow.study.render.colors import prefixed, scale_for, values_of
 from granflow.study.render.frames import FrameParticles, read_force_chains, read_particles, read_walls
@@ -58,6 +59,14 @@ def test_frames_come_with_their_walls_and_contacts(run):
     chains, contacts = read_force_chains(frames[2]), contacts_of(7)
     np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
+
+
+def test_each_fit_gives_other_points(run):
+    """`all` adds the walls to the points of `particles`; `domain` gives the corners of the box."""
+    box = np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]])
+    points = {fit: bounding_points(fit, None, frames_of(run), box) for fit in FITS}
+    np.testing.assert_array_equal(points["domain"], corners_of(box))
+    assert len(points["all"]) > len(points["particles"]) > 0
 
 
 def test_frames_taken_away_are_left_out(run):

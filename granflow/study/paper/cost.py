@@ -86,7 +86,7 @@ def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
         "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
         "pairs": {"steel-steel": {"restitution": model.restitutions[0], "friction": 0}},
         "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
-        "particles": {"grains": {
+        "particles": {"lattice": {
             "material": "steel", "diameter": case.diameter,
             "velocity": random.uniform(-1.0, 1.0, positions.shape).tolist(),
             "insert": {"kind": "positions", "positions": positions.tolist()},

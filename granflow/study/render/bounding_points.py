@@ -36,7 +36,7 @@ def bounding_points(fit: str, scene: Scene | None, frames: Sequence[Frame], doma
         return corners_of(domain)
     sampled_frames = sampled(frames, SAMPLED_FRAMES)
     points = np.concatenate([outermost_points(read_particles(frame)) for frame in sampled_frames])
-    if fit != "grains":
+    if fit != "particles":
         walls = [each for each in map(read_walls, sampled_frames) if each is not None]
         points = np.concatenate([points, *(wall_points(each, scene, points, domain) for each in walls)])
     if len(points):

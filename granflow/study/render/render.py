@@ -42,7 +42,7 @@ class PictureStyle:
     """Content and view of a picture.
 
     `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force. `fit`:
-    shown region, "all", "grains" or "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI].
+    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI].
     `size`: (width, height) in pixels, including the legend strip.
     """
 
@@ -126,7 +126,7 @@ def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> 
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)
-    points = bounding_points(style.fit, scene, frames if style.fit == "grains" else whole, domain)
+    points = bounding_points(style.fit, scene, frames if style.fit == "particles" else whole, domain)
     size = style.size or _size(aspect_of(view, points))
     camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], style.zoom)
     cut = _cut(view, points) if style.cut else None
