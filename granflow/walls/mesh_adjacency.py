@@ -245,12 +245,12 @@ def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) 
     one, other = one[smooth], other[smooth]
     height = np.sum((points[corners[other]] - points[corners[one, 0]][:, None, :]) * normal[one][:, None, :], axis=2)
     size = np.abs(height).max(axis=1)
-    keys, rivals = [], []
+    keys, competitors = [], []
     for side, heights_above in enumerate((height.max(axis=1), -height.min(axis=1))):
         towards = heights_above > FLAT * size
         keys.append(2 * one[towards] + side)
-        rivals.append(other[towards])
-    key, competitor = np.concatenate(keys), np.concatenate(rivals)
+        competitors.append(other[towards])
+    key, competitor = np.concatenate(keys), np.concatenate(competitors)
     order = np.lexsort((competitor, key))
     return starts_of(key[order], 2 * len(corners)), competitor[order]
 

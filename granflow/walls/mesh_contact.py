@@ -43,9 +43,9 @@ def reference_contact(
 
 def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All entries of the wanted rows (n,), which begin at `start`: (positions in `wanted` (r,), entries (r,))."""
-    is_edge_contact = start[wanted + 1] - start[wanted]
-    query = np.repeat(np.arange(len(wanted)), is_edge_contact)
-    within = np.arange(len(query)) - np.repeat(np.cumsum(is_edge_contact) - is_edge_contact, is_edge_contact)
+    counts = start[wanted + 1] - start[wanted]
+    query = np.repeat(np.arange(len(wanted)), counts)
+    within = np.arange(len(query)) - np.repeat(np.cumsum(counts) - counts, counts)
     return query, start[wanted][query] + within
 
 

@@ -93,7 +93,7 @@ def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) ->
     return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
 
 
-def promised_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
+def theoretical_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
     """Theoretical restitution of a contact model for the case at a velocity [m/s]."""
     return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
 
@@ -101,14 +101,16 @@ def promised_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, ve
 def _matched_number(law: NormalLaw, case: PaperCase, e: float) -> float:
     """Restitution number of the pair for which the contact model has restitution e at the reference velocity."""
     return _root(
-        lambda number: promised_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
+        lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
     )
 
 
 def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
     """Yield strength [Pa] for which the contact model has restitution e at the reference velocity."""
     low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
-    return _root(lambda y: promised_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high)
+    return _root(
+        lambda y: theoretical_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high
+    )
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
@@ -159,7 +161,7 @@ def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCI
         for number, case in enumerate(PAPER_CASES):
             given = case.fit if isinstance(model.restitutions[number], dict) else model.restitutions[number]
             pair = pair_of(case, given, model.yield_strengths[number])
-            requested_values += [promised_restitution(model.law, case, pair, float(v)) for v in velocities]
+            requested_values += [theoretical_restitution(model.law, case, pair, float(v)) for v in velocities]
         materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
         speeds = np.tile(velocities, len(PAPER_CASES))
         laws = np.repeat(name, len(speeds))

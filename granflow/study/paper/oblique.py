@@ -314,14 +314,14 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
         f"Textbook relations use the radius as lever arm instead of the radius minus the overlap: "
         f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
     )
-    promised = (closed_form.spin - sweep.before.spin)[sliding]
+    expected = (closed_form.spin - sweep.before.spin)[sliding]
     return [
         relative_deviation(
             f"the change of tangential velocity, sliding ({title})", (after.along - sweep.before.along)[sliding],
             (closed_form.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
         ),
         relative_deviation(
-            f"the change of spin, sliding ({title})", change, promised, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
+            f"the change of spin, sliding ({title})", change, expected, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
         ),
     ]  # fmt: skip
 
