@@ -1,8 +1,7 @@
-"""Reads VTU files. No size written in the file is trusted: every array must be as long as its piece declares.
+"""Reads VTU files from untrusted sources: the length of each array must match the sizes that its piece declares.
 
-Compressed blocks are decompressed up to the length that follows from NumberOfPoints and NumberOfCells and no further,
-and a file may not hold more than a given number of bytes in all. XML with a document type is refused: entities expand
-without limit.
+Compressed blocks are decompressed up to the length that follows from NumberOfPoints and NumberOfCells, and the total
+number of decoded bytes is limited. XML with a document type is rejected, because entities can expand without limit.
 """
 
 import base64
@@ -31,19 +30,19 @@ CELLS = {
     1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4), 12: ("hexahedron", 8),
     13: ("wedge", 6), 14: ("pyramid", 5),
 }  # fmt: skip
-"""VTK's numbers of the cell types that are read: name and corners."""
+"""Supported cell types by VTK number: name and number of corners."""
 
 MOST_CORNERS, MOST_COMPONENTS, MOST_PIECES, MOST_ARRAYS, MOST_DEPTH = 8, 64, 1000, 1000, 16
 LARGEST_FILE = 2**30
 
 
 class VtuError(Exception):
-    """A VTU file that cannot be used; the message follows "FILE "."""
+    """An invalid VTU file; the message continues the sentence "FILE ..."."""
 
 
 @dataclass
 class _Source:
-    """How the arrays of a file are encoded, the appended data, and the bytes that may still be decoded."""
+    """Encoding of the arrays of a file, the appended data, and the number of bytes that may still be decoded."""
 
     order: str
     header: np.dtype
@@ -55,7 +54,7 @@ class _Source:
 
 
 def read_vtu(path: Path, largest: int) -> meshio.Mesh:
-    """The mesh in a file, whose arrays may take up to `largest` bytes. Raises VtuError, or OSError."""
+    """Mesh in a file, whose arrays may take up to `largest` bytes. Raises VtuError or OSError."""
     text, appended = _parted(read_regular(path, LARGEST_FILE))
     try:
         return _mesh_of(_tree(text), appended, largest)
@@ -69,23 +68,23 @@ def _sentence(error: Exception) -> str:
 
 
 def _parted(raw: bytes) -> tuple[bytes, bytes]:
-    """The XML without raw appended data, and these data."""
+    """The XML without the raw appended data, and these data."""
     start = re.search(rb'<AppendedData[^>]*encoding\s*=\s*["\']raw["\'][^>]*>\s*_', raw)
     if start is None:
         return raw, b""
     end = raw.rfind(b"</AppendedData>")
     if end < start.end():
-        raise VtuError("is cut short: its appended data do not end")
+        raise VtuError("is truncated: its appended data are incomplete")
     return raw[: start.end() - 1] + raw[end:], raw[start.end() : end]
 
 
 def _tree(text: bytes) -> ElementTree.Element:
-    """The elements; refuses a document type before any entity expands, and deep nesting."""
+    """XML elements; rejects a document type before any entity expands, and deep nesting."""
     builder, depth = ElementTree.TreeBuilder(), 0
     parser = expat.ParserCreate()
 
     def refuse(*_: object) -> None:
-        raise VtuError("declares a document type or entities, which VTU files do not need")
+        raise VtuError("declares a document type or entities, which VTU files must not contain")
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
@@ -111,11 +110,11 @@ def _tree(text: bytes) -> ElementTree.Element:
 
 def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> meshio.Mesh:
     if root.tag != "VTKFile" or root.attrib.get("type") != "UnstructuredGrid":
-        raise VtuError("is no VTU file: it holds no UnstructuredGrid")
+        raise VtuError("is not a VTU file: it contains no UnstructuredGrid")
     source = _source(root, raw, largest)
     pieces = root.findall("./UnstructuredGrid/Piece")
     if not 1 <= len(pieces) <= MOST_PIECES:
-        raise VtuError(f"has {len(pieces)} pieces, but needs from 1 to {MOST_PIECES}")
+        raise VtuError(f"has {len(pieces)} pieces; the number must be from 1 to {MOST_PIECES}")
     meshes = [_piece(piece, source) for piece in pieces]
     return meshes[0] if len(meshes) == 1 else _joined(meshes)
 
@@ -155,7 +154,7 @@ def _piece(piece: ElementTree.Element, source: _Source) -> meshio.Mesh:
     place = piece.find("./Points/DataArray")
     points = np.zeros((0, 3)) if place is None else _array(place, source, point_count, 3)
     if points.shape != (point_count, 3):
-        raise VtuError(f"declares {point_count} points, but holds {points.shape[0]} of {points.shape[1:]} coordinates")
+        raise VtuError(f"declares {point_count} points, but has {points.shape[0]} of {points.shape[1:]} coordinates")
     blocks = _blocks(piece, source, cell_count)
     point_data = dict(_data(piece.find("PointData"), source, point_count))
     cell_data = {
@@ -165,12 +164,12 @@ def _piece(piece: ElementTree.Element, source: _Source) -> meshio.Mesh:
     }
     for _, corners in blocks:
         if corners.size and not 0 <= corners.min() <= corners.max() < point_count:
-            raise VtuError("names points that it does not hold")
+            raise VtuError("refers to points that it does not contain")
     return meshio.Mesh(points, blocks, point_data=point_data, cell_data=cell_data)
 
 
 def _blocks(piece: ElementTree.Element, source: _Source, count: int) -> list[tuple[str, np.ndarray]]:
-    """Runs of cells of one type in the order of the file: name and corners (cells, corners)."""
+    """Consecutive cells of one type in the order of the file: name and corners (cells, corners)."""
     found = {each.attrib.get("Name"): each for each in piece.findall("./Cells/DataArray")}
     if not count or not found:
         return []
@@ -178,11 +177,11 @@ def _blocks(piece: ElementTree.Element, source: _Source, count: int) -> list[tup
     ends = _array(found["offsets"], source, count, 1).ravel().astype(np.int64)
     unknown = set(np.unique(kinds).tolist()) - set(CELLS)
     if unknown:
-        raise VtuError(f"holds cells of the VTK type {min(unknown)}; write out its surface as triangles")
+        raise VtuError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")
     sizes = np.zeros(max(CELLS) + 1, np.int64)
     sizes[list(CELLS)] = [corners for _, corners in CELLS.values()]
     if not np.array_equal(ends, np.cumsum(sizes[kinds])):
-        raise VtuError("has offsets of cells that do not fit their types")
+        raise VtuError("has cell offsets that do not match the cell types")
     corners = _array(found["connectivity"], source, int(ends[-1]), 1).ravel().astype(np.int64)
     starts = np.flatnonzero(np.diff(kinds, prepend=-1))
     firsts, lasts = starts, [*starts[1:], count]
@@ -194,7 +193,7 @@ def _blocks(piece: ElementTree.Element, source: _Source, count: int) -> list[tup
 
 
 def _data(element: ElementTree.Element | None, source: _Source, count: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Arrays of points or cells by name, those with one component flat."""
+    """Arrays of points or cells by name; arrays with one component are flat."""
     for each in [] if element is None else element.findall("DataArray"):
         components = int(each.attrib.get("NumberOfComponents") or 1)
         values = _array(each, source, count, components)
@@ -202,19 +201,19 @@ def _data(element: ElementTree.Element | None, source: _Source, count: int) -> I
 
 
 def _array(element: ElementTree.Element, source: _Source, count: int, components: int) -> np.ndarray:
-    """Numbers (count, components)."""
+    """Array (count, components)."""
     dtype = np.dtype(source.order + DTYPES[element.attrib["type"]])
     size = count * components * dtype.itemsize
     source.arrays += 1
     source.room -= size
     if source.arrays > MOST_ARRAYS or not 1 <= components <= MOST_COMPONENTS:
-        raise VtuError("has too many arrays, or an array of too many components")
+        raise VtuError("has too many arrays, or an array with too many components")
     if source.room < 0:
-        raise VtuError(f"declares arrays of more than the {(source.room + size) / 2**20:.0f} MiB that are left for it")
+        raise VtuError(f"declares arrays larger than the limit of {(source.room + size) / 2**20:.0f} MiB")
     form = element.attrib.get("format", "ascii")
     if form == "ascii":
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy ends at the first word that is no number: then the length is wrong
+            warnings.simplefilter("ignore")  # numpy stops at the first invalid number; the length is then wrong
             raw = np.fromstring(element.text or "", dtype, sep=" ").tobytes()
     else:
         raw = _bytes(element, source, size, form)
@@ -226,7 +225,7 @@ def _array(element: ElementTree.Element, source: _Source, count: int, components
 
 
 def _bytes(element: ElementTree.Element, source: _Source, size: int, form: str) -> bytes:
-    """The array as bytes, never more than `size` + 1 of them."""
+    """The array as bytes, at most `size` + 1 of them."""
     if form == "appended":
         data, raw = source.appended[int(element.attrib["offset"]) :], source.raw
     else:
@@ -236,7 +235,7 @@ def _bytes(element: ElementTree.Element, source: _Source, size: int, form: str) 
         return _plain(data, raw, width, size, source.header)
     count = int(_decoded(data, raw, 0, width).view(source.header)[0])
     if count > len(data):
-        raise VtuError("declares more compressed blocks than it has bytes")
+        raise VtuError("declares more compressed blocks than it contains bytes")
     lengths = _decoded(data, raw, 0, width * (3 + count)).view(source.header)[3:].astype(np.int64)
     head = width * (3 + count)
     if raw:
@@ -252,7 +251,7 @@ def _decompressed(
     left, begin = size + 1, 0
     for length in lengths.tolist():
         if length < 0 or begin + length > len(body):
-            raise VtuError("is cut short in a compressed block")
+            raise VtuError("is truncated in a compressed block")
         piece = decompress(body[begin : begin + length], left) if left else b""
         left, begin = left - len(piece), begin + length
         yield piece
@@ -272,17 +271,17 @@ def _plain(data: bytes, raw: bool, width: int, size: int, header: np.dtype) -> b
 def _decoded(data: bytes, raw: bool, begin: int, size: int) -> np.ndarray:
     found = data[begin : begin + size] if raw else base64.b64decode(_whole(data[: _encoded(size)]))[:size]
     if len(found) != size:
-        raise VtuError("is cut short in the head of an array")
+        raise VtuError("is truncated in the header of an array")
     return np.frombuffer(found, np.uint8)
 
 
 def _whole(text: bytes) -> bytes:
-    """Base64 in whole groups of four characters."""
+    """Base64 text without an incomplete group of four characters at its end."""
     return text[: len(text) // 4 * 4]
 
 
 def _encoded(size: int) -> int:
-    """Characters of so many bytes in base64."""
+    """Number of base64 characters that encode `size` bytes."""
     return 4 * -(-size // 3)
 
 

@@ -1,4 +1,4 @@
-"""The normal laws by name: a new law is one new file, `<name>.py`, and one entry here. No Taichi."""
+"""Catalog of the normal contact models. A new model is one file, `<name>.py`, and one entry here. No Taichi."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -6,11 +6,11 @@ from types import MappingProxyType
 from granflow.laws.model_kind import Amount, Choice, LawKind
 
 SPRING = Choice(
-    "onset (Eq. 19 per contact, from its own first velocity), {reference_velocity: 1 m/s} or {value: 1e4 N/m}",
+    "onset (Eq. 19 per contact, at its impact velocity), {reference_velocity: 1 m/s} or {value: 1e4 N/m}",
     words=("onset",),
     keyed={
         "reference_velocity": Amount(
-            "approach velocity at which the spring stores what Hertz does [m/s]",
+            "approach velocity at which the spring stores the same energy as a Hertz contact [m/s]",
             *("1 m/s", "velocity", "a speed"),
             above=0,
         ),
@@ -23,14 +23,14 @@ ZHOU = LawKind(
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
     {
         "restitution_at": Choice(
-            "which velocity gives e: that at first touch, that which Eq. 5 gives for the largest overlap, "
-            "or none; a number in every pair makes it constant",
+            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, Eq. 5) "
+            "or constant (e does not depend on velocity; the default if every pair gives a number)",
             words=("impact", "max_overlap", "constant"),
             default="impact",
             with_numbers="constant",
         ),
         "damping_ratio": Amount(
-            "viscous damping on the elastic branch, over the critical damping",
+            "ratio of the viscous damping on the elastic branch to the critical damping",
             *("0.1", "number", "a damping ratio"),
             at_least=0,
             at_most=1,
@@ -39,15 +39,15 @@ ZHOU = LawKind(
     },
     "number or fit",
 )
-HERTZ = LawKind("hertz", "Hertz spring; viscous damping that gives each pair's restitution number, 1 being elastic.")
+HERTZ = LawKind("hertz", "Hertz spring; viscous damping from the restitution number of each pair (1: elastic).")
 LINEAR = LawKind("linear", "Linear spring and dashpot.", {"stiffness": SPRING}, example={"stiffness": "onset"})
 THORNTON = LawKind(
     "thornton",
-    "Elastic, perfectly plastic spheres: the yield strength decides the restitution (Thornton 1997).",
+    "Elastic, perfectly plastic spheres: restitution follows from the yield strength (Thornton 1997).",
     {
         "yield_ratio": Amount(
-            "largest contact pressure over the yield strength: 1.6 where yield begins below the surface "
-            "(Thornton 1997), 2.8 where the contact is fully plastic (Johnson 1985)",
+            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below the surface "
+            "(Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
             *("1.6", "number", "a ratio"),
             above=0,
         )
@@ -61,12 +61,14 @@ WALTON_BRAUN = LawKind(
     {
         "stiffness": SPRING,
         "unloading": Choice(
-            "constant (k2 = k1 / e^2: one restitution) or {reference_velocity: 1 m/s} (k2 grows with the largest "
-            "force, so that each pair's restitution is that at this velocity, and e falls)",
+            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases with the "
+            "maximum force; e decreases with velocity and equals the restitution of the pair at this velocity)",
             words=("constant",),
             keyed={
                 "reference_velocity": Amount(
-                    "approach velocity with each pair's restitution [m/s]", *("1 m/s", "velocity", "a speed"), above=0
+                    "approach velocity at which e equals the restitution of the pair [m/s]",
+                    *("1 m/s", "velocity", "a speed"),
+                    above=0,
                 )
             },
         ),
@@ -75,18 +77,18 @@ WALTON_BRAUN = LawKind(
 )
 LUDING = LawKind(
     "luding",
-    "Bilinear with a plasticity that grows up to a limit overlap, elastic beyond it (Luding 2008); each pair's "
-    "restitution is that at the limit.",
+    "Bilinear, with plasticity that increases up to a limit overlap, elastic beyond it (Luding 2008); the restitution "
+    "of a pair applies at the limit.",
     {
         "stiffness": SPRING,
         "plasticity_depth": Amount(
-            "largest residual overlap over 2 R, R being the effective radius, such as 0.05",
+            "ratio of the largest residual overlap to 2 R (R: effective radius), such as 0.05",
             *("0.05", "number", "a ratio"),
             above=0,
             at_most=1,
         ),
         "tension": Amount(
-            "stiffness kc of the tension line -kc d over the loading stiffness; 0 for none",
+            "ratio of the stiffness kc of the tension line -kc d to the loading stiffness; 0: no tension",
             *("0.2", "number", "a ratio"),
             at_least=0,
             default=0.0,
@@ -96,10 +98,13 @@ LUDING = LawKind(
 )
 KUWABARA_KONO = LawKind(
     "kuwabara_kono",
-    "Viscoelastic spheres, Hertz with damping by the square root of the overlap (Kuwabara & Kono 1987): e falls.",
+    "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e decreases with "
+    "velocity (Kuwabara & Kono 1987).",
     {
         "reference_velocity": Amount(
-            "approach velocity at which each pair has its restitution [m/s]", *("1 m/s", "velocity", "a speed"), above=0
+            "approach velocity at which e equals the restitution of the pair [m/s]",
+            *("1 m/s", "velocity", "a speed"),
+            above=0,
         )
     },
     example={"reference_velocity": 1.0},

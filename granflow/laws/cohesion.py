@@ -1,8 +1,8 @@
-"""Adhesion slot: an attraction that any normal law can have added.
+"""Cohesion models: an attractive force that can be added to any normal contact model.
 
-Simplified Johnson-Kendall-Roberts (SJKR): a cohesion energy density times the area in which the undeformed spheres
-cross, while they touch. It presses nothing together, so friction is capped with the force of the law without it, as
-Luding (2008) caps it with f_n + k_c d.
+Simplified Johnson-Kendall-Roberts (SJKR): cohesion energy density times the intersection area of the undeformed
+spheres, while they overlap. The attraction does not press the surfaces together, so the friction limit uses the normal
+force without it, as Luding (2008) uses f_n + k_c d.
 """
 
 import math
@@ -18,9 +18,9 @@ from granflow.laws.material import PairMaterial
 
 
 def with_sjkr(law: NormalLaw) -> NormalLaw:
-    """The law with SJKR adhesion; its closed forms stay those of the law itself.
+    """Add SJKR cohesion to a contact model. Closed forms (durations, restitution) remain those of the model alone.
 
-    F = F_law - w A,   A = 2 pi R d   to first order in d / R,   w the pair's cohesion energy density [J/m3]
+    F = F_law - w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair [J/m3]
     """
     index = len(law.constant_names)
 
@@ -37,7 +37,7 @@ def with_sjkr(law: NormalLaw) -> NormalLaw:
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """Force of the law less the pull; what is viscous and what is remembered are the law's."""
+        """Force of the model minus the attraction; viscous part and history of the model are unchanged."""
         normal_force, viscous, history_new = law.force(
             constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history
         )
@@ -45,7 +45,7 @@ def with_sjkr(law: NormalLaw) -> NormalLaw:
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        """The law's, less what the surfaces gained by meeting: pi w R d^2."""
+        """Stored energy of the model minus the surface energy pi w R d^2 [J]."""
         surface_energy = 0.5 * cohesive_force(constants, radius_eff, overlap) * overlap
         return law.stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history) - surface_energy
 
@@ -59,7 +59,7 @@ def with_sjkr(law: NormalLaw) -> NormalLaw:
 
     return replace(
         law,
-        source=f"{law.source}; adhesion: SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971",
+        source=f"{law.source}; cohesion: SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971",
         constant_names=(*law.constant_names, "cohesion_energy_density"),
         pair_constants=pair_constants,
         force=force,
@@ -70,4 +70,4 @@ def with_sjkr(law: NormalLaw) -> NormalLaw:
 
 
 COHESIONS: Mapping[str, Callable[[NormalLaw], NormalLaw]] = MappingProxyType({"sjkr": with_sjkr})
-"""What `contact.cohesion` may say besides none."""
+"""Values of `contact.cohesion` other than none."""

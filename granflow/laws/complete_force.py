@@ -1,4 +1,4 @@
-"""A law's force in one function, for those who look at one contact at a time."""
+"""Normal force of a contact model in one device function, for code that evaluates single contacts."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from granflow.laws.law import NormalLaw
 
 
 def complete_force(law: NormalLaw) -> Any:
-    """Device function with the arguments of `force`: `prepare` and `force` of one contact."""
+    """Device function with the arguments of `force` that evaluates `prepare`, then `force`."""
     prepare = law.prepare or _unchanged
 
     @ti.func

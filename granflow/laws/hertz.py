@@ -1,4 +1,4 @@
-"""Hertz contact, elastic, or with a viscous term that reaches the restitution asked for at every velocity."""
+"""Hertz contact: elastic, or with viscous damping that gives the requested restitution at every velocity."""
 
 import numpy as np
 import taichi as ti
@@ -11,44 +11,44 @@ from granflow.laws.substep_corrections import build_step_mean, reference_step_me
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "viscosity")
 DAMPING_POWER = 0.25
-"""The viscous force goes with this power of the overlap."""
+"""Exponent of the overlap in the viscous force."""
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Numbers of CONSTANTS; the viscosity is sqrt(5) zeta, see `force`.
+    """Values of CONSTANTS; the viscosity is sqrt(5) zeta, see `force`.
 
-    Raises ValueError where the restitution is 0 or falls with velocity.
+    Raises ValueError if the restitution is 0 or depends on velocity.
     """
     if not isinstance(pair.restitution, float):
-        raise ValueError("the hertz law takes one number as restitution coefficient")
+        raise ValueError("the contact model hertz requires one number as restitution coefficient")
     zeta = theory.damping_ratio_for(pair.restitution)
     return pair.modulus_eff, pair.shear_modulus_eff, float(np.sqrt(5.0)) * zeta
 
 
 @ti.func
 def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Work of the Hertz spring, (2/5) k d^2.5."""
+    """Energy of the Hertz spring [J], (2/5) k d^2.5."""
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
 
 
 @ti.func
 def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Nothing: all loss is viscous."""
+    """Zero: all loss is viscous."""
     return 0.0 * overlap
 
 
 def build(damped: bool) -> NormalLaw:
-    """Hertz's law; `damped` where any pair has a restitution below 1."""
+    """Build the Hertz model; `damped` if any pair has a restitution below 1."""
     root_over_step = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """Elastic force with Tsuji's damping, cut where it would pull.
+        """Elastic force with Tsuji's damping, limited so that the total is never attractive.
 
         F = k d^1.5 + sqrt(5) zeta sqrt(M k) d^(1/4) d'       (Tsuji 1992; Antypov & Elliott 2011)
 
-        with d^(1/4) averaged over the step.
+        where d^(1/4) is averaged over the step.
         """
         stiffness = 4.0 / 3.0 * constants[0]
         elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap
@@ -62,7 +62,7 @@ def build(damped: bool) -> NormalLaw:
     return NormalLaw(
         name="hertz",
         source="Hertz 1882; Tsuji et al. 1992; Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004",
-        limits="one restitution at every velocity, by a viscous force that no solid has: e does not fall with v",
+        limits="e does not depend on velocity; the viscous force is numerical and has no physical basis",
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=damped,
@@ -82,12 +82,12 @@ def build(damped: bool) -> NormalLaw:
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     return build(any(pair.restitution != 1.0 for pair in request.pairs))
 
 
 def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-    """Numpy twin of `force`."""
+    """Reference implementation of `force` in numpy."""
     k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
     root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
     viscous = contact.constants[2] * np.sqrt(contact.mass_eff * k) * root * contact.overlap_rate
@@ -96,14 +96,14 @@ def reference(contact: ContactState) -> tuple[float, np.ndarray]:
 
 
 def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Viscous force over the rate of overlap at the largest overlap [N s/m], see `force`."""
+    """Ratio of viscous force to overlap rate at the maximum overlap [N s/m], see `force`."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     largest = float(theory.overlap_max(k, mass_eff, velocity))
     return pair_constants(pair)[2] * float(np.sqrt(mass_eff * k) * largest**0.25)
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-    """Loading and unloading duration [s] of the undamped contact (Zhou 2011, Eq. 13 with e = 1)."""
+    """Loading and unloading durations [s] of the undamped contact (Zhou 2011, Eq. 13 with e = 1)."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     half = theory.LOADING_DURATION * float(theory.time_scale(k, mass_eff, velocity))
     return half, half

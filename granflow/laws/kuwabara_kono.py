@@ -1,7 +1,7 @@
-"""Viscoelastic spheres (Kuwabara & Kono 1987): a Hertz spring with the damping that its solid would have.
+"""Viscoelastic spheres (Kuwabara & Kono 1987): a Hertz spring with the damping of a viscoelastic solid.
 
-The dissipative force goes with the square root of the overlap, and e falls with velocity as 1 - C v^(1/5). Its one
-parameter comes from each pair's restitution at a reference velocity.
+The dissipative force is proportional to the square root of the overlap, and e decreases with velocity as
+1 - C v^(1/5). The single parameter follows from the restitution of the pair at a reference velocity.
 """
 
 import math
@@ -19,27 +19,27 @@ from granflow.laws.substep_corrections import build_step_mean, reference_step_me
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
 DAMPING_POWER = 0.5
-"""The dissipative force goes with this power of the overlap."""
+"""Exponent of the overlap in the dissipative force."""
 EXPONENT = 0.2
-"""The dissipation of a collision goes with this power of its velocity."""
+"""Exponent of the impact velocity in the dimensionless dissipation of a collision."""
 STEPS = 500
-"""Steps of the fourth-order integration of a collision; e is then good to 1e-8."""
+"""Number of steps of the fourth-order integration of a collision; the error of e is then below 1e-8."""
 LARGEST_DISSIPATION = 64.0
-"""Where e is 0.0013."""
+"""Largest dissipation considered; e is 0.0013 there."""
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     return build(request.settings["reference_velocity"])
 
 
 def build(reference_velocity: float) -> NormalLaw:
-    """Kuwabara and Kono's law; each pair's restitution is that at the reference velocity [m/s], for all sizes."""
+    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes."""
     scale = reference_velocity**-EXPONENT
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
         if not isinstance(pair.restitution, float):
-            raise ValueError("the kuwabara_kono law takes one number as restitution coefficient")
+            raise ValueError("the contact model kuwabara_kono requires one number as restitution coefficient")
         dissipation = scale * dissipation_for(pair.restitution)
         return pair.modulus_eff, pair.shear_modulus_eff, dissipation
 
@@ -64,8 +64,8 @@ def build(reference_velocity: float) -> NormalLaw:
         name="kuwabara_kono",
         source="Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, "
         "doi 10.1103/PhysRevE.53.5382",
-        limits="made for slow viscoelastic impacts: 1 - e grows as v^(1/5), whatever the material; its power of "
-        "the mass costs time in every contact and step",
+        limits="valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of the "
+        "mass in the force takes extra time for every contact and step",
         constant_names=CONSTANTS,
         history_names=(),
         rate_dependent=True,
@@ -89,7 +89,7 @@ _root_over_step = build_step_mean(DAMPING_POWER)
 
 @ti.func
 def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    """F = k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', cut where it would pull; g = dissipation at 1 m/s.
+    """F = max(k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', 0), where g is the dissipation at 1 m/s.
 
     d^(1/2) of the damping is averaged over the step.
     """
@@ -102,7 +102,7 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
 
 
 def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-    """Numpy twin of `force`."""
+    """Reference implementation of `force` in numpy."""
     k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
     damping = contact.constants[2] * k**0.6 * contact.mass_eff**0.4
     root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
@@ -112,14 +112,14 @@ def reference(contact: ContactState) -> tuple[float, np.ndarray]:
 
 @cache
 def dissipation_for(e: float) -> float:
-    """The dissipation g at which spheres rebound with e. Raises ValueError for e outside (0, 1]."""
+    """Dissipation g that gives the restitution e. Raises ValueError for e outside (0, 1]."""
     if not 0.0 < e <= 1.0:
-        raise ValueError("a viscous contact reaches any restitution in (0, 1], not 0")
+        raise ValueError("a viscous contact model supports any restitution in (0, 1], not 0")
     low, high = 0.0, 1.0
     while rebound_of(high)[0] > e:
         low, high = high, 2.0 * high
         if high > LARGEST_DISSIPATION:
-            raise ValueError(f"the kuwabara_kono law takes no restitution as small as {e:g}")
+            raise ValueError(f"the contact model kuwabara_kono does not support a restitution as small as {e:g}")
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if rebound_of(middle)[0] > e else (low, middle)
@@ -128,11 +128,12 @@ def dissipation_for(e: float) -> float:
 
 @cache
 def rebound_of(dissipation: float) -> tuple[float, float, float]:
-    """Restitution, loading and unloading duration of a collision in its own units.
+    """Restitution, loading duration and unloading duration of a collision in dimensionless form.
 
         x'' + g x^(1/2) x' + x^(3/2) = 0,   x(0) = 0, x'(0) = 1,   until the force is 0
 
-    Overlaps are in (M v^2 / k)^(2/5) and times in that over v; s = t^(1/2) makes the start smooth.
+    The unit of length is (M v^2 / k)^(2/5), the unit of time that length over v. With s = t^(1/2) as the variable the
+    solution is smooth at the start.
     """
     state, s, turn = (0.0, 1.0), 0.0, 0.0
     step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
@@ -153,7 +154,7 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
 
 
 def _step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
-    """One step of the classical Runge-Kutta method over s."""
+    """One step of the classical fourth-order Runge-Kutta method in s."""
 
     def slope(s: float, x: float, w: float) -> tuple[float, float]:
         root = max(x, 0.0) ** 0.5

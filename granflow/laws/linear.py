@@ -1,4 +1,4 @@
-"""Linear spring and dashpot; the spring from Zhou's Eq. 19 (per contact or from one velocity) or a number."""
+"""Linear spring and dashpot. The stiffness is a number, or follows from Eq. 19 of Zhou (2011)."""
 
 import numpy as np
 import taichi as ti
@@ -13,26 +13,26 @@ CONSTANTS = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Numbers of CONSTANTS. Raises ValueError where the restitution is 0 or falls with velocity."""
+    """Values of CONSTANTS. Raises ValueError if the restitution is 0 or depends on velocity."""
     if not isinstance(pair.restitution, float):
-        raise ValueError("the linear law takes one number as restitution coefficient")
+        raise ValueError("the contact model linear requires one number as restitution coefficient")
     return pair.modulus_eff, pair.shear_modulus_eff, theory.damping_ratio_for(pair.restitution)
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     return build(spring_for(request, history_index=0))
 
 
 def build(spring: Spring) -> NormalLaw:
-    """Linear law with this spring."""
+    """Build the linear model with the given spring."""
     share_of_step = build_step_mean(0.0)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = K d + 2 zeta sqrt(K M) d', cut where it would pull; K is fixed when the contact opens.
+        """F = max(K d + 2 zeta sqrt(K M) d', 0); K is constant from first touch on.
 
-        In the first step the dashpot counts for the time since first touch.
+        In the first step the dashpot acts for the time since first touch only.
         """
         history_new = history
         stiffness = spring.stiffness_of(history_new)
@@ -64,7 +64,8 @@ def build(spring: Spring) -> NormalLaw:
     return NormalLaw(
         name="linear",
         source="Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007",
-        limits="duration and restitution are the same at every velocity; with damping the force jumps at first touch",
+        limits="duration and restitution do not depend on velocity; with damping the force is discontinuous at first "
+        "touch",
         constant_names=CONSTANTS,
         history_names=spring.history_names,
         rate_dependent=True,
@@ -85,7 +86,7 @@ def build(spring: Spring) -> NormalLaw:
 
 
 def _reference(spring: Spring) -> ReferenceForce:
-    """Numpy twin of `force`."""
+    """Reference implementation of `force` in numpy."""
 
     def reference(contact: ContactState) -> tuple[float, np.ndarray]:
         stiffness, spring_history = spring.reference_stiffness(contact)

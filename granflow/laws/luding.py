@@ -1,7 +1,7 @@
-"""Bilinear law with a plasticity that grows with the overlap up to a limit, and a tension (Luding 2008).
+"""Bilinear model with plasticity that increases with the overlap up to a limit, and with tension (Luding 2008).
 
-Contacts load with k1 and unload with a slope k2 between k1 and kp that grows with the largest overlap. From a
-limiting overlap on, the contact is elastic along the kp line: the limit branch. Tension, if any, is -kc d.
+The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap. Beyond
+the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is -kc d.
 """
 
 import math
@@ -18,22 +18,23 @@ CONSTANTS = ("modulus_eff", "shear_modulus_eff", "growth", "limit")
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     depth, tension = (request.settings[key] for key in ("plasticity_depth", "tension"))
     return build(spring_for(request, history_index=2 if tension > 0.0 else 1), depth, tension)
 
 
 def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
-    """Luding's law with this loading spring k1 and the largest residual overlap over 2 R; tension is kc / k1.
+    """Build Luding's model with the loading spring k1.
 
-    Each pair's restitution is that of the limit: kp = k1 / e^2.
+    `plasticity_depth` is the ratio of the largest residual overlap to 2 R, `tension` the ratio kc / k1. The restitution
+    of a pair applies on the limit branch: kp = k1 / e^2.
     """
     has_tension = tension > 0.0
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
         """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R."""
         if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
-            raise ValueError("the luding law takes one number above 0 as restitution coefficient")
+            raise ValueError("the contact model luding requires one number above 0 as restitution coefficient")
         share = pair.restitution**2
         growth = (1.0 - share) ** 2 / (2.0 * plasticity_depth * share)
         limit = 2.0 * plasticity_depth / (1.0 - share) if share < 1.0 else math.inf
@@ -41,13 +42,13 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def loading_loss(growth, stiffness, largest):
-        """Energy that first loading to an overlap loses [J]: k1 dmax^2 (1 - k1/k2) / 2."""
+        """Energy lost by first loading to an overlap [J]: k1 dmax^2 (1 - k1/k2) / 2."""
         steeper = growth * largest
         return 0.5 * stiffness * largest * largest * steeper / (1.0 + steeper)
 
     @ti.func
     def tension_loss(growth, stiffness, largest, overlap):
-        """Energy lost along -kc d from where the unloading line of `largest` meets it down to an overlap [J]."""
+        """Energy lost along -kc d from its intersection with the unloading line of `largest` to an overlap [J]."""
         energy_lost = 0.0 * stiffness
         if ti.static(has_tension):
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
@@ -59,12 +60,12 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def tension_overlap_max(growth, overlap):
-        """The largest overlap whose unloading line meets -kc d at this overlap."""
+        """Maximum overlap [m] of the unloading line that intersects -kc d at this overlap."""
         return 0.5 * (overlap + ti.sqrt(overlap * overlap + 4.0 * (1.0 + tension) * overlap / growth))
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = max(k1 dmax - k2 (dmax - d), -kc d); dmax grows with the overlap up to the limit."""
+        """F = max(k1 dmax - k2 (dmax - d), -kc d); dmax follows the overlap up to the limit."""
         history_new = history
         stiffness, growth = spring.stiffness_of(history_new), constants[2] / radius_eff
         largest = ti.max(history_new[0], ti.min(overlap, constants[3] * radius_eff))
@@ -104,7 +105,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def attraction(constants, radius_eff, overlap, history):
-        """Tension that does not count for friction: its cap is mu (F + kc d) (Luding 2008)."""
+        """Tension kc d, which the friction limit mu (F + kc d) excludes (Luding 2008)."""
         return tension * spring.stiffness_of(history) * overlap
 
     def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> LudingCollision:
@@ -115,8 +116,8 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
     return NormalLaw(
         name="luding",
         source="Luding 2008, Granular Matter 10:235, doi 10.1007/s10035-008-0099-x; spring: Zhou 2011, Eq. 19",
-        limits="e falls with velocity only up to the limit overlap and rises again above it; stiffness and plasticity "
-        "depth are fitted, no constants of the material",
+        limits="e decreases with velocity up to the limit overlap and increases beyond it; stiffness and plasticity "
+        "depth are fit parameters, not material constants",
         constant_names=CONSTANTS,
         history_names=("overlap_max", *(("plastic_work",) if has_tension else ()), *spring.history_names),
         rate_dependent=False,
@@ -151,7 +152,7 @@ class LudingCollision:
 
     @property
     def overlap_max(self) -> float:
-        """Largest overlap that counts as plastic [m]."""
+        """Largest plastic overlap [m]."""
         return min(self.velocity * math.sqrt(self.mass_eff / self.stiffness), self.limit)
 
     @property
@@ -161,7 +162,7 @@ class LudingCollision:
 
     @property
     def overlap_in_tension(self) -> float:
-        """Overlap [m] at which unloading meets the tension line: (k2 - k1) dmax / (k2 + kc)."""
+        """Overlap [m] at the intersection of unloading line and tension line: (k2 - k1) dmax / (k2 + kc)."""
         unloading_stiffness_now = self.unloading_stiffness
         return (
             (unloading_stiffness_now - self.stiffness)
@@ -171,20 +172,20 @@ class LudingCollision:
 
     @property
     def elastic_energy(self) -> float:
-        """Energy [J] that unloading gives back before it pulls."""
+        """Energy [J] recovered by unloading before the force becomes tensile."""
         largest = self.overlap_max
         energy_lost = 0.5 * self.stiffness * largest**2 * (1.0 - self.stiffness / self.unloading_stiffness)
         return 0.5 * self.mass_eff * self.velocity**2 - energy_lost
 
     @property
     def restitution(self) -> float:
-        """Restitution coefficient; 0 where the tension holds the spheres."""
+        """Restitution coefficient; 0 if the tension prevents separation."""
         pull = self.tension * self.stiffness * self.overlap_in_tension
         work = 0.5 * pull * self.overlap_in_tension + 0.5 * pull**2 / self.unloading_stiffness
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
-        """Loading and unloading duration [s]; unloading of spheres that stay together up to where they would pull."""
+        """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero force."""
         quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
         return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
 
@@ -216,7 +217,7 @@ class LudingCollision:
 
 
 def _reference(spring: Spring, tension: float) -> ReferenceForce:
-    """Numpy twin of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
+    """Reference implementation of `force` in numpy, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
 
     def unloading_stiffness(k1: float, growth: float, largest: float) -> float:
         return k1 * (1.0 + growth * largest)
@@ -236,7 +237,7 @@ def _reference(spring: Spring, tension: float) -> ReferenceForce:
             force = -kc * contact.overlap
             if tension:
                 begin, end = (k2 - k1) * largest / (k2 + kc), contact.overlap
-                # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the line through (d, -kc d)
+                # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the unloading line through (d, -kc d)
                 largest = max(np.roots([growth, -growth * end, -(1.0 + tension) * end]))
                 energy_held = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (kc * begin) ** 2 / (
                     2.0 * k2

@@ -1,4 +1,4 @@
-"""What two touching materials mean to a contact law: plain float64 numbers, no fields.
+"""Material and pair properties for contact models: plain float64 numbers, no fields.
 
 SI units throughout. Symbols as in Zhou (2011).
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Solid:
-    """Elastic and plastic constants of one material."""
+    """Elastic and plastic constants of one material: Young's modulus [Pa], density [kg/m3], yield strength [Pa]."""
 
     young_modulus: float
     poisson_ratio: float
@@ -25,7 +25,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class VelocityRestitution:
-    """Restitution coefficient that falls with the approach velocity (Zhou 2011, Eq. 12).
+    """Restitution coefficient that decreases with the approach velocity (Zhou 2011, Eq. 12).
 
     e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
     """
@@ -44,22 +44,22 @@ class VelocityRestitution:
 
 @dataclass(frozen=True)
 class PairMaterial:
-    """Mixed constants of two materials, symmetric under their exchange."""
+    """Effective constants of a pair of materials, symmetric under exchange of the two: moduli and strength [Pa]."""
 
     modulus_eff: float
     shear_modulus_eff: float
     restitution: float | VelocityRestitution | None
-    """None where the pair asks for none: the law has it from the material."""
+    """None if the pair gives none; the contact model then derives it from the materials."""
     friction: float
     rolling_friction: float = 0.0
     yield_strength: float | None = None
-    """Of the softer material [Pa]; None where neither is known to yield."""
+    """Yield strength of the softer material [Pa]; None if neither material has one."""
     cohesion_energy_density: float = 0.0
 
     def restitution_at(self, velocity: float) -> float:
-        """Restitution coefficient asked for at an approach velocity [m/s]. Raises ValueError where none is."""
+        """Restitution coefficient at an approach velocity [m/s]. Raises ValueError if the pair has none."""
         if self.restitution is None:
-            raise ValueError("this pair asks for no restitution coefficient")
+            raise ValueError("this pair has no restitution coefficient")
         if isinstance(self.restitution, VelocityRestitution):
             return float(self.restitution(velocity))
         return self.restitution
@@ -77,19 +77,19 @@ def shear_modulus_eff(a: Solid, b: Solid) -> float:
 
 
 def yield_strength(a: Solid, b: Solid) -> float | None:
-    """Yield strength [Pa] of the softer of two materials; one that is not given never yields."""
+    """Yield strength [Pa] of the softer of two materials; a material without one never yields."""
     return min((solid.yield_strength for solid in (a, b) if solid.yield_strength is not None), default=None)
 
 
 def limit_velocity(a: Solid, b: Solid) -> float:
-    """Velocity from which on the collision is perfectly plastic [m/s] (Zhou 2011, Eq. 11).
+    """Velocity [m/s] above which the collision is perfectly plastic (Zhou 2011, Eq. 11).
 
-        vlim = sqrt(3 Ymin / rho)      rho of the sphere with the lower yield strength
+        vlim = sqrt(3 Ymin / rho)      rho of the material with the lower yield strength
 
-    Raises ValueError if neither has a yield strength. One without yields never.
+    A material without a yield strength never yields. Raises ValueError if neither has one.
     """
     known = [(solid.yield_strength, -solid.density) for solid in (a, b) if solid.yield_strength is not None]
     if not known:
-        raise ValueError("Eq. 11 needs a yield strength of at least one of the two materials")
+        raise ValueError("Eq. 11 requires a yield strength of at least one of the two materials")
     strength, minus_density = min(known)
     return float(np.sqrt(3.0 * strength / -minus_density))

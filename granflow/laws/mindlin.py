@@ -1,9 +1,9 @@
-"""Tangential slot: Mindlin's no-slip spring with history, capped by Coulomb friction.
+"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction.
 
-The spring remembers its elastic displacement. While the contact grows the force is kept and the displacement
-shrinks with the stiffer contact; while it shrinks the displacement is kept and the force falls with the contact
-radius (Thornton, Cummins & Cleary 2013): so the spring never makes energy. The rolling spring is the same thing
-with a torque and an angle.
+The history is the elastic tangential displacement. If the stiffness increases, the force is preserved and the
+displacement decreases; if it decreases, the displacement is preserved and the force decreases with the contact radius
+(Thornton, Cummins & Cleary 2013). The spring therefore never generates energy. The rolling spring is identical, with a
+torque and an angle.
 """
 
 import numpy as np
@@ -18,23 +18,22 @@ def mindlin_stiffness(constants, radius_eff, overlap, history):
 
 @ti.func
 def rotated_displacement(displacement, normal, normal_middle):
-    """Displacement turned with the contact plane over one step.
+    """Tangential displacement rotated with the contact plane over one step.
 
         s' = s - (s . n) (n_before + n) / 2
 
-    A pair that spins as one about its normal does not turn its spring: no peer does, and it costs a cross product.
-    The mean of the old and the new normal keeps the length of s to fourth order in the angle turned.
+    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs
+    a cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
     """
     return displacement - displacement.dot(normal) * normal_middle
 
 
 @ti.func
 def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
-    """Spring force -k s after one more step of displacement, held at `cap`; returns (force, displacement kept).
+    """Spring force -k s after one step of displacement, limited to `cap`. Returns (force, new displacement).
 
-    `stiffness_ratio` is the stiffness one step ago over the present one: below 1 the force is kept, above 1 the
-    displacement.
-    Selected without a branch, which would keep the compiler from doing several contacts at once.
+    `stiffness_ratio` is the ratio of the previous to the present stiffness: below 1 the force is preserved, above 1
+    the displacement. `ti.select` replaces a branch, so that the compiler can vectorize over contacts.
     """
     displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
     force = -stiffness * displacement_new
@@ -45,7 +44,7 @@ def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
 
 @ti.func
 def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
-    """Energy the spring took for good in one step [J]: work put in, less what it stores more than before."""
+    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored energy."""
     stiffness_before = stiffness_ratio * stiffness
     work = 0.5 * (stiffness_before * rotated - force).dot(step)
     return (
@@ -56,7 +55,7 @@ def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_n
 def reference_spring(
     stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numpy twin of `elastic_plastic_spring`."""
+    """Reference implementation of `elastic_plastic_spring` in numpy."""
     trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
     size = stiffness * float(np.sqrt(trial @ trial))
     displacement_new = trial if size <= cap else trial * (cap / size)

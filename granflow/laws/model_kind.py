@@ -1,6 +1,6 @@
-"""What the catalog says of a law before anything is compiled: its settings in a scene, and who builds it.
+"""Catalog entries of contact models: name, settings in a scene, and the function that builds the model.
 
-Nothing here imports Taichi: a scene is read and checked with it.
+Does not import Taichi, so that scenes can be read and checked without it.
 """
 
 from collections.abc import Mapping
@@ -11,12 +11,12 @@ from typing import Any, Literal, TypeAlias
 from granflow.laws.law import ModelRequest, NormalLaw
 
 RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
-"""What a law takes from `restitution` of a pair; "nothing" where the material itself decides."""
+"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the materials."""
 
 
 @dataclass(frozen=True)
 class Amount:
-    """A setting that is one number, SI or with a unit; without a default it must be given."""
+    """A setting that is one number, in SI units or with a unit; required if it has no default."""
 
     description: str
     example: str
@@ -30,9 +30,9 @@ class Amount:
 
 @dataclass(frozen=True)
 class Choice:
-    """A setting that is one of some words, or a mapping with one of some keys: onset, {value: 1e4 N/m}.
+    """A setting that is one of `words`, or a mapping with one key of `keyed`: onset, {value: 1e4 N/m}.
 
-    `with_numbers` is the word that it becomes where every pair gives a number as restitution.
+    `with_numbers` is the word used instead if every pair gives a number as restitution.
     """
 
     description: str
@@ -47,21 +47,21 @@ Setting: TypeAlias = Amount | Choice
 
 @dataclass(frozen=True)
 class LawKind:
-    """One entry of the catalog. The law's file, `granflow/laws/<name>.py`, holds `law_for(request)`."""
+    """One entry of the catalog. The file of the model, `granflow/laws/<name>.py`, defines `law_for(request)`."""
 
     name: str
     summary: str
     settings: Mapping[str, Setting] = field(default_factory=dict)
     restitution: RestitutionInput = "positive number"
     example: Mapping[str, Any] = field(default_factory=dict)
-    """Settings that give a usual variant of a law which cannot do without any, for single collisions."""
+    """Settings of a common variant, for studies of single collisions; given if the model has required settings."""
 
     @property
     def needs_settings(self) -> bool:
-        """Whether a scene must say more than the law's name."""
+        """Whether a scene must give settings in addition to the name of the model."""
         return any(setting.default is None for setting in self.settings.values())
 
     def build(self, request: ModelRequest) -> NormalLaw:
-        """Make the law that a scene asks for; loads Taichi."""
+        """Build the contact model that a scene requests. Imports Taichi."""
         law: NormalLaw = import_module(f"granflow.laws.{self.name}").law_for(request)
         return law

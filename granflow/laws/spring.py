@@ -1,4 +1,4 @@
-"""The linear spring of the laws that have one: a number, or Zhou's Eq. 19 at one velocity or per contact."""
+"""Linear spring of contact models: a given stiffness, or Zhou's Eq. 19 at one velocity or per contact."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,31 +12,31 @@ from granflow.laws.law import ContactState, ModelRequest
 from granflow.laws.material import PairMaterial
 
 MIN_VELOCITY_SHARE = 0.01
-"""Eq. 19 per contact takes an approach velocity of at least this share of the largest."""
+"""Lower limit of the impact velocity in Eq. 19 per contact, over the largest velocity."""
 
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring stiffness [N/m] that a contact keeps from first touch on."""
+    """Spring whose stiffness [N/m] is constant from first touch to separation."""
 
     history_names: tuple[str, ...]
-    """What a contact must remember of it: nothing where the stiffness is a number."""
+    """History fields of the spring; empty if the stiffness is a number."""
     prepare: Any
-    """Device function for NormalLaw.prepare: the spring of a contact that opens, where constants[0] is the effective
-    modulus. None where the stiffness is a number."""
+    """Device function for NormalLaw.prepare that sets the stiffness at first touch; constants[0] is the effective
+    modulus. None if the stiffness is a number."""
     stiffness_of: Any
     """Device function (history) -> stiffness."""
     host_stiffness: Callable[[float, float, float, float], float]
     """Stiffness of (modulus_eff, radius_eff, mass_eff, velocity)."""
     history_index: int
-    """Where the stiffness stands in the law's history."""
+    """Index of the stiffness in the history of the contact model."""
 
     def stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Stiffness [N/m] in a collision of this pair."""
+        """Stiffness [N/m] in a collision of a pair."""
         return self.host_stiffness(pair.modulus_eff, radius_eff, mass_eff, velocity)
 
     def reference_stiffness(self, contact: ContactState) -> tuple[float, list[float]]:
-        """Numpy twin of `prepare` and `stiffness_kept`: stiffness, and what the history holds of it."""
+        """Reference implementation of `prepare` and `stiffness_of`: stiffness [N/m] and its history fields."""
         stiffness_kept = contact.history[self.history_index] if self.history_names else 0.0
         stiffness_new = self.host_stiffness(
             contact.constants[0], contact.radius_eff, contact.mass_eff, contact.overlap_rate
@@ -47,24 +47,27 @@ class Spring:
 
 @ti.func
 def equivalent_spring(constants, radius_eff, mass_eff, velocity):
-    """Spring with the Hertz contact's energy at its largest overlap, (4/5) k sqrt(dmax) [N/m] (Zhou 2011, Eq. 19)."""
+    """Stiffness [N/m] with the Hertz energy at the same maximum overlap, (4/5) k sqrt(dmax) (Zhou 2011, Eq. 19)."""
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     return 0.8 * k * ti.pow(1.25 * mass_eff * velocity * velocity / k, 0.2)
 
 
 @ti.func
 def tangential_spring(constants, stiffness):
-    """Mindlin's ratio of tangential to normal stiffness, 4 G / E, on a linear spring [N/m]; constants E, G first."""
+    """Tangential stiffness [N/m] of a linear spring: Mindlin's ratio 4 G / E times the normal stiffness.
+
+    constants[0] is E, constants[1] is G.
+    """
     return 4.0 * constants[1] / constants[0] * stiffness
 
 
 def build_spring(
     stiffness: float | None, reference_velocity: float | None, velocity_floor: float, history_index: int
 ) -> Spring:
-    """A spring [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
+    """Spring with a given stiffness [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
 
-    Per contact the spring comes from that contact's own approach velocity, at least `velocity_floor`: Eq. 19 gives
-    no spring at all to a contact that forms at rest. `history_index` is its place in the law's history.
+    Per contact, Eq. 19 uses the impact velocity of the contact, but at least `velocity_floor`, because the stiffness
+    would be zero for a contact that forms at rest. `history_index` is the index of the stiffness in the history.
     """
     is_given, fixed = stiffness is not None, reference_velocity is not None
 
@@ -98,7 +101,7 @@ def build_spring(
 
 
 def spring_for(request: ModelRequest, history_index: int) -> Spring:
-    """The spring that a scene asks for under `stiffness`; `history_index` is its place in the law's history."""
+    """Spring from the setting `stiffness` of a scene; `history_index` is its index in the history."""
     given: str | Mapping[str, float] = request.settings["stiffness"]
     keyed: Mapping[str, float] = {} if isinstance(given, str) else given
     velocity_floor = MIN_VELOCITY_SHARE * request.velocity_max
@@ -106,5 +109,5 @@ def spring_for(request: ModelRequest, history_index: int) -> Spring:
 
 
 def quarter_period(stiffness: float, mass_eff: float) -> float:
-    """Time [s] from first touch to the largest overlap on a linear spring."""
+    """Time [s] from first touch to the maximum overlap of a linear spring."""
     return 0.5 * np.pi * float(np.sqrt(mass_eff / stiffness))

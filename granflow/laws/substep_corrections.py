@@ -1,9 +1,9 @@
-"""What happens inside a step: first touch, turning point and parting rarely fall on the moments that are computed.
+"""Sub-step corrections for first touch, turning point and separation, which rarely coincide with a time level.
 
-The leapfrog takes the force at one moment for the whole step around it. That is second order as long as the force is
-smooth. A dashpot that is there from first touch on, the largest overlap that an unloading curve starts from, and the
-overlap at which it ends are not: they cost an order, or most of the accuracy of a small restitution. Each function
-here puts the mean over the step, or the true moment, in place of the value at the moment computed.
+The leapfrog scheme applies the force at one time level over the whole step around it, which is second order if the
+force is smooth. The force is not smooth at first touch (dashpot), at the maximum overlap where unloading starts, and at
+the overlap where it ends. Uncorrected, these points cost one order of convergence, or most of the accuracy of a small
+restitution. Each function here replaces the value at the time level by the mean over the step or by the exact extremum.
 """
 
 from typing import Any
@@ -14,15 +14,14 @@ import taichi as ti
 
 @ti.func
 def turning_point(largest, force, mass_eff, time_step, overlap_rate_half):
-    """Largest overlap [m] reached between two steps, where the first overlap behind it has just been seen.
+    """Maximum overlap [m] between two time levels, evaluated at the first step with a decreasing overlap.
 
         d(t) = dn + vn t - a t^2 / 2      =>      dmax = dn + vn^2 / (2 a)
 
-    `largest` is the overlap dn of the step before, `force` the force there, a = force / M the deceleration of the
-    pair alone, `overlap_rate_half` the rate of overlap half a step later, so that vn = late_rate + a dt / 2. A pair
-    that others
-    push, too, decelerates differently: vn stays within half a step of the turning point, so that the largest overlap
-    grows by no more than a dt^2 / 8.
+    `largest` is the overlap dn of the previous step, `force` the force there, a = force / M the deceleration of the
+    isolated pair, `overlap_rate_half` the overlap rate half a step later, so that vn = overlap_rate_half + a dt / 2.
+    The deceleration differs if other contacts act on the pair; vn is therefore limited to half a step from the turning
+    point, so that the maximum overlap increases by at most a dt^2 / 8.
     """
     deceleration = force / mass_eff
     half_step_change = 0.5 * deceleration * time_step
@@ -32,21 +31,21 @@ def turning_point(largest, force, mass_eff, time_step, overlap_rate_half):
 
 @ti.func
 def mean_above(above, rate, time_step):
-    """Mean of max(d - ds, 0) over the step around this moment [m]: a contact that parts does so inside a step.
+    """Mean of max(d - ds, 0) over the step around the time level [m]; separation occurs inside a step.
 
     mean of max(u, 0) over [u - h/2, u + h/2],  h = |d'| dt     =  u,  (u + h/2)^2 / (2 h),  or  0
     """
     half = 0.5 * ti.abs(rate) * time_step
     inside = ti.min(ti.max(above + half, 0.0), 2.0 * half)
-    smallest = 1e-30  # of any length; without travel nothing lies inside
+    smallest = 1e-30  # [m], avoids division by zero at zero rate, where the interval is empty
     return ti.max(above - half, 0.0) + inside * inside / ti.max(4.0 * half, smallest)
 
 
 def build_step_mean(power: float) -> Any:
-    """Device function (overlap, rate, time_step) -> (place, weight): mean of d^power over the step, 0 before touch.
+    """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0 for d < 0.
 
-    It is weight place^power. In the first step of a contact, which also stands for the time since the true first
-    touch, the integral over [0, d + h/2]; later the mean over [d - h/2, d + h/2] to second order (h = |d'| dt):
+    The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since first touch,
+    it is the integral over [0, d + h/2]; later the mean over [d - h/2, d + h/2] to second order (h = |d'| dt):
 
         (d + h/2)^(p + 1) / ((p + 1) h)            d^p (1 + p (p - 1) / 24 (h/d)^2)
     """
@@ -64,7 +63,7 @@ def build_step_mean(power: float) -> Any:
 
 
 def reference_step_mean(power: float, overlap: float, rate: float, time_step: float) -> float:
-    """Numpy twin of `build_step_mean`: the mean itself."""
+    """Reference implementation of `build_step_mean` in numpy; returns the mean."""
     travel = abs(rate) * time_step
     if overlap < rate * time_step:
         return float((overlap + 0.5 * travel) ** (power + 1.0) / ((power + 1.0) * travel))
@@ -73,7 +72,7 @@ def reference_step_mean(power: float, overlap: float, rate: float, time_step: fl
 
 
 def reference_mean_above(above: float, rate: float, time_step: float) -> float:
-    """Numpy twin of `mean_above`."""
+    """Reference implementation of `mean_above` in numpy."""
     half = 0.5 * abs(rate) * time_step
     if above >= half:
         return above
@@ -83,7 +82,7 @@ def reference_mean_above(above: float, rate: float, time_step: float) -> float:
 def reference_turning_point(
     largest: float, force: float, mass_eff: float, time_step: float, overlap_rate_half: float
 ) -> float:
-    """Numpy twin of `turning_point`."""
+    """Reference implementation of `turning_point` in numpy."""
     deceleration = force / mass_eff
     half_step_change = 0.5 * deceleration * time_step
     return float(

@@ -1,7 +1,7 @@
 """Closed forms of Zhou (2011) for one binary collision, in numpy float64.
 
-Letters as in the paper: `e` restitution coefficient, `k` Hertz stiffness [N/m^1.5], `M` effective mass, `v`
-approach velocity, `x` residual over largest overlap, `y = 1 - x`. Arguments broadcast.
+Symbols as in the paper: `e` restitution coefficient, `k` Hertz stiffness [N/m^1.5], `M` effective mass [kg], `v`
+approach velocity [m/s], `x` ratio of residual to maximum overlap, `y = 1 - x`. Arguments broadcast.
 """
 
 import math
@@ -25,15 +25,15 @@ def hertz_stiffness(modulus: Number, radius: Number) -> Number:
 
 
 def recovery(e: Number) -> np.ndarray:
-    """Share y = 1 - x of the largest overlap that springs back (Zhou 2011, Eq. 8, exact).
+    """Recovered fraction y = 1 - x of the maximum overlap (Zhou 2011, Eq. 8, exact).
 
-    Solves y = (4/5) e^2 + (1/5) e^3 y^2.5 by iterating the right side, whose slope is at most 1/2.
+    Solves y = (4/5) e^2 + (1/5) e^3 y^2.5 by fixed-point iteration; the slope of the right side is at most 1/2.
     Raises ValueError for e outside [0, 1].
     """
     e = np.asarray(e, dtype=float)
     if np.any((e < 0.0) | (e > 1.0)):
-        raise ValueError("a restitution coefficient lies in [0, 1]")
-    number: Number = e if e.ndim else float(e)  # plain floats are ten times faster than arrays of one
+        raise ValueError("a restitution coefficient must be in [0, 1]")
+    number: Number = e if e.ndim else float(e)  # floats are ten times faster than 0-d arrays
     first, share = 0.8 * number**2, 0.2 * number**3
     y = first
     for _ in range(80):
@@ -42,7 +42,7 @@ def recovery(e: Number) -> np.ndarray:
 
 
 def residual_closed_form(e: Number) -> np.ndarray:
-    """Residual over largest overlap x by the paper's closed form (Eq. 9), within 1.2 % of the exact root."""
+    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the root."""
     e = np.asarray(e, dtype=float)
     c = 0.8**2.5
     return 1.0 - 0.8 * e**2 - 0.2 * c * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
@@ -58,18 +58,18 @@ def unloading_slope(e: Number) -> np.ndarray:
 
 
 def unloading_tangent(e: Number) -> np.ndarray:
-    """Tangent at the start of unloading over k sqrt(dmax): Lambda + 1.5 e^3 sqrt(y)."""
+    """Tangent stiffness at the start of unloading over k sqrt(dmax): Lambda + 1.5 e^3 sqrt(y)."""
     e = np.asarray(e, dtype=float)
     return unloading_slope(e) + 1.5 * e**3 * np.sqrt(recovery(e))
 
 
 def overlap_max(k: Number, mass: Number, velocity: Number) -> Number:
-    """Largest overlap dmax = (5 M v^2 / (4 k))^(2/5) [m] (Eq. 5)."""
+    """Maximum overlap dmax = (5 M v^2 / (4 k))^(2/5) [m] (Eq. 5)."""
     return (1.25 * mass * velocity**2 / k) ** 0.4
 
 
 def hertz_tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Hertz tangent at the largest overlap of a collision, 1.5 k sqrt(dmax) [N/m]."""
+    """Hertz tangent stiffness at the maximum overlap of a collision, 1.5 k sqrt(dmax) [N/m]."""
     k = float(hertz_stiffness(pair.modulus_eff, radius_eff))
     return 1.5 * k * float(np.sqrt(overlap_max(k, mass_eff, velocity)))
 
@@ -99,7 +99,7 @@ def unloading_duration(e: float) -> float:
 
 @cache
 def _quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on [-1, 1]: a plan asks for them once for every two groups, and finding them takes longest."""
+    """Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a plan."""
     return leggauss(120)
 
 
@@ -109,7 +109,7 @@ def duration(e: float, k: Number, mass: Number, velocity: Number) -> Number:
 
 
 def equivalent_spring(k: Number, mass: Number, velocity: Number) -> Number:
-    """Linear spring with the same energy at the same largest overlap [N/m] (Eqs. 18, 19).
+    """Stiffness [N/m] of a linear spring with the same energy at the same maximum overlap (Eqs. 18, 19).
 
     alpha = (4/5) k sqrt(dmax)
     """
@@ -117,7 +117,7 @@ def equivalent_spring(k: Number, mass: Number, velocity: Number) -> Number:
 
 
 def least_restitution(k: Number, mass: Number, largest: Number, time_step: Number, angle: Number) -> Number:
-    """Smallest restitution that a time step can carry (ours): the unloading tangent stays below angle^2 M / dt^2.
+    """Smallest restitution at a time step [s], not from the paper: the unloading tangent is at most angle^2 M / dt^2.
 
     The tangent is close to k sqrt(dmax) / (0.8 e^2), so e^2 = 1.25 k sqrt(dmax) dt^2 / (angle^2 M).
     """
@@ -125,17 +125,17 @@ def least_restitution(k: Number, mass: Number, largest: Number, time_step: Numbe
 
 
 def damping_ratio_for(e: float) -> float:
-    """Damping ratio of a linear spring-dashpot that never pulls and rebounds with e (Schwager & Poeschel 2007).
+    """Damping ratio of a linear spring-dashpot without attraction for restitution e (Schwager & Poeschel 2007).
 
-    The contact ends when its force reaches zero, not when the overlap does. With zeta < 1,
+    The contact ends when the force reaches zero, not when the overlap does. For zeta < 1,
 
         e = exp(-zeta / sqrt(1 - zeta^2) (pi - atan2(2 zeta sqrt(1 - zeta^2), 1 - 2 zeta^2)))
 
     and its continuation for zeta >= 1. The Hertz contact with damping ~ d^(1/4) obeys the same relation
-    (Antypov & Elliott 2011 map it on the linear one). Raises ValueError for e outside (0, 1].
+    (Antypov & Elliott 2011 map it to the linear one). Raises ValueError for e outside (0, 1].
     """
     if not 0.0 < e <= 1.0:
-        raise ValueError("a viscous contact reaches any restitution in (0, 1], not 0")
+        raise ValueError("a viscous contact model supports any restitution in (0, 1], not 0")
     low, high = 0.0, 1.0
     while _viscous_restitution(high) > e:
         high *= 2.0
@@ -146,7 +146,7 @@ def damping_ratio_for(e: float) -> float:
 
 
 def _viscous_restitution(zeta: float) -> float:
-    """Restitution of the spring-dashpot that lets go when its force is zero."""
+    """Restitution of a spring-dashpot whose contact ends at zero force."""
     if abs(zeta - 1.0) < 1e-9:
         return float(np.exp(-2.0))
     if zeta < 1.0:

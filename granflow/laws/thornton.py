@@ -1,7 +1,7 @@
-"""Elastic, perfectly plastic spheres (Thornton 1997): the contact pressure stops at a limit, unloading is Hertz again.
+"""Elastic, perfectly plastic spheres (Thornton 1997): limited contact pressure, Hertz unloading.
 
-The material decides the restitution; nothing is asked for it. A flattened contact unloads, and reloads up to its
-largest overlap so far, as an elastic sphere of a larger radius.
+Restitution follows from the material and is not an input. A flattened contact unloads, and reloads up to its previous
+maximum overlap, as an elastic sphere of a larger radius.
 """
 
 import math
@@ -46,7 +46,7 @@ def unloading_contact(constants, radius_eff, overlap_max):
 
 @ti.func
 def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    """Loading branch beyond the largest overlap so far, Hertz on the flattened contact below it."""
+    """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it [N]."""
     history_new = history
     history_new[0] = ti.max(overlap, history[0])
     stiffness, residual = unloading_contact(constants, radius_eff, history_new[0])
@@ -58,7 +58,7 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
 
 @ti.func
 def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Work that unloading gives back, (2/5) of force times overlap above the residual one."""
+    """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual overlap."""
     stiffness, residual = unloading_contact(constants, radius_eff, history[0])
     above = ti.max(overlap - residual, 0.0)
     return 0.4 * stiffness * above * above * ti.sqrt(above)
@@ -66,7 +66,7 @@ def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 @ti.func
 def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Work of loading to the largest overlap, less what unloading gives back."""
+    """Work of loading to the maximum overlap minus the energy recovered by unloading [J]."""
     largest = history[0]
     overlap_yield, force_yield = yield_point(constants, radius_eff)
     energy_lost = 0.0 * largest
@@ -82,7 +82,7 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 @dataclass(frozen=True)
 class ThorntonCollision:
-    """A binary collision of elastic, perfectly plastic spheres in closed form; SI."""
+    """A binary collision of elastic, perfectly plastic spheres in closed form, in SI units."""
 
     hertz: float
     radius_eff: float
@@ -98,17 +98,17 @@ class ThorntonCollision:
 
     @property
     def yield_velocity(self) -> float:
-        """Approach velocity that just yields [m/s]: M v_y^2 / 2 = (2/5) F_y d_y."""
+        """Smallest approach velocity with yield [m/s]: M v_y^2 / 2 = (2/5) F_y d_y."""
         return math.sqrt(0.8 * self.force_yield * self.overlap_yield / self.mass_eff)
 
     @property
     def plastic_slope(self) -> float:
-        """Tangent of plastic loading [N/m], pi p R."""
+        """Tangent stiffness of plastic loading [N/m], pi p R."""
         return math.pi * self.pressure * self.radius_eff
 
     @property
     def overlap_max(self) -> float:
-        """Largest overlap [m], from the energy."""
+        """Maximum overlap [m], from energy conservation."""
         if self.velocity <= self.yield_velocity:
             return float(theory.overlap_max(self.hertz, self.mass_eff, self.velocity))
         energy = self.mass_eff * (self.velocity**2 - self.yield_velocity**2)
@@ -117,7 +117,7 @@ class ThorntonCollision:
 
     @property
     def flattening(self) -> float:
-        """Radius of the flattened contact over the sphere's, R_p / R."""
+        """Ratio of the radius of the flattened contact to that of the sphere, R_p / R."""
         largest = self.overlap_max
         if largest <= self.overlap_yield:
             return 1.0
@@ -138,11 +138,11 @@ class ThorntonCollision:
 
     @property
     def unloading_tangent(self) -> float:
-        """Tangent at the start of unloading [N/m]."""
+        """Tangent stiffness at the start of unloading [N/m]."""
         return 1.5 * self.hertz * math.sqrt(self.overlap_max)
 
     def durations(self) -> tuple[float, float]:
-        """Loading and unloading duration [s]."""
+        """Loading and unloading durations [s]."""
         scale = float(theory.time_scale(self.hertz, self.mass_eff, self.velocity))
         rebound = self.overlap_max / self.flattening
         unloading = theory.LOADING_DURATION * rebound / (self.restitution * self.velocity)
@@ -156,7 +156,7 @@ class ThorntonCollision:
 
 
 def _hertz_time(share: float) -> float:
-    """Time over T_s that Hertz loading takes to a share of its largest overlap: int_0^share du / sqrt(1 - u^2.5)."""
+    """Time over T_s of Hertz loading to a fraction of the maximum overlap: int_0^share du / sqrt(1 - u^2.5)."""
     nodes, weights = leggauss(60)
     end = math.asin(share)
     angle = 0.5 * end * (nodes + 1.0)
@@ -165,16 +165,18 @@ def _hertz_time(share: float) -> float:
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     return build(request.settings["yield_ratio"])
 
 
 def build(yield_ratio: float) -> NormalLaw:
-    """Thornton's law; the contact pressure stops at `yield_ratio` times the yield strength of the softer material."""
+    """Build Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength."""
 
     def pressure(pair: PairMaterial) -> float:
         if pair.yield_strength is None:
-            raise ValueError("the thornton law needs a yield strength of at least one of the two materials")
+            raise ValueError(
+                "the contact model thornton requires a yield strength of at least one of the two materials"
+            )
         return yield_ratio * pair.yield_strength
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
@@ -191,8 +193,8 @@ def build(yield_ratio: float) -> NormalLaw:
     return NormalLaw(
         name="thornton",
         source="Thornton 1997, J. Appl. Mech. 64:383, doi 10.1115/1.2787319",
-        limits="no hardening and no rate: e is 1 below the yield velocity and falls as v^(-1/4) far above it, whatever "
-        "the material; the pressure at which a contact yields is uncertain by a factor of 2",
+        limits="neither hardening nor rate dependence: e is 1 below the yield velocity and decreases as v^(-1/4) far "
+        "above it, for every material; the contact pressure at yield is uncertain by a factor of 2",
         constant_names=CONSTANTS,
         history_names=("overlap_max",),
         rate_dependent=False,
@@ -212,7 +214,7 @@ def build(yield_ratio: float) -> NormalLaw:
 
 
 def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-    """Numpy twin of `force`, by contact radii as in the paper: a^2 = R d and a^2 = R_p (d - d_p)."""
+    """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d - d_p)."""
     modulus, _, pressure = contact.constants
     radius, largest = contact.radius_eff, max(contact.overlap, contact.history[0])
     yield_radius = math.pi * pressure * radius / (2.0 * modulus)

@@ -1,4 +1,4 @@
-"""Two straight lines: loading with k1, unloading and reloading with the steeper k2 (Walton & Braun 1986)."""
+"""Bilinear model: loading with stiffness k1, unloading and reloading with the larger k2 (Walton & Braun 1986)."""
 
 import math
 
@@ -13,23 +13,26 @@ CONSTANTS = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Numbers of CONSTANTS; the loss ratio is 1/e^2 - 1. Raises ValueError where the restitution is 0 or falls."""
+    """Values of CONSTANTS; the loss ratio is 1/e^2 - 1.
+
+    Raises ValueError if the restitution is 0 or depends on velocity.
+    """
     if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
-        raise ValueError("the walton_braun law takes one number above 0 as restitution coefficient")
+        raise ValueError("the contact model walton_braun requires one number above 0 as restitution coefficient")
     return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for."""
+    """Contact model that a scene requests."""
     given = request.settings["unloading"]
     return build(spring_for(request, history_index=1), None if given == "constant" else given["reference_velocity"])
 
 
 def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
-    """Bilinear law with this loading spring k1.
+    """Build the bilinear model with the loading spring k1.
 
-    k2 = k1 / e^2 without a reference velocity, so that e holds at every velocity; else k2 = k1 (1 + S F_max) with the
-    slope S that gives e at that velocity [m/s], and a restitution that falls with velocity.
+    Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 + S F_max)
+    with the slope S that gives e at the reference velocity [m/s], and e decreases with velocity.
     """
     grows = reference_velocity is not None
 
@@ -43,7 +46,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """F = k1 d beyond the largest overlap so far, k2 (d - d0) below it, never below 0."""
+        """F = k1 d beyond the previous maximum overlap, max(k2 (d - d0), 0) below it [N]."""
         history_new, stiffness = history, spring.stiffness_of(history)
         history_new[0] = ti.max(overlap, history[0])
         unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history_new[0])
@@ -83,8 +86,8 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
     return NormalLaw(
         name="walton_braun",
         source="Walton & Braun 1986, J. Rheol. 30:949, doi 10.1122/1.549893; spring: Zhou 2011, Eq. 19",
-        limits="unloading is 1/e^2 times as stiff as loading, so that steps shrink as e; a spring that is a number "
-        "gives one duration, and a constant k2 one restitution, at every velocity",
+        limits="unloading is 1/e^2 times as stiff as loading, so that the time step is proportional to e; with a given "
+        "stiffness the duration, with a constant k2 the restitution, does not depend on velocity",
         constant_names=CONSTANTS,
         history_names=("overlap_max", *spring.history_names),
         rate_dependent=False,
@@ -106,7 +109,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
 
 
 def _reference(spring: Spring, reference_velocity: float | None) -> ReferenceForce:
-    """Numpy twin of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as Walton & Braun have it."""
+    """Reference implementation of `force` in numpy, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the paper."""
 
     def reference(contact: ContactState) -> tuple[float, np.ndarray]:
         (stiffness, spring_history), largest = spring.reference_stiffness(contact), contact.history[0]

@@ -1,8 +1,8 @@
-"""Hertz elastic loading, nonlinear plastic unloading (Zhou 2011): the law granflow exists for.
+"""Hertz elastic loading, nonlinear plastic unloading (Zhou 2011): the primary contact model of granflow.
 
-One file, one law: pair constants, history, device functions and the numpy twin. Reloading runs back along
-the unloading curve up to the largest overlap so far, where Hertz loading takes over again, so that the force is
-continuous everywhere: F = min(k d^1.5, unloading curve frozen at dmax).
+This file defines the whole model: pair constants, history, device functions and reference implementation. Reloading
+follows the unloading curve up to the previous maximum overlap, then the Hertz curve, so that the force is continuous:
+F = min(k d^1.5, unloading curve for dmax).
 """
 
 from typing import Literal
@@ -28,15 +28,15 @@ RestitutionAt = Literal["impact", "max_overlap", "constant"]
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
 HISTORY = ("overlap_max", "restitution", "recovery")
 LEAST_RESOLVED = 0.1
-"""Unloading faster than at this restitution is left to the bound on the unloading tangent."""
+"""Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 DAMPING_POWER = 0.25
-"""The viscous force goes with this power of the overlap."""
+"""Exponent of the overlap in the viscous force."""
 NEWTON_STEPS = 5
-"""From y = (4/5) e^2 as many reach machine precision in float64 for every e; four leave 25 ulps at e = 1."""
+"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Numbers of CONSTANTS for one pair of materials; unused ones are 0."""
+    """Values of CONSTANTS for one pair of materials; unused ones are 0."""
     shared = (pair.modulus_eff, pair.shear_modulus_eff)
     if isinstance(pair.restitution, VelocityRestitution):
         law = pair.restitution
@@ -46,11 +46,11 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
 
 @ti.func
 def restitution_at(constants, velocity):
-    """Restitution coefficient of an approach velocity [m/s] (Zhou 2011, Eq. 12).
+    """Restitution coefficient at an approach velocity [m/s] (Zhou 2011, Eq. 12).
 
         e(v) = exp(-sigma (v / (vlim - v))^psi)      v < vlim, else 0
 
-    A pair with a constant restitution has no limit velocity.
+    A pair with a constant restitution has the limit velocity 0.
     """
     sigma, psi, limit = constants[3], constants[4], constants[5]
     e = constants[2]
@@ -65,7 +65,7 @@ def restitution_at(constants, velocity):
 
 @ti.func
 def recovery_of(e):
-    """Share y of the largest overlap that springs back: y = (4/5) e^2 + (1/5) e^3 y^2.5 (Zhou 2011, Eq. 8)."""
+    """Recovered fraction y of the maximum overlap: y = (4/5) e^2 + (1/5) e^3 y^2.5 (Zhou 2011, Eq. 8)."""
     first = 0.8 * e * e
     share = 0.2 * e * e * e
     y = first
@@ -77,7 +77,7 @@ def recovery_of(e):
 
 @ti.func
 def least_restitution(k, mass, overlap_max, time_step, angle):
-    """Smallest restitution the time step can carry: unloading tangent <= angle^2 M / dt^2 (model.md, e -> 0)."""
+    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2 (model.md, e -> 0)."""
     return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
 
 
@@ -87,8 +87,8 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
-    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the contact may
-    part. Steeper than loading by up to 1/e^2; bounded by the time step as e -> 0.
+    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the particles may
+    separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
     """
     above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
     cube = e * e * e
@@ -98,7 +98,7 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
 
 @ti.func
 def unloading_energy(k, overlap_max, e, y, overlap):
-    """Work the unloading branch gives back from an overlap on [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
+    """Energy recovered by unloading from an overlap [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
     energy = 0.0 * k
     above = overlap - overlap_max * (1.0 - y)
     if above > 0.0:
@@ -109,17 +109,17 @@ def unloading_energy(k, overlap_max, e, y, overlap):
 
 
 def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_ratio: float = 0.0) -> NormalLaw:
-    """Zhou's law with its restitution taken at the onset, from the peak overlap, or constant.
+    """Build Zhou's model with the restitution at impact, from the maximum overlap, or constant.
 
-    `unloading_angle` is the bound theta on sqrt(K/M) dt of the unloading tangent. `damping_ratio` adds a viscous
-    force 2 zeta sqrt(K M) times the rate of overlap on the elastic branch, with K the Hertz tangent.
+    `unloading_angle` is the bound theta on sqrt(K/M) dt, where K is the unloading tangent. `damping_ratio` adds a
+    viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is the Hertz tangent.
     """
     from_max_overlap, damped = restitution_at_choice == "max_overlap", damping_ratio > 0.0
     root_over_step = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def unloading_parameters(constants, radius_eff, mass_eff, time_step, history):
-        """Restitution and recovery for the unloading that starts from the present largest overlap."""
+        """Restitution and recovery for unloading from the present maximum overlap."""
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e = history[1]
         y = history[2]
@@ -132,7 +132,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
 
     @ti.func
     def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-        """Restitution of a contact that opens; largest overlap, restitution and recovery where unloading begins."""
+        """Set the restitution at first touch; set maximum overlap, restitution and recovery when unloading begins."""
         history_new = history
         if ti.static(not from_max_overlap):
             if history_new[0] == 0.0:
@@ -140,7 +140,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
         if overlap < history_new[0] and history_new[2] == 0.0:
             largest_force = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * history_new[0]) * history_new[0]
             overlap_rate_half = overlap_rate
-            if ti.static(damped):  # the rate is that of the moment itself
+            if ti.static(damped):  # `overlap_rate` is at the time level, not half a step later
                 overlap_rate_half += 0.5 * time_step * largest_force / mass_eff
             history_new[0] = turning_point(history_new[0], largest_force, mass_eff, time_step, overlap_rate_half)
             e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history_new)
@@ -194,8 +194,8 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
     return NormalLaw(
         name="zhou",
         source="Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12",
-        limits="as e goes to 0 unloading becomes a jump, which the time step bounds: e_eff > 0; sigma and psi must "
-        "be measured",
+        limits="for e -> 0 unloading becomes discontinuous and is limited by the time step: e_eff > 0; sigma and psi "
+        "must be measured",
         constant_names=CONSTANTS,
         history_names=HISTORY,
         rate_dependent=damped,
@@ -219,7 +219,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-    """Loading and unloading duration [s] (Zhou 2011, Eqs. 13-15)."""
+    """Loading and unloading durations [s] (Zhou 2011, Eqs. 13-15)."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     scale = float(theory.time_scale(k, mass_eff, velocity))
     e = pair.restitution_at(velocity)
@@ -227,21 +227,21 @@ def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velo
 
 
 def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Tangent at the start of unloading [N/m]; infinite at e = 0 (Zhou 2011, Eqs. 4, 7)."""
+    """Tangent stiffness at the start of unloading [N/m]; infinite at e = 0 (Zhou 2011, Eqs. 4, 7)."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     largest = float(theory.overlap_max(k, mass_eff, velocity))
     return k * np.sqrt(largest) * float(theory.unloading_tangent(pair.restitution_at(velocity)))
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """The law that a scene asks for; a number in every pair makes the restitution constant."""
+    """Contact model that a scene requests; constant restitution if every pair gives a number."""
     fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
     source: RestitutionAt = request.settings["restitution_at"] if fitted else "constant"
     return build(source, request.unloading_angle, request.settings["damping_ratio"])
 
 
 def _reference(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_ratio: float) -> ReferenceForce:
-    """Numpy twin of the law, one contact at a time in plain float64."""
+    """Reference implementation of the model for one contact, in float64."""
 
     def restitution(constants: np.ndarray, velocity: float) -> float:
         if constants[5] == 0.0:

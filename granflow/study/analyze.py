@@ -1,4 +1,4 @@
-"""Indices and fields of a run that is over, from the frames that it wrote."""
+"""Metrics and fields of a finished run, computed from its frames."""
 
 import csv
 from bisect import bisect_right
@@ -23,16 +23,17 @@ MetricRow = dict[str, float | str]
 
 
 def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
-    """The indices of `scene` in every frame of a run; its fields are written to `out`, as is `metrics.csv`.
+    """Compute the metrics of `scene` for each frame of a run; write its fields and `metrics.csv` to `out`.
 
-    `scene` is that of the run, with other `output.metrics` and `output.fields` if need be. A row has the time [s], the
-    stage, and each number as `NAME.INDEX`. Raises GranflowError where nothing is asked for, or frames lack contacts.
+    `scene` is that of the run; its `output.metrics` and `output.fields` may differ. A row contains the time [s], the
+    stage and each value as `NAME.METRIC`. Raises GranflowError if the scene requests nothing, or if frames lack
+    contacts.
     """
     meters = metric_meters(scene)
     fields = [field_frames(scene, name, spec, out) for name, spec in scene.output.fields.items()]
     if not meters and not fields:
         raise GranflowError(
-            "Nothing is asked for: the scene has no output.metrics and no output.fields. Give some, such as "
+            "Nothing to analyze: the scene has neither output.metrics nor output.fields. Add one, such as "
             "--set 'output.metrics.bed={kind: coordination}'."
         )
     rows = []
@@ -49,7 +50,7 @@ def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
 
 
 def snapshots_of(directory: Path, scene: Scene) -> Iterator[Snapshot]:
-    """What the frames of a run show, with contacts where it wrote them; masses from the densities of the scene."""
+    """Snapshots from the frames of a run, with contacts if they were written; masses follow from the scene."""
     stage_at = _stages(directory / "timeseries.csv", scene)
     density = np.array([material.density for material in scene.materials.values()])
     for frame in frames_of(directory):
@@ -64,7 +65,7 @@ def snapshots_of(directory: Path, scene: Scene) -> Iterator[Snapshot]:
 
 
 def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
-    """Contacts of a frame, or None where the run wrote none."""
+    """Contacts of a frame, or None if the run did not write them."""
     if frame.contacts is None:
         return None
     mesh = read_mesh(frame.contacts)
@@ -75,7 +76,7 @@ def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
 
 
 def _stages(path: Path, scene: Scene) -> "_StageAt":
-    """Stage at a time [s]: that of the last row of the time series until then."""
+    """Stage as a function of time [s]: that of the last row of the time series at or before it."""
     if not path.exists():
         return _StageAt([0.0], [scene.schedule[0].name])
     try:
@@ -87,7 +88,7 @@ def _stages(path: Path, scene: Scene) -> "_StageAt":
 
 
 class _StageAt:
-    """Names of stages by time."""
+    """Names of stages as a function of time."""
 
     def __init__(self, times: list[float], names: list[str]) -> None:
         self._times, self._names = times, names
@@ -99,8 +100,8 @@ class _StageAt:
 def _refuse_without_contacts(directory: Path, snapshot: Snapshot, readers: list[MetricMeter | FieldFrames]) -> None:
     if snapshot.contacts is None and any(CONTACTS in each.wants for each in readers):
         raise GranflowError(
-            f"{directory} has no frames of contacts, which fabric and contact stress need: run the scene with "
-            "output.contacts: true, or leave them out (quantities: [density, velocity])."
+            f"{directory} has no frames of contacts, which fabric and contact stress require: run the scene with "
+            "output.contacts: true, or omit these quantities (quantities: [density, velocity])."
         )
 
 

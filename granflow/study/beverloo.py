@@ -1,9 +1,9 @@
-"""The law of discharge of Beverloo, fitted to mass flows through openings of several sizes.
+"""Beverloo's law of discharge, fitted to mass flow rates through openings of several sizes.
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
-with the opening D, the grains' diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
-as large ones; for every k the best C, and the best exponent if that is asked for, follow from a straight line.
+where D is the opening, d the particle diameter and rho the bulk density. The fit is to ln W, so that small and large
+flows have equal weight. For each k the best C, and the best exponent if it is free, follow from linear regression.
 """
 
 import csv
@@ -20,21 +20,21 @@ from granflow.scene.units import UnitError, to_si
 
 EXPONENT = 2.5
 GRAVITY = 9.81
-"""Where none is given [m/s2]."""
+"""Default gravitational acceleration [m/s2]."""
 
 K_LOWEST = -10.0
-"""Smallest k that is tried: the published ones lie between 1 and 3."""
+"""Smallest k of the search; published values lie between 1 and 3."""
 
 K_VALUES = 400
 SEARCH_ROUNDS = 6
-"""Values of k in a round of the search; each round looks between the neighbors of the best of the one before."""
+"""Values of k per search round; each round covers the interval between the neighbors of the previous best value."""
 
 COLUMNS = {"opening": "length", "mass_flow": "mass_flow"}
 
 
 @dataclass(frozen=True)
 class Discharge:
-    """Mass flows [kg/s] (n,) through openings (n,) [m]."""
+    """Mass flow rates [kg/s] (n,) through openings (n,) [m]."""
 
     opening: np.ndarray
     mass_flow: np.ndarray
@@ -42,9 +42,10 @@ class Discharge:
 
 @dataclass(frozen=True)
 class BeverlooFit:
-    """C, k and the exponent, each with its standard error, 0 for an exponent that was given.
+    """C, k and the exponent, each with its standard error; the error of a given exponent is 0.
 
-    `residual` (n,): ln of measured over fitted flow; errors are nan where there are no more flows than parameters.
+    `residual` (n,): ln of measured over fitted flow. Errors are nan unless the number of flows exceeds that of
+    parameters.
     """
 
     c: float
@@ -63,19 +64,17 @@ def fit_beverloo(
     gravity: float = GRAVITY,
     exponent: float | None = EXPONENT,
 ) -> BeverlooFit:
-    """Fit C and k to flows of grains of diameter `particle_diameter` [m] and `bulk_density` [kg/m3].
+    """Fit C and k, and the exponent if it is None, to mass flow rates.
 
-    The exponent too if None.
-
-    W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2. Raises GranflowError where the flows are
-    too few, or not positive.
+    W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2, with d = `particle_diameter` [m] and
+    rho = `bulk_density` [kg/m3]. Raises GranflowError if the flows are too few or not positive.
     """
     openings = len(np.unique(data.opening))
     needed = 2 if exponent is not None else 3
     if openings < needed:
-        raise GranflowError(f"Flows through {openings} different openings are too few: give {needed} or more.")
+        raise GranflowError(f"Flows through {openings} different openings are too few; give at least {needed}.")
     if not (np.all(data.mass_flow > 0.0) and np.all(data.opening > 0.0)):
-        raise GranflowError("A flow or an opening is not above 0: leave out openings that were blocked.")
+        raise GranflowError("A flow or an opening is not above 0; remove openings that were blocked.")
     ratio = data.opening / particle_diameter
     height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * particle_diameter**EXPONENT))
     k = _best_k(ratio, height, exponent)
@@ -88,7 +87,7 @@ def fit_beverloo(
 
 
 def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> float:
-    """The k below all D/d with the least sum of squares, by ever finer trials."""
+    """Value of k below all D/d with the least sum of squares, by successively refined grid search."""
     low, high = K_LOWEST, float(ratio.min())
     best = low
     for _ in range(SEARCH_ROUNDS):
@@ -102,7 +101,7 @@ def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> fl
 def _line(
     ratio: np.ndarray, height: np.ndarray, k: np.ndarray, exponent: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """ln C and the exponent (m,) that are best for each k (m,), and what is left (m, n) of the heights (n,)."""
+    """Best ln C and exponent (m,) for each k (m,), and the residuals (m, n) of `height` (n,)."""
     along = np.log(ratio - k[:, None])
     middle = along.mean(axis=1)
     offset = along - middle[:, None]
@@ -112,7 +111,7 @@ def _line(
 
 
 def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Standard errors from the scatter about the fit."""
+    """Standard errors from the residuals of the fit."""
     degrees_of_freedom = len(residual) - derivatives.shape[1]
     if degrees_of_freedom < 1:
         return np.full(derivatives.shape[1], np.nan)
@@ -121,10 +120,10 @@ def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
 
 
 def read_discharges(sources: Sequence[Path]) -> Discharge:
-    """Flows of runs (directories that `granflow run` wrote) and of CSV files, all together.
+    """Read flows from runs (directories written by `granflow run`) and CSV files.
 
-    Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `opening` and
-    `mass_flow`, in SI or with units. Raises GranflowError for what has neither.
+    A run gives twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `opening` and
+    `mass_flow`, in SI units or with units. Raises GranflowError if a source has neither.
     """
     rows = [row for source in sources for row in (_of_run(source) if source.is_dir() else _of_table(source))]
     table = np.array(rows, dtype=float).reshape(-1, 2)
@@ -136,18 +135,18 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
 
     path = source / "result.json"
     if not path.exists():
-        raise GranflowError(f"{source} has no result.json; name a run that has ended.")
+        raise GranflowError(f"{source} has no result.json; give the directory of a finished run.")
     try:
         numbers = json.loads(read_regular_text(path))["flow_meters"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}): name a run that has ended.") from None
+        raise GranflowError(f"{path} cannot be read ({error}); give the directory of a finished run.") from None
     meters = load(source / "scene_as_run.yaml").output.flow_meters
     found = [
         (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
     ]
     if len(found) != 1:
         raise GranflowError(
-            f"{source} has {len(found)} flow meters with a radius; one is needed, as wide as the opening."
+            f"{source} has {len(found)} flow meters with a radius; exactly one, as wide as the opening, is required."
         )
     return found
 
@@ -157,7 +156,7 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
     try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            raise GranflowError(f"{source} has no column {missing[0]}; the columns are opening and mass_flow.")
+            raise GranflowError(f"{source} has no column {missing[0]}; required are opening and mass_flow.")
         found = []
         for row in reader:
             try:
@@ -171,7 +170,7 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
-    """The table of some fits: name, then value and standard error of each."""
+    """Table rows of several fits: name, then value and standard error for each fit."""
     rows = []
     for name in ("c", "k", "exponent"):
         cells = [_with_error(getattr(fit, name), getattr(fit, f"{name}_error")) for fit in fits]
@@ -181,5 +180,5 @@ def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
 
 
 def _with_error(value: float, error: float) -> str:
-    """Value and standard error; an error of 0 is that of a number that was given."""
+    """Value and standard error; an error of 0 marks a given value."""
     return f"{value:.4g} ± {error:.2g}" if error else f"{value:.4g} given"

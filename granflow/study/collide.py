@@ -1,4 +1,4 @@
-"""One head-on collision with the many-particle kernels, beside its closed forms."""
+"""A single head-on collision with the many-particle kernels, compared with closed forms."""
 
 import logging
 from collections.abc import Sequence
@@ -27,16 +27,16 @@ from granflow.scene.yaml12 import parse
 
 WALL = "wall"
 HALVINGS = 60
-"""As many leave an overlap exact in float64."""
+"""Number of bisection steps; sufficient for float64 precision of the overlap."""
 SHORT = 1e-3
-"""Over so small a share of a step a law averages nothing that would be seen."""
+"""Time step of the reference integration relative to the duration; sub-step corrections are then negligible."""
 LONGEST = 20.0
-"""A collision not over after this many durations is given up."""
+"""Maximum length of a collision in units of its expected duration."""
 
 
 @dataclass(frozen=True)
 class CollisionInput:
-    """What collides: the pair, effective radius [m] and mass [kg], approach velocity [m/s]."""
+    """Input of a collision: material pair, effective radius [m], effective mass [kg], approach velocity [m/s]."""
 
     pair: PairMaterial
     radius_eff: float
@@ -58,15 +58,14 @@ def collide(
     arch: str = "cpu",
     settings: Sequence[str] = (),
 ) -> dict[str, float]:
-    """Collide two spheres, or a sphere and a wall, head on; all in SI.
+    """Collide two spheres, or a sphere and a wall, head on. All values are in SI units.
 
-    `settings` are those of the law as "key=value", such as "yield_ratio=2.8"; what is left out is as the catalog's
-    example has it.
+    `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8"; the example of the catalog
+    supplies the others.
 
-    Returns `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N] as reached, the
-    same with `_restitution_given` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError
-    where the
-    restitution is not given and not known, or the step is not stable.
+    Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N], the
+    same with `_restitution_given` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError if
+    the restitution is neither given nor known, or if the time step is not stable.
     """
     sizes = (diameter, diameter2 or diameter)
     materials = (material, material2 or material)
@@ -85,7 +84,7 @@ def collide(
     try:
         plan = plan_for(_read(described, settings), on_gpu=not backend.on_cpu)
     except SceneError:
-        raise GranflowError(f"A contact of {steps_per_contact:g} steps is not stable: give it more steps.") from None
+        raise GranflowError(f"{steps_per_contact:g} steps per contact are not stable; use more.") from None
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
     return expected | _integrate_collision(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
@@ -93,10 +92,12 @@ def collide(
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     if law not in NORMAL_LAWS:
-        raise GranflowError(f"There is no law {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'laws'))}")
+        raise GranflowError(
+            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'contact models'))}"
+        )
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"There is no preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
+            raise GranflowError(f"Unknown preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
 
 
 def _sentence(remedy: str) -> str:
@@ -110,31 +111,35 @@ def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_co
 
 
 def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float) -> None:
-    """Refuse an impact whose overlap [m] exceeds a radius: the spheres would pass through each other."""
+    """Raise GranflowError if the maximum overlap [m] exceeds a radius: the spheres would pass through each other."""
     radius = 0.5 * min(sizes)
     if not overlap_max < radius:
         reached = f"the overlap would reach {overlap_max:.3g} m, more than the radius of {radius:.3g} m"
-        raise GranflowError(f"velocity is {velocity:g} m/s, but {reached}: lower the velocity.")
+        raise GranflowError(f"velocity is {velocity:g} m/s, but {reached}; reduce the velocity.")
 
 
 def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:
-    """A restitution that the law cannot give, or none where it needs one."""
+    """Raise GranflowError for a restitution that the contact model does not support or that is missing."""
     kind = NORMAL_LAWS[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
-        raise GranflowError(f"restitution is {restitution:g}, but lies in [0, 1].")
+        raise GranflowError(f"restitution is {restitution:g}, but must be in [0, 1].")
     if kind.restitution == "nothing":
         if restitution is not None:
-            raise GranflowError(f"The {law} law has the restitution from the materials: leave --restitution out.")
+            raise GranflowError(
+                f"The contact model {law} derives the restitution from the materials; remove --restitution."
+            )
         if all(PRESETS[name].yield_strength is None for name in materials):
-            raise GranflowError(f"The {law} law needs a yield strength, which {' and '.join(set(materials))} has not.")
+            raise GranflowError(
+                f"The contact model {law} requires a yield strength, which {' and '.join(set(materials))} lacks."
+            )
     if kind.restitution == "positive number" and restitution is None:
-        raise GranflowError(f"The {law} law needs a number as restitution. Give it with --restitution.")
+        raise GranflowError(f"The contact model {law} requires a restitution coefficient; give it with --restitution.")
     if kind.restitution == "positive number" and restitution == 0.0:
-        raise GranflowError(f"The {law} law reaches any restitution above 0, but not 0 itself.")
+        raise GranflowError(f"The contact model {law} requires a restitution above 0, such as --restitution 0.1.")
 
 
 def _read(described: dict[str, Any], settings: Sequence[str]) -> Scene:
-    """The described scene with settings of its law; they are refused in the words of a scene file."""
+    """Scene from its description and the settings of its contact model; errors are reported as for a scene file."""
     return scene_in(parse(to_yaml(described), "collide"), [f"contact.normal.{each}" for each in settings])
 
 
@@ -146,7 +151,7 @@ def _scene_of(
     wall: bool,
     restitution: float | None,
 ) -> dict[str, Any]:
-    """The scene of the collision, as a file would say it."""
+    """Scene of the collision, validated like a scene file."""
     first, second = ("first", "second")
     pair = {"friction": 0} | _restitution_given(law, materials, restitution)
     share = 1.0 if wall else 0.5
@@ -181,7 +186,7 @@ def _scene_of(
 
 
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
-    """The restitution of the pair, as a scene says it; nothing where the law has it from the materials."""
+    """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials."""
     if NORMAL_LAWS[law].restitution == "nothing":
         return {}
     if restitution is not None:
@@ -189,7 +194,7 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
     if materials[0] == materials[1] and PRESETS[materials[0]].restitution_fit is not None:
         return {"restitution": {"preset": materials[0]}}
     raise GranflowError(
-        f"The restitution of {materials[0]} on {materials[1]} is not known. Give it with --restitution."
+        f"The restitution of the pair {materials[0]}-{materials[1]} is unknown; give it with --restitution."
     )
 
 
@@ -204,7 +209,7 @@ def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: boo
 
 
 def _expected(law: NormalLaw, impact: CollisionInput) -> dict[str, float]:
-    """Closed forms of the law; what a dashpot has none for by integrating one equation finely."""
+    """Closed forms of the contact model; for a dashpot without closed form, results of a fine integration."""
     k = float(theory.hertz_stiffness(impact.pair.modulus_eff, impact.radius_eff))
     mass, velocity = impact.mass_eff, impact.velocity
     requested = law.restitution(impact.pair, impact.radius_eff, mass, velocity)
@@ -214,7 +219,7 @@ def _expected(law: NormalLaw, impact: CollisionInput) -> dict[str, float]:
 
 
 def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """The law's own duration; largest overlap and force where the work of loading has used up the energy."""
+    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy."""
     bodies = (impact.radius_eff, impact.mass_eff)
     loading, unloading = law.phase_durations(impact.pair, *bodies, impact.velocity)
     constants, history = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
@@ -225,7 +230,7 @@ def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[s
         force_before, overlap = force, overlap + step
         force, history = law.reference_force(constants, *bodies, moment, overlap, impact.velocity, history)
         energy -= 0.5 * (force_before + force) * step
-    # the work of the last step was too much by -energy
+    # -energy is the excess work of the last step
     overlap_max, force_max = overlap + energy / force, force + (force - force_before) * energy / force / step
     return {
         "duration_theory": loading + unloading,
@@ -238,7 +243,7 @@ def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[s
 def _end_overlap(
     law: NormalLaw, impact: CollisionInput, time_step: float, overlap: float, history: np.ndarray
 ) -> float:
-    """Overlap [m] at which the elastic force of a contact with this history has gone, by halving; 0 if it pulls."""
+    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive."""
     constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
     for _ in range(HALVINGS if not law.attracts else 0):
         middle = 0.5 * (low + high)
@@ -249,7 +254,7 @@ def _end_overlap(
 
 
 def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """Duration, largest overlap and force of M d'' = -F(d, d') by the classical Runge-Kutta method on the twin."""
+    """Duration, maximum overlap and force of M d'' = -F(d, d') by the classical Runge-Kutta method in numpy."""
     constants = np.array(law.pair_constants(impact.pair))
     step = sum(law.phase_durations(impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / steps
     history = np.zeros(max(law.history_count, 1))
@@ -279,7 +284,7 @@ def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> di
 
 
 def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> dict[str, float]:
-    """Step through the collision and note what it reaches."""
+    """Run the collision and record the maximum overlap and force, the rebound velocity and the duration."""
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
@@ -298,9 +303,9 @@ def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> 
         previous, last = last, current
     engine.free()
     if duration == 0.0 and plan.law.attracts:
-        raise GranflowError("The collision did not end: the attraction holds the spheres together.")
+        raise GranflowError("The collision did not end: the attraction prevents separation.")
     if duration == 0.0:
-        raise GranflowError("The collision did not end: give more --steps-per-contact.")
+        raise GranflowError("The collision did not end; increase --steps-per-contact.")
     return {
         "restitution": float(-current.rate / impact.velocity),
         "duration": duration,
@@ -311,10 +316,10 @@ def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> 
 
 
 def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: float, plan: Plan) -> float:
-    """Time [s] from the last step with a force to the moment it vanishes.
+    """Time [s] from the last step with a force to the time at which the force vanishes.
 
-    A viscous force vanishes while the spheres still overlap: on the line through the last two forces. Otherwise the
-    surfaces part at a constant rate from then on.
+    A viscous force vanishes while the spheres still overlap; the time follows from the line through the last two
+    forces. Otherwise the surfaces separate at a constant rate.
     """
     if plan.features.rate_dependent and previous.force > last.force:
         return min(plan.time_step * last.force / (previous.force - last.force), plan.time_step)
@@ -323,7 +328,7 @@ def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: flo
 
 @dataclass(frozen=True)
 class _ContactSample:
-    """Overlap [m], rate of overlap [m/s], force [N] and history of the contact at one step."""
+    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step."""
 
     overlap: float
     rate: float

@@ -1,4 +1,4 @@
-"""How figures of all studies look, and how they and their numbers are written; needs the extra `plot`."""
+"""Style and output of the figures of all studies, and CSV output of their data. Requires the extra `plot`."""
 
 import csv
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ import numpy as np
 from granflow.errors import GranflowError
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
-"""Told apart by the color-blind and in gray (Okabe & Ito 2008, two more for many laws)."""
+"""Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}
-"""Simulated points: open markers, without a line."""
+"""Style of simulated points: open markers without a line."""
 
 WIDTH = 6.7
-"""Width of a figure [inch]: two columns of a journal."""
+"""Width of a figure [inch]: two journal columns."""
 
 RESOLUTION = 300
 
@@ -48,17 +48,17 @@ STYLE: dict[str, Any] = {
 
 
 def require_plotting() -> None:
-    """Raise GranflowError where matplotlib is not installed."""
+    """Raise GranflowError if matplotlib is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise GranflowError("Figures need matplotlib, which is not installed: pip install granflow[plot]") from None
+        raise GranflowError("Figures require matplotlib, which is not installed: pip install granflow[plot]") from None
 
 
 def draw_to(path: Path, draw: Any, height: float) -> None:
-    """Draw into a PNG: `draw` gets an empty matplotlib figure of WIDTH by `height` [inch] in our style.
+    """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
 
-    Raises GranflowError where matplotlib is not installed.
+    Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     import matplotlib
@@ -73,7 +73,7 @@ def draw_to(path: Path, draw: Any, height: float) -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV with their names in the first line, numbers in full precision."""
+    """Write columns of equal length as CSV with a header line, numbers in full precision."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

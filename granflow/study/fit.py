@@ -1,8 +1,8 @@
-"""sigma and psi of Eq. 12 from measured restitution, by least squares.
+"""Least-squares fit of sigma and psi of Eq. 12 to measured restitution.
 
     e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
 
-Three parameters at most and derivatives in closed form: Levenberg-Marquardt in numpy, so that nobody needs scipy.
+At most three parameters with derivatives in closed form: Levenberg-Marquardt in numpy, without scipy.
 """
 
 from dataclasses import dataclass
@@ -21,39 +21,39 @@ from granflow.study.measurements import Measurements
 NAMES = ("sigma", "psi", "limit_velocity")
 ITERATIONS = 500
 SMALLEST_STEP = 1e-10
-"""Relative to the parameters; the search ends there."""
+"""Convergence tolerance of the parameters (relative)."""
 START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)
-"""Limit velocities to start from: this far above the largest velocity measured, relative to it."""
+"""Initial limit velocities: relative distance above the largest measured velocity."""
 FLATTEST = 0.05
-"""Smallest psi to start from: scattered data may seem to rise."""
+"""Smallest initial psi; scattered data may give a negative slope."""
 HEIGHT = 4.2
-"""Of the figure [inch]."""
+"""Height of the figure [inch]."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Parameters of Eq. 12 with their standard errors; a limit velocity that was given has the error 0."""
+    """Parameters of Eq. 12 with standard errors; the error of a given limit velocity is 0."""
 
     curve: VelocityRestitution
     errors: VelocityRestitution
     correlation: float
-    """Between measured and fitted restitution; nan where all measured are equal."""
+    """Correlation coefficient of measured and fitted restitution; nan if all measured values are equal."""
     r_squared: float
-    """Share of the scatter of the measured restitution that the curve explains."""
+    """Coefficient of determination: fraction of the variance of the measured restitution that the curve explains."""
     residual: np.ndarray
     """Measured minus fitted restitution (n,)."""
 
     def snippet(self) -> str:
-        """The curve as a pair of materials says it in a scene."""
+        """The curve as the entry of a material pair in a scene."""
         values = ", ".join(f"{name}: {getattr(self.curve, name):.6g}" for name in NAMES)
         return f"restitution: {{{values} m/s}}"
 
 
 def fit(data: Measurements, limit: float | None = None) -> Fit:
-    """Fit Eq. 12; the limit velocity [m/s] is fitted, too, where none is given.
+    """Fit Eq. 12; if no limit velocity [m/s] is given, fit it as well.
 
-    Standard errors come from the scatter about the curve, or from the deviations measured where the file has them.
-    Raises GranflowError where the data do not determine the parameters.
+    Standard errors follow from the residuals, or from the standard deviations in the file if it has them. Raises
+    GranflowError if the data do not determine the parameters.
     """
     _check_determined(data, limit)
     starts = _starts(data, limit)
@@ -78,24 +78,24 @@ def _check_determined(data: Measurements, limit: float | None) -> None:
     fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
     count = 2 if limit else 3
     if len(data) <= count:
-        raise GranflowError(f"{len(data)} rows are too few for {fitted} and their errors: give {count + 1} or more.")
+        raise GranflowError(f"{len(data)} rows are too few for {fitted} and their errors; give at least {count + 1}.")
     if limit and np.any((data.velocity >= limit) & (data.restitution > 0.0)):
         fastest = data.velocity[data.restitution > 0.0].max()
         raise GranflowError(
-            f"The spheres rebound at {fastest:g} m/s, but a limit velocity of {limit:g} m/s is given, "
-            "from which on Eq. 12 says that they do not: give a higher one, or let --fit-limit find it."
+            f"The limit velocity is {limit:g} m/s, but the restitution measured at {fastest:g} m/s is above 0; in "
+            "Eq. 12 it is 0 from the limit velocity on. Give a higher limit velocity, or fit it with --fit-limit."
         )
     informative = (data.restitution > 0.0) & (data.restitution < 1.0)
     velocities = len(np.unique(data.velocity[informative]))
     if velocities < count:
         raise GranflowError(
-            f"Restitutions between 0 and 1 at {velocities} different velocities are too few for {fitted}: "
-            f"give {count} or more."
+            f"Restitutions between 0 and 1 at {velocities} different velocities are too few for {fitted}; "
+            f"give at least {count}."
         )
 
 
 def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
-    """Parameters to start from: ln(-ln e) = ln sigma + psi ln(v / (vlim - v)) is a straight line."""
+    """Initial parameters by linear regression: ln(-ln e) = ln sigma + psi ln(v / (vlim - v))."""
     informative = (data.restitution > 0.0) & (data.restitution < 1.0)
     velocity = data.velocity[informative]
     height = np.log(-np.log(data.restitution[informative]))
@@ -107,9 +107,9 @@ def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
 
 
 def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Parameters and sum of squares, by Levenberg-Marquardt in their logarithms: they stay above 0.
+    """Parameters and sum of squares, by Levenberg-Marquardt in the logarithms of the parameters, which keeps them > 0.
 
-    The limit velocity moves as its margin above the fastest rebound.
+    The limit velocity is represented by its difference from the largest velocity with a rebound.
     """
     fastest = 0.0 if limit else float(data.velocity[data.restitution > 0.0].max())
     free = 2 if limit else 3
@@ -137,7 +137,7 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
 
 
 def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Measured minus fitted restitution (n,) and its slopes (n, 3) by the parameters, both over the spread.
+    """Measured minus fitted restitution (n,) and the derivatives (n, 3) of the fit, both divided by the uncertainty.
 
     With u = v/(vlim - v) and e = exp(-sigma u^psi):  de/dsigma = -u^psi e,  de/dpsi = -sigma u^psi ln(u) e,
     de/dvlim = sigma psi u^psi e / (vlim - v); all 0 from the limit velocity on.
@@ -152,7 +152,7 @@ def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray,
 
 
 def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
-    """Square roots of the diagonal of (J^T J)^-1, times the scatter about the curve unless deviations are known."""
+    """Square roots of the diagonal of (J^T J)^-1, times the residual scatter unless standard deviations are given."""
     free = 2 if limit else 3
     residual, slopes = _linearized(data, parameters)
     jacobian = slopes[:, :free] * parameters[:free]
@@ -164,8 +164,8 @@ def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | 
         errors *= np.sqrt(residual @ residual / (len(data) - free))
     if not errors[2] < parameters[2]:
         raise GranflowError(
-            "These data do not determine the limit velocity: all velocities are far below it. "
-            "Give it with --limit-velocity, or --material for Eq. 11."
+            "The data do not determine the limit velocity: all velocities are far below it. "
+            "Give it with --limit-velocity, or use --material for Eq. 11."
         )
     return errors
 
@@ -179,9 +179,9 @@ def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarra
 
 
 def write_fit(out: Path, data: Measurements, result: Fit) -> None:
-    """Write `fit.csv`, then `fit.png`. Raises GranflowError where matplotlib is not installed."""
+    """Write `fit.csv`, then `fit.png`. Raises GranflowError if matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
-    table = {"velocity": data.velocity, "analysis": data.restitution, "fitted": result.curve(data.velocity)}
+    table = {"velocity": data.velocity, "measured": data.restitution, "fitted": result.curve(data.velocity)}
     write_columns(out / "fit.csv", table | {"residual": result.residual})
     draw_to(out / "fit.png", lambda figure: _draw(figure, data, result), HEIGHT)
 
@@ -192,7 +192,7 @@ def _draw(figure: Any, data: Measurements, result: Fit) -> None:
     velocity = np.geomspace(low, high, 300)
     axes.semilogx(velocity, result.curve(velocity), color=COLORS[0], label=_legend(result))
     bars = data.uncertainty if data.absolute else None
-    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="analysis", **POINTS)
+    axes.errorbar(data.velocity, data.restitution, bars, marker="o", color="black", label="measured", **POINTS)
     axes.set(xlabel="approach velocity $v$ [m/s]", ylabel="restitution coefficient $e$", ylim=(0.0, 1.05))
     axes.set_xlim(low, high)
     axes.legend(loc="lower left")
@@ -205,7 +205,7 @@ def _legend(result: Fit) -> str:
 
 
 def fit_rows(result: Fit) -> list[tuple[str, str, str, str]]:
-    """The table of a fit: name, value, standard error, unit."""
+    """Table rows of a fit: name, value, standard error, unit."""
     units = {"sigma": "", "psi": "", "limit_velocity": "m/s"}
     found = []
     for name in NAMES:
@@ -218,19 +218,19 @@ def fit_rows(result: Fit) -> list[tuple[str, str, str, str]]:
 
 
 def limit_from_materials(first: str, second: str | None = None) -> float:
-    """Limit velocity of Eq. 11 [m/s] for two known materials, or one on itself.
+    """Limit velocity of Eq. 11 [m/s] for two material presets, or for one preset with itself.
 
-    Raises GranflowError for a name not known, and where neither has a yield strength.
+    Raises GranflowError for an unknown preset, or if neither has a yield strength.
     """
     solids = []
     for name in (first, second or first):
         if name not in PRESETS:
-            raise GranflowError(f"There is no preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
+            raise GranflowError(f"Unknown preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
         preset = PRESETS[name]
         solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
     try:
         return limit_velocity(*solids)
     except ValueError:
         raise GranflowError(
-            f"The preset {first} has no yield strength, which Eq. 11 needs: give --limit-velocity, or --fit-limit."
+            f"The preset {first} has no yield strength, which Eq. 11 requires; give --limit-velocity or --fit-limit."
         ) from None

@@ -1,4 +1,4 @@
-"""Measured restitution against velocity, read from a CSV file; every bad row is named."""
+"""Measured restitution as a function of velocity, read from a CSV file; all invalid rows are reported."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,20 +18,20 @@ HEADINGS = {
     "deviation": ("deviation", "standard_deviation", "error", "std"),
     "weight": ("weight", "w"),
 }
-"""What a column may be called; the first name is the one to use."""
+"""Accepted names of each column; the first one is preferred."""
 
 DIMENSION = {"velocity": "velocity", "restitution": "number", "deviation": "number", "weight": "number"}
 LARGEST_FILE = 2**26
-"""Bytes; more than a million measurements."""
+"""Maximum size of a file in bytes; sufficient for more than a million measurements."""
 
 SEPARATORS = (";", "\t", ",")
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Rows of a file: approach velocity [m/s], restitution, and how far each restitution is to be trusted.
+    """Rows of a file: approach velocity [m/s], restitution, and uncertainty of the restitution.
 
-    `uncertainty` (n,) is its standard deviation, or a relative one where `absolute` is False.
+    `uncertainty` (n,) is the standard deviation; if `absolute` is False, only its ratios are meaningful.
     """
 
     velocity: np.ndarray
@@ -44,14 +44,14 @@ class Measurements:
 
 
 def read_measurements(path: Path) -> Measurements:
-    """Read a table with the columns `velocity` and `restitution`, and `deviation` or `weight` if there is one.
+    """Read a table with the columns `velocity` and `restitution`, and optionally `deviation` or `weight`.
 
-    Columns are separated by commas, semicolons or tabs; lines that are empty or begin with # are left out; a value
-    may carry its unit. Raises FileError with all bad rows as `file:line: sentence`.
+    Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored; a value
+    may have a unit. Raises FileError with all invalid rows as `file:line: sentence`.
     """
     rows = list(_rows(path, _text(path)))
     if not rows:
-        raise FileError(f"{path}: there are no rows. The first names the columns: velocity,restitution.")
+        raise FileError(f"{path}: the file has no rows; the first row must name the columns: velocity,restitution.")
     columns, width = _columns(path, *rows[0]), len(rows[0][1])
     problems: list[str] = []
     values: list[dict[str, float]] = []
@@ -61,7 +61,7 @@ def read_measurements(path: Path) -> Measurements:
     if problems:
         raise FileError(problems)
     if not values:
-        raise FileError(f"{path}: there are no measurements below the header.")
+        raise FileError(f"{path}: the file has no measurements below the header.")
     table = {name: np.array([row[name] for row in values]) for name in columns}
     return Measurements(table["velocity"], table["restitution"], _spread(table), "deviation" in table)
 
@@ -76,11 +76,11 @@ def _text(path: Path) -> str:
     try:
         return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise GranflowError(f"{path} is not UTF-8 text: save it as CSV in UTF-8.") from None
+        raise GranflowError(f"{path} is not UTF-8 text; save it as CSV in UTF-8.") from None
 
 
 def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and stripped cells of every row; the separator is that of the header."""
+    """Line number and stripped cells of each row; the separator is that of the header."""
     nonempty = [
         (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"
     ]
@@ -96,46 +96,46 @@ def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
-    """Where each known column stands. Raises FileError where one is missing or there twice."""
+    """Index of each known column. Raises FileError if one is missing or duplicated."""
     names = [cell.split("[")[0].split("(")[0].strip().lower().replace(" ", "_") for cell in cells]
     found: dict[str, int] = {}
     for name, aliases in HEADINGS.items():
         columns = [n for n, each in enumerate(names) if each in aliases]
         if len(columns) > 1:
-            raise FileError(f"{path}:{line}: the header has {len(columns)} columns for {name}: keep one.")
+            raise FileError(f"{path}:{line}: the header has {len(columns)} columns for {name}; keep one.")
         if columns:
             found[name] = columns[0]
     missing = [name for name in ("velocity", "restitution") if name not in found]
     if missing:
         raise FileError(
-            f"{path}:{line}: the header is {', '.join(cells)}, which does not name {' and '.join(missing)}: "
-            "the first row names the columns, such as velocity,restitution."
+            f"{path}:{line}: the header is {', '.join(cells)}, which does not name {' and '.join(missing)}; "
+            "the first row must name the columns, such as velocity,restitution."
         )
     if "deviation" in found and "weight" in found:
-        raise FileError(f"{path}:{line}: the header has both deviation and weight: keep one.")
+        raise FileError(f"{path}:{line}: the header has both deviation and weight; keep one.")
     return _unit_checked(path, line, cells, found)
 
 
 def _unit_checked(path: Path, line: int, cells: Sequence[str], found: dict[str, int]) -> dict[str, int]:
-    """The same columns. Raises FileError where a header names a unit other than m/s."""
+    """Return the columns unchanged. Raises FileError if the header gives a unit other than m/s."""
     unit = cells[found["velocity"]].replace("(", "[").partition("[")[2].rstrip(")] ")
     if unit not in ("", "m/s"):
         raise FileError(
-            f"{path}:{line}: the velocities are in {unit}, but m/s is asked: convert them, or write the unit "
-            f"with each value, such as 500 {unit}."
+            f"{path}:{line}: the velocities are in {unit}, but must be in m/s; convert them, or write the unit "
+            f"after each value, such as 500 {unit}."
         )
     return found
 
 
 def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
-    """What is wrong with a row longer than the header."""
+    """Message for a row that is longer than the header."""
     if not any(cells[width:]):
         return []
-    return [f"the row has {len(cells)} values, but the header {width} columns; decimals are written with a point"]
+    return [f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal separator"]
 
 
 def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dict[str, float]]) -> Iterator[str]:
-    """Add the numbers of a row to the values, or say what is wrong with each."""
+    """Append the numbers of a row to `values`; yield a message for each invalid number."""
     numbers = {}
     for name, place in columns.items():
         text = cells[place] if place < len(cells) else ""
@@ -150,9 +150,9 @@ def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dic
 def _number(name: str, text: str) -> float:
     value = to_si(text, DIMENSION[name]) if text else float("nan")
     if not isfinite(value):
-        raise UnitError("a number is asked here; leave the row out if nothing was measured")
+        raise UnitError("a number is required; remove the row if nothing was measured")
     if name == "restitution" and not 0.0 <= value <= 1.0:
-        raise UnitError("a restitution coefficient lies in [0, 1]")
+        raise UnitError("a restitution coefficient must be in [0, 1]")
     if name != "restitution" and not value > 0.0:
         raise UnitError("it must be above 0")
     return value

@@ -1,4 +1,4 @@
-"""One HTML page from text, tables, figures and plots: everything inside the file, nothing from the network."""
+"""A self-contained HTML page from text, tables, figures and plots; loads nothing from the network."""
 
 import html
 import json
@@ -45,7 +45,7 @@ pre i { color: #8a8a8a; font-style: normal; user-select: none; }
 
 @dataclass(frozen=True)
 class PageTable:
-    """Rows of text under heads; cells that read as numbers are set to the right, others to the left."""
+    """Table of text with column headings; numbers are aligned right, other cells left."""
 
     caption: str
     heads: Sequence[str]
@@ -54,7 +54,7 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Picture:
-    """An image file that goes into the page, its caption, and files beside the page to link to."""
+    """An embedded image file, its caption, and files in the directory of the page to link to."""
 
     image: Path
     caption: str
@@ -63,14 +63,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Pictures, and maybe films, side by side as far as they fit."""
+    """Pictures and films, side by side."""
 
     pictures: Sequence[Picture]
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot that can be hovered over: `figure` holds data and layout as plotly takes them."""
+    """An interactive plot; `figure` contains data and layout in the format of plotly."""
 
     caption: str
     figure: dict[str, Any]
@@ -78,7 +78,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Code:
-    """Text of a file as it stands, lines numbered or not."""
+    """Verbatim text of a file, with or without line numbers."""
 
     text: str
     numbered: bool = True
@@ -89,7 +89,7 @@ PagePart = str | PageTable | Picture | Gallery | Plot | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A title and what stands under it, in order; plain text becomes a paragraph."""
+    """A title and its content in order; plain text becomes a paragraph."""
 
     title: str
     parts: Sequence[PagePart]
@@ -97,17 +97,17 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """Title, a paragraph that says what this is, and sections."""
+    """Title, introductory paragraph, and sections."""
 
     title: str
     lead: str
     sections: Sequence[Section]
     script: str = ""
-    """The JavaScript of plotly, for pages with plots."""
+    """JavaScript of plotly, for pages with plots."""
 
 
 def escape(text: str) -> str:
-    """Text as HTML; what would not be seen becomes an escape."""
+    """Text as HTML; invisible characters become escapes."""
     return html.escape(visible(text))
 
 
@@ -121,20 +121,20 @@ for (const plot of document.querySelectorAll("figure.plot")) {
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write the page. Raises KeyError for an image that is neither PNG nor SVG."""
+    """Write the page. Raises KeyError for an image format that is not supported."""
     path.write_text(html_of(page), encoding="utf-8")
 
 
 def html_of(page: Page) -> str:
-    """The page as HTML, images embedded."""
-    adjacency = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
+    """The page as HTML with embedded images."""
+    links = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
     sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections))
     scripts = f"<script>{page.script}</script>\n<script>{DRAW_PLOTS}</script>\n" if page.script else ""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(page.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f'<h1>{escape(page.title)}</h1>\n<p class="lead">{escape(page.lead)}</p>\n<nav>{adjacency}</nav>\n'
+        f'<h1>{escape(page.title)}</h1>\n<p class="lead">{escape(page.lead)}</p>\n<nav>{links}</nav>\n'
         f"{sections}\n{scripts}</body>\n</html>\n"
     )
 
@@ -182,12 +182,12 @@ def _code(code: Code) -> str:
 def _picture(picture: Picture) -> str:
     data = b64encode(picture.image.read_bytes()).decode("ascii")
     kind = MEDIA_TYPES[picture.image.suffix]
-    adjacency = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.linked_files)
+    links = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.linked_files)
     source = f'src="data:{kind};base64,{data}"'
     shown = f"<video controls loop muted {source}></video>"
     if not kind.startswith("video"):
         shown = f'<img alt="{escape(picture.caption)}" {source}>'
-    return f"<figure>{shown}<figcaption>{escape(picture.caption)}{adjacency}</figcaption></figure>"
+    return f"<figure>{shown}<figcaption>{escape(picture.caption)}{links}</figcaption></figure>"
 
 
 def _table(table: PageTable) -> str:
@@ -208,5 +208,5 @@ def _cell(tag: str, text: str, is_text: bool) -> str:
 
 
 def _is_figure(text: str) -> bool:
-    """Whether a cell is set like a number: it begins with a digit or sign, or is a dash or empty."""
+    """Whether a cell is aligned like a number: it begins with a digit or sign, or is a dash or empty."""
     return not text or text[0].isdigit() or text[0] in "+−-–—±<>"

@@ -1,7 +1,7 @@
-"""Restitution asked and reached: every pair of materials of a scene, at its own time step and precision.
+"""Given and simulated restitution of all material pairs of a scene, at the time step and precision of the scene.
 
-`measure` lets the pairs collide on the device, side by side in one run; `warnings` follows the numpy twin of the law
-through a few collisions instead, which takes a tenth of a second and compiles nothing.
+`measure` simulates collisions of the pairs on the device in one run. `warnings` integrates a few collisions with the
+reference implementation of the contact model instead, which takes about 0.1 s and requires no compilation.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,31 +25,31 @@ from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_colum
 
 VELOCITIES_PER_DECADE = 4
 DECADES = 3
-"""Measured are velocities from the largest expected down to a thousandth of it."""
+"""Velocities of the collisions relative to the largest expected velocity."""
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Where within a step the spheres first touch."""
+"""Phases of first touch within a time step."""
 SPACING = 2.5
-"""Distance of neighboring collisions over the largest diameter."""
+"""Spacing of neighboring collisions over the largest diameter."""
 LONGEST = 20.0
-"""A collision not over after this many durations is given up: the spheres stick."""
+"""Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
 
 HEIGHT = 5.2
-"""Of the figure [inch]."""
+"""Height of the figure [inch]."""
 
 TOLERANCE = 0.01
-"""Relative difference from which on a run warns."""
+"""Relative difference above which a run reports a warning."""
 QUICK_VELOCITIES = (1.0, 0.3, 0.1)
-"""Over the largest velocity, in the order in which the warning looks at them."""
+"""Velocities of the warning relative to the largest velocity, in the order of evaluation."""
 QUICK_PHASES = (0.25, 0.75)
 QUICK_STEPS = 8000
-"""The warning looks no further than this many steps of the twin."""
+"""Maximum number of steps of the reference implementation for the warning."""
 HALVINGS = 6
-"""A remedy is looked for among steps down to 1/64."""
+"""Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
 @dataclass(frozen=True)
 class MaterialPairing:
-    """Two materials that can meet: their smallest spheres, or a sphere and a wall (no second radius) [m]."""
+    """Two materials that can be in contact, and the radii [m] of their smallest spheres; a wall has no radius."""
 
     first: str
     second: str
@@ -58,7 +58,7 @@ class MaterialPairing:
 
     @property
     def name(self) -> str:
-        """The two materials, with "wall" where the second is that of a wall."""
+        """The two materials, followed by "wall" if the second is that of a wall."""
         return f"{self.first}-{self.second}" + (" wall" if self.other_radius is None else "")
 
     def reduced(self, scene: Scene) -> tuple[float, float]:
@@ -76,7 +76,7 @@ def _mass(radius: float, density: float) -> float:
 
 
 def pairings(scene: Scene) -> list[MaterialPairing]:
-    """Every pair of materials that can meet in a scene, spheres first; of each the smallest sizes there are."""
+    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii."""
     smallest: dict[str, float] = {}
     for group in scene.particles.values():
         radius = 0.5 * diameter_range(group)[0]
@@ -94,7 +94,7 @@ def pairings(scene: Scene) -> list[MaterialPairing]:
 
 @dataclass(frozen=True)
 class RestitutionRow:
-    """One pair at one velocity [m/s]: restitution asked, and the smallest and largest reached over the phases."""
+    """One pair at one velocity [m/s]: given restitution, and smallest and largest simulated value over the phases."""
 
     pair: str
     velocity: float
@@ -104,22 +104,22 @@ class RestitutionRow:
 
     @property
     def reached(self) -> float:
-        """Whichever of least and most is farther from what is asked."""
+        """Smallest or largest simulated value, whichever differs more from the given one."""
         return max(self.min_reached, self.max_reached, key=lambda e: abs(e - self.requested))
 
     @property
     def difference(self) -> float:
-        """Reached minus asked, relative to asked; infinite where 0 is asked and not reached."""
+        """Relative difference of simulated and given value; infinite if 0 is given and not reached."""
         if self.requested == 0.0:
             return 0.0 if self.reached == 0.0 else np.inf
         return self.reached / self.requested - 1.0
 
 
 def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], float]:
-    """Collide every pair of materials of a scene head on at velocities up to the largest expected.
+    """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected one.
 
-    All collisions stand side by side at the far side of the scene's domain, where single precision is coarsest; each
-    begins at several phases of a step. Also returns the time step [s].
+    All collisions are at the far side of the domain, where single precision is coarsest; each velocity is repeated for
+    several phases of first touch. Also returns the time step [s].
     """
     backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
@@ -141,13 +141,13 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
 
 
 def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
-    """Steps after which the slowest collision is given up."""
+    """Maximum number of steps of the slowest collision."""
     longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
     return int(LONGEST * longest / plan.time_step) + 10
 
 
 def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
-    """The scene of all collisions: along x, one lane after the other in y, one row for each pair in z."""
+    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair."""
     radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
     spacing = SPACING * 2.0 * max(radii)
     contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
@@ -161,7 +161,7 @@ def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing],
            for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
     frictionless = {"friction": 0.0, "rolling_friction": None}
     return Scene.model_validate(described | {
-        "title": "Restitution asked and reached",
+        "title": "Given and simulated restitution",
         "gravity": [0, 0, 0],
         "materials": {name: scene.materials[name] for name in used},
         "pairs": {key: pair.model_copy(update=frictionless) for key, pair in material_pairs.items()},
@@ -177,7 +177,7 @@ def _add_row(
     described: Mapping[str, dict[str, Any]], pair: MaterialPairing, row: int, contact_x: float, spacing: float,
     velocities: np.ndarray, step: float,
 ) -> None:  # fmt: skip
-    """Spheres of one pair, one collision for each velocity and phase; they would touch at x = `contact_x` [m]."""
+    """Add the spheres of one pair, one collision per velocity and phase, with contact at x = `contact_x` [m]."""
     speed = np.repeat(velocities, len(PHASES))
     gap = speed * step * np.tile(PHASES, len(velocities))
     positions = np.stack(
@@ -203,7 +203,7 @@ def _add_row(
 
 
 def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
-    """Rebound velocity [m/s] of every collision, in the order of the scene; 0 where the spheres stick."""
+    """Rebound velocity [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
@@ -223,7 +223,7 @@ def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
 
 
 def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Rate of approach [m/s] and force [N] of every collision."""
+    """Approach rate [m/s] and force [N] of each collision."""
     arrays = engine.synchronized(("id", "velocity", "force", "mass"))
     order = np.argsort(arrays["id"])
     velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
@@ -240,7 +240,7 @@ def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str, str, str]]:
-    """The table of what was asked and reached: pair, velocity, asked, reached, difference in percent."""
+    """Table rows: pair, velocity [m/s], given restitution, simulated restitution, difference in percent."""
     found = []
     for before, row in zip([None, *rows], rows, strict=False):
         name = row.pair if before is None or before.pair != row.pair else ""
@@ -250,7 +250,7 @@ def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str
 
 
 def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> None:
-    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError where matplotlib is not installed."""
+    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError if matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
     names = ("pair", "velocity", "requested", "min_reached", "max_reached", "difference")
     write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
@@ -258,7 +258,7 @@ def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> 
 
 
 def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
-    """Restitution above, difference in percent below, both against velocity; bars from least to most."""
+    """Plot restitution (top) and difference in percent (bottom) against velocity; bars span the phases."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     below.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="0.93", zorder=0)
     for number, name in enumerate(dict.fromkeys(row.pair for row in rows)):
@@ -278,19 +278,19 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
         known = requested > 0.0
         percent = 100.0 / requested[known]
         below.errorbar(velocity[known], (middle - requested)[known] * percent, half[known] * percent, **style)
-    above.set(ylabel="restitution coefficient $e$", title=f"{title}: asked (lines) and reached (points)")
+    above.set(ylabel="restitution coefficient $e$", title=f"{title}: given (lines) and simulated (points)")
     above.legend(loc="best")
-    below.set(xlabel="approach velocity $v$ [m/s]", ylabel="reached over asked, less 1 [%]")
+    below.set(xlabel="approach velocity $v$ [m/s]", ylabel="relative difference [%]")
 
 
-# ---------------------------------------------------------------- on the twin
+# ---------------------------------------------------------------- with the reference implementation
 
 
 def warnings(plan: Plan) -> list[str]:
-    """A sentence for every pair of materials whose collisions miss the restitution asked for by more than 1 %.
+    """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
 
-    It names the collision with the largest error of the pair. Collisions that cannot occur, and those that the plan
-    warns of, are left out.
+    Each warning describes the collision of the pair with the largest error. Collisions that cannot occur, and
+    collisions for which the plan has a warning already, are excluded.
     """
     worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
     steps = 0
@@ -312,7 +312,7 @@ def warnings(plan: Plan) -> list[str]:
 
 
 def _occurs(scene: Scene, pair: MaterialPairing) -> bool:
-    """Whether the particles of a scene can collide like this: neither two fixed ones, nor a single one with itself."""
+    """Whether the collision is possible: not for two fixed particles, nor for a single particle with itself."""
     groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
     mobile = {group.material for group in groups if not group.fixed}
     if pair.other_radius is None:
@@ -322,7 +322,7 @@ def _occurs(scene: Scene, pair: MaterialPairing) -> bool:
 
 @dataclass(frozen=True)
 class _Impact:
-    """One collision: the pair, effective radius [m] and mass [kg], velocity [m/s], restitution asked, duration [s]."""
+    """One collision: pair, effective radius [m] and mass [kg], velocity [m/s], given restitution, duration [s]."""
 
     material: PairMaterial
     radius_eff: float
@@ -338,7 +338,7 @@ def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
 
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
-    """Whether 0 is asked, or less than the step can carry, of which the plan warns."""
+    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a warning."""
     if plan.law.least_restitution is None or impact.requested == 0.0:
         return impact.requested == 0.0
     collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
@@ -346,13 +346,13 @@ def _unreachable(plan: Plan, impact: _Impact) -> bool:
 
 
 def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
-    """Restitution of the twin that is farthest from what is asked, over a few phases of a step."""
+    """Reference restitution that differs most from the given one, over a few phases of a time step."""
     found = [_reference_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
     return max(found, key=lambda e: abs(e - impact.requested))
 
 
 def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
-    """Restitution of one collision with the numpy twin of the law, in the device's leapfrog."""
+    """Restitution of one collision with the reference implementation, in the leapfrog scheme of the device."""
     law, mass = plan.law, impact.mass_eff
     constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
     rate = rate_now = impact.velocity
@@ -372,15 +372,15 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
 def _sentence(plan: Plan, pair: MaterialPairing, impact: _Impact) -> str:
     reached = _worst_restitution(plan, impact, plan.time_step)
     remedy = next(_remedies(plan, impact), None)
-    advice = f"A run.time_step of {remedy:.2g} s would do." if remedy else "A smaller run.time_step brings it nearer."
+    advice = f"Use run.time_step: {remedy:.2g} s." if remedy else "A smaller run.time_step reduces the difference."
     return (
-        f"{pair.name}: restitution {impact.requested:.4g} is asked for at {impact.velocity:.3g} m/s, but {reached:.4g} "
-        f"comes out with a step of {plan.time_step:.3g} s. {advice}"
+        f"{pair.name}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time step "
+        f"of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
     )
 
 
 def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
-    """Steps, each half the one before, at which the restitution is reached within the tolerance."""
+    """Time steps [s], successively halved, at which the restitution is within the tolerance."""
     for halvings in range(1, HALVINGS + 1):
         step = plan.time_step / 2.0**halvings
         if abs(_worst_restitution(plan, impact, step) / impact.requested - 1.0) <= TOLERANCE:

@@ -1,4 +1,4 @@
-"""Wall shapes (device function and numpy twin), the rims they share, and how walls move."""
+"""Wall shapes (device function and reference implementation), their shared edges, and wall motion."""
 
 from granflow.walls.catalog import SHAPE_KINDS, kind_code, reach_about, triangles
 from granflow.walls.motion import Motion, Poses, Rotation, Translation, Vibration, pose, speed_bound

@@ -1,4 +1,4 @@
-"""The kinds of wall shapes in a fixed order; the place in it is the code the device switches on."""
+"""Kinds of wall shapes in a fixed order; the index is the code that device functions switch on."""
 
 import numpy as np
 
@@ -12,29 +12,29 @@ SHAPE_KINDS: tuple[ShapeKind, ...] = (HALF_SPACE, RECTANGLE, REVOLVED)
 
 
 Surface = Shape | Mesh
-"""What a wall is at rest."""
+"""Geometry of a wall in its rest pose."""
 
 
 def kind_code(kind: ShapeKind) -> int:
-    """The place of the kind in SHAPE_KINDS."""
+    """Index of the kind in SHAPE_KINDS."""
     return SHAPE_KINDS.index(kind)
 
 
 def area_of(surface: Surface) -> float | None:
-    """Area [m2] of a surface; None for one without end."""
+    """Area [m2] of a surface; None if it is unbounded."""
     return surface.area if isinstance(surface, Mesh) else surface.kind.area(surface.parameters)
 
 
 def surface_code(surface: Surface) -> int:
-    """The code of a wall's kind: that of its shape, or one more for all meshes."""
+    """Code of the kind of a wall: that of its shape; all meshes have the next code."""
     return len(SHAPE_KINDS) if isinstance(surface, Mesh) else kind_code(surface.kind)
 
 
 def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (m, 3) [m] and triangles (k, 3) of a surface at rest, for pictures.
+    """Points (m, 3) [m] and triangles (k, 3) of a surface at rest, for visualization.
 
-    Unbounded shapes show a square of half width `extent` about the foot of `center` (take the middle of the
-    domain and half its largest side); others show all of themselves.
+    An unbounded shape is shown as a square of half width `extent` about the projection of `center` (use the center of
+    the domain and half its largest side); other shapes are shown completely.
     """
     if isinstance(surface, Mesh):
         return surface.points, surface.corners
@@ -42,7 +42,7 @@ def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.n
 
 
 def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndarray:
-    """Distance (n,) [m] of points (n, 3) from a surface; of meshes only that within `reach`."""
+    """Distance (n,) [m] of points (n, 3) from a surface; for meshes limited to `reach`."""
     if isinstance(surface, Mesh):
         vertex = surface.adjacency.vertex
         return distances(grid_over(vertex, reach), vertex, points)
@@ -50,10 +50,10 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
 
 
 def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest: float) -> float:
-    """How far from an axis the surface's geometry moves when it turns about it, for `motion.speed_bound` [m].
+    """Largest distance [m] from an axis of geometry that moves when the wall rotates, for `motion.speed_bound`.
 
-    At most `farthest`, the largest distance from the axis at which there can be particles. 0 for a surface of
-    revolution that turns about its own axis, and for a half space about its normal.
+    At most `farthest`, the largest distance of a particle from the axis. 0 for a surface of revolution that rotates
+    about its own axis, and for a half space that rotates about its normal.
     """
     point, axis = np.asarray(point), np.asarray(axis)
     if isinstance(surface, Mesh):

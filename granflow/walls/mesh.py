@@ -1,4 +1,4 @@
-"""A wall of triangles at rest: welded points, sound triangles, and what was left out of them. numpy only."""
+"""Triangle mesh of a wall at rest: merged points, valid triangles, and counts of removed triangles. numpy only."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +12,7 @@ from granflow.walls.mesh_split import divided
 from granflow.walls.shape import distance_from_axis
 
 WELD = 1e-6
-"""Points nearer than this share of the mesh's size are one: ten times what files in single precision round off."""
+"""Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32 files."""
 
 
 def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -23,7 +23,7 @@ def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one wall: points (n, 3) [m], corners (t, 3) as indices of points, and what was left out."""
+    """Triangles of one wall: points (n, 3) [m], corners (t, 3) as point indices, and counts of removed triangles."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -34,12 +34,12 @@ class Mesh:
 
     @cached_property
     def adjacency(self) -> MeshAdjacency:
-        """What decides which triangle answers for a contact."""
+        """Adjacency that determines the owning triangle of a contact."""
         return adjacency_of(self.points, self.corners)
 
     @property
     def triangle_count(self) -> int:
-        """Triangles that are there."""
+        """Number of triangles."""
         return len(self.corners)
 
     @property
@@ -49,7 +49,7 @@ class Mesh:
 
     @property
     def areas(self) -> np.ndarray:
-        """Area (t,) of every triangle [m2]."""
+        """Area (t,) of each triangle [m2]."""
         return triangle_areas(self.points, self.corners)
 
     @property
@@ -59,15 +59,15 @@ class Mesh:
 
     @property
     def typical_edge(self) -> float:
-        """Shorter sides [m] of a triangle with a right angle and the median area."""
+        """Leg [m] of an isosceles right triangle with the median area."""
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
-        """Largest distance [m] of any point from an axis."""
+        """Largest distance [m] of a point from an axis."""
         return float(distance_from_axis(self.points, point, axis).max())
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
-        """The same mesh scaled, then turned by a matrix (3, 3), then shifted [m]."""
+        """Transformed mesh: scaled, then rotated by a matrix (3, 3), then translated [m]."""
         points = self.points * scale
         if not np.array_equal(rotation, np.eye(3)):
             points = points @ rotation.T
@@ -75,9 +75,9 @@ class Mesh:
 
 
 def mesh_of(triangles_read: RawTriangles) -> Mesh:
-    """Weld the points, drop triangles without area and those that are there twice, divide those that do not fit.
+    """Merge points, remove triangles without area and duplicates, and split triangles at hanging points.
 
-    Raises ValueError if none is left.
+    Raises ValueError if no triangle remains.
     """
     used, corners = np.unique(triangles_read.corners, return_inverse=True)
     points = triangles_read.points[used]
@@ -90,14 +90,14 @@ def mesh_of(triangles_read: RawTriangles) -> Mesh:
     duplicate = len(corners) - len(first)
     corners = corners[first]
     if not len(corners):
-        raise ValueError("has no triangle with an area")
+        raise ValueError("has no triangle with nonzero area")
     corners, split = divided(points, corners, tolerance)
     kept, corners = np.unique(corners, return_inverse=True)
     return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, triangles_read.quad_count, split)
 
 
 def first_of_each(rows: np.ndarray) -> np.ndarray:
-    """Indices, in order, of the rows (n, 3) that are not the same as one before."""
+    """Indices, in order, of the rows (n, 3) that do not repeat a previous row."""
     order = np.lexsort(rows.T[::-1])
     new = np.ones(len(rows), bool)
     new[1:] = np.any(rows[order][1:] != rows[order][:-1], axis=1)
@@ -105,9 +105,10 @@ def first_of_each(rows: np.ndarray) -> np.ndarray:
 
 
 def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """For every point (n, 3) the index of the point that stands for it and for all within `tolerance` [m].
+    """For each point (n, 3) the index of the representative of all points within `tolerance` [m].
 
-    Points that near share a cell of one of eight grids, twice as wide and shifted by half a cell along each axis.
+    Such points share a cell of at least one of eight grids of cell size 2 `tolerance`, shifted by half a cell along
+    each axis.
     """
     label = np.arange(len(points))
     if tolerance == 0.0:
@@ -124,7 +125,7 @@ def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
-    """Number (n,) of the cubic cell that each point lies in; points of one cell have one number."""
+    """Label (n,) of the cubic cell of each point; points in the same cell have the same label."""
     cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]

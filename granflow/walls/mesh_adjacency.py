@@ -1,21 +1,21 @@
-"""Which triangle of a mesh answers for a contact: what every edge and corner must know, found once. numpy only.
+"""Adjacency of a triangle mesh: determines the owning triangle of each contact. Computed once. numpy only.
 
-A sphere touches a mesh wherever its center has a nearest point that no point of the mesh around it outdoes. Each such
-place has one triangle that answers for it, and finds out alone. With `s` the center's distance from the line of an
-edge, along the face of a triangle and positive over it:
+A contact exists at each local minimum of the distance between particle center and mesh. Exactly one triangle owns it,
+and each triangle decides independently. Let `s` be the distance of the center from the line of an edge, measured in the
+plane of the triangle and positive over its face:
 
     face      s > 0 at all three edges
-    edge      s <= 0 for both triangles of the edge: the one with the lower number answers; of an open edge the one
-              there is
-    corner    no edge that leaves the corner comes nearer to the center: the lowest triangle there answers
+    edge      s <= 0 for both triangles of the edge: the triangle with the lower index owns the contact; an open edge
+              belongs to its only triangle
+    vertex    no edge at the vertex is nearer to the center: the triangle with the lowest index owns the contact
 
-Two triangles in one plane have exactly opposite `s` at the edge between them, so that one of them answers wherever the
-center is, also on the seam. A fold of more than two triangles has an edge to touch only where the widest angle between
-two neighbors is above 180 degrees; those two share it.
+Two coplanar triangles have exactly opposite `s` at their common edge, so that one of them owns the contact for every
+position of the center, including positions above the edge. An edge of more than two triangles can be in contact only if
+the widest angle between two neighboring triangles exceeds 180 degrees; these two share it.
 
-Where the mesh bends towards the sphere by little, it stands for a curved wall, which would be touched once: of
-triangles that meet at a point and whose planes enclose at most SMOOTH, only the nearest answers (`rivals`). Sharper
-corners are meant as corners and give a contact with each side.
+If the mesh is slightly concave towards the particle, it approximates a curved wall with a single contact: of triangles
+with a common point whose planes enclose at most SMOOTH, only the nearest owns a contact (competing triangles). Sharper
+concave edges are treated as corners and give a contact with each side.
 """
 
 from dataclasses import dataclass
@@ -25,21 +25,22 @@ import numpy as np
 from granflow.walls.shape import unit
 
 FLAT = 1e-4
-"""Angle [rad] up to which two triangles count as one plane: the edge between them cannot be felt. Half of it times the
-radius is how far a contact point may then lie beside its triangle."""
+"""Angle [rad] up to which two triangles are coplanar, so that their common edge has no effect on a contact. A contact
+point may then lie outside its triangle by up to half this angle times the radius."""
 
 SMOOTH = np.radians(30.0)
-"""Up to this angle a hollow edge is a facet's, not a corner's: a tube of twelve facets is round, one of ten is not."""
+"""Angle [rad] up to which a concave edge approximates a curved wall: a tube of twelve facets is round, one of ten is
+not."""
 
 NOT_OWNED, OPEN_EDGE, SHARED_EDGE = range(3)
-"""What a triangle does at one of its edges: nothing, answer for an open edge, or answer for two triangles."""
+"""Role of a triangle at one of its edges: no ownership, owner of an open edge, or owner of a shared edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshAdjacency:
     """Arrays over triangles (t, ...), over their edges and corners (t, 3, ...), and over points (n, ...).
 
-    Edge k of a triangle runs from its corner k to the next.
+    Edge k of a triangle runs from corner k to the next corner.
     """
 
     vertex: np.ndarray
@@ -49,50 +50,50 @@ class MeshAdjacency:
     edge_direction: np.ndarray
     """(t, 3, 3) unit vectors along the edges."""
     length: np.ndarray
-    """(t, 3) of the edges [m]."""
+    """(t, 3) edge lengths [m]."""
     inward: np.ndarray
-    """(t, 3, 3) unit vectors in the face, at a right angle to the edge."""
+    """(t, 3, 3) unit vectors in the plane of the triangle, perpendicular to the edge, into the face."""
     base: np.ndarray
-    """(t, 3) corner 0 to 2 from which distances at an edge are taken: the same point for all triangles of the edge."""
+    """(t, 3) corner 0 to 2 from which distances at an edge are measured: the same point for all triangles of it."""
     owns_tie: np.ndarray
-    """(t, 3) whether a center exactly above the edge between two triangles in one plane is this one's."""
+    """(t, 3) whether this triangle owns a contact exactly above the common edge of two coplanar triangles."""
     role: np.ndarray
-    """(t, 3) SILENT, OPEN or SHARED."""
+    """(t, 3) NOT_OWNED, OPEN_EDGE or SHARED_EDGE."""
     inward_other: np.ndarray
-    """(t, 3, 3) `inward` of the other triangle of an edge that this one answers for."""
+    """(t, 3, 3) `inward` of the other triangle of an edge that this triangle owns."""
     owner: np.ndarray
-    """(n,) the triangle that answers for a point."""
+    """(n,) owning triangle of each point."""
     point: np.ndarray
-    """(t, 3) the points of a triangle."""
+    """(t, 3) point indices of each triangle."""
     vertex_edge_start: np.ndarray
-    """(n + 1,) where the edges that leave a point begin in `vertex_edge`."""
+    """(n + 1,) start of the edges of each point in `vertex_edge`."""
     vertex_edge: np.ndarray
-    """(e, 3) unit vectors away from the points."""
+    """(e, 3) unit vectors along the edges, away from the points."""
     longest: np.ndarray
-    """(n,) longest edge at a point [m]."""
+    """(n,) length of the longest edge at a point [m]."""
     competitor_start: np.ndarray
-    """(2 t + 1,) where the rivals of a triangle begin: 2 t on the side of its normal, 2 t + 1 on the other."""
+    """(2 t + 1,) start of the competing triangles of each triangle: 2 t on the side of its normal, 2 t + 1 opposite."""
     competitor: np.ndarray
-    """(r,) numbers of triangles."""
+    """(r,) indices of the competing triangles."""
     open_count: int
-    """Edges of one triangle."""
+    """Number of edges with one triangle."""
     fold_count: int
-    """Edges of more than two triangles."""
+    """Number of edges with more than two triangles."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Every edge of every triangle, 3 t of them, grouped by the two points it runs between."""
+    """The 3 t edges of all triangles, grouped by their two end points."""
 
     number: np.ndarray
-    """(3 t,) of the edge between two points."""
+    """(3 t,) index of the edge between two points."""
     count: int
     base: np.ndarray
-    """(3 t,) corner 0 to 2 that is the lower of the two points."""
+    """(3 t,) corner 0 to 2 with the lower index of the two points."""
 
 
 def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
-    """Links of the triangles `corners` (t, 3) of points (n, 3) [m]."""
+    """Adjacency of the triangles `corners` (t, 3) of points (n, 3) [m]."""
     vertex = points[corners]
     sides = np.roll(vertex, -1, axis=1) - vertex
     length = np.linalg.norm(sides, axis=2)
@@ -137,12 +138,12 @@ def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) at length 1."""
+    """Vectors (..., 3) scaled to length 1."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def edges_of(corners: np.ndarray) -> _Edges:
-    """The edges of triangles (t, 3)."""
+    """Edges of triangles (t, 3)."""
     following = np.roll(corners, -1, axis=1)
     ends = np.sort(np.stack([corners, following], axis=2).reshape(-1, 2), axis=1)
     keys = ends[:, 0] * (int(corners.max()) + 1) + ends[:, 1]
@@ -153,7 +154,7 @@ def edges_of(corners: np.ndarray) -> _Edges:
 
 
 def pairs_of(edges: _Edges) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Triangle edges that lie on each other: two of them (p, 2), more (k,) each, and those alone (o,)."""
+    """Triangle edges with common end points: pairs (p, 2), groups (k,) of more than two, and open edges (o,)."""
     order = np.argsort(edges.number, kind="stable")
     sizes = np.bincount(edges.number, minlength=edges.count)
     starts = np.cumsum(sizes) - sizes
@@ -165,7 +166,7 @@ def pairs_of(edges: _Edges) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
 def join_pairs(
     pairs: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray, role: np.ndarray, inward_other: np.ndarray
 ) -> None:
-    """Share out edges (p, 2) of two triangles: those in one plane need no edge."""
+    """Assign the edges (p, 2) of two triangles to one owner each; edges of coplanar triangles have none."""
     first, second = pairs[:, 0], pairs[:, 1]
     flat = is_flat(inward[first], inward[second])
     flatten(first[flat], second[flat], inward, owns_tie)
@@ -177,7 +178,7 @@ def join_pairs(
 def join_fold(
     fold: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray, role: np.ndarray, inward_other: np.ndarray
 ) -> None:
-    """Share out an edge of more than two triangles (k,): the two beside the widest free angle have it."""
+    """Assign an edge of more than two triangles (k,) to the two triangles at the widest free angle."""
     for position, one in enumerate(fold):
         for other in fold[position + 1 :]:
             if is_flat(inward[one], inward[other]) and not owns_tie[fold].any():
@@ -194,32 +195,32 @@ def join_fold(
 
 
 def _crossing_directions(first: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-    """Those of the directions (k, 3) that do not lie on the first one's line; or any, where all do."""
+    """Directions of (k, 3) that are not parallel to `first`, followed by one arbitrary direction."""
     crossing = [each for each in directions if np.linalg.norm(np.cross(first, each)) > FLAT]
     return [*crossing, np.roll(first, 1) + 0.5 * np.roll(first, 2)]
 
 
 def is_flat(inward_a: np.ndarray, inward_b: np.ndarray) -> np.ndarray:
-    """Whether triangles with those `inward` (..., 3) at an edge lie in one plane, side by side."""
+    """Whether triangles with these `inward` vectors (..., 3) at an edge are coplanar and do not overlap."""
     return np.linalg.norm(inward_a + inward_b, axis=-1) <= FLAT
 
 
 def flatten(first: np.ndarray, second: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray) -> None:
-    """Make `inward` of both triangles of each edge exactly opposite; what is right on the edge is the first one's."""
+    """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the first triangle."""
     inward_mean = normalized(inward[first] - inward[second])
     inward[first], inward[second] = inward_mean, -inward_mean
     owns_tie[first] = True
 
 
 def owners_of(corners: np.ndarray, point_count: int) -> np.ndarray:
-    """The lowest triangle (n,) at every point."""
+    """Triangle (n,) with the lowest index at each point."""
     owner = np.full(point_count, len(corners))
     np.minimum.at(owner, corners.reshape(-1), np.repeat(np.arange(len(corners)), 3))
     return owner
 
 
 def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Start (n + 1,) and directions (e, 3) of the edges that leave each point, and the longest (n,) [m]."""
+    """Start (n + 1,) and directions (e, 3) of the edges at each point, and the longest edge (n,) [m]."""
     ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
     both = np.concatenate([ends, ends[:, ::-1]])
     there, back = np.divmod(np.unique(both[:, 0] * len(points) + both[:, 1]), len(points))
@@ -229,14 +230,14 @@ def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
 
 
 def starts_of(sorted_numbers: np.ndarray, count: int) -> np.ndarray:
-    """Where each of `count` numbers begins (count + 1,) among sorted ones."""
+    """Start (count + 1,) of each of the numbers 0 to `count` - 1 in a sorted array."""
     return np.searchsorted(sorted_numbers, np.arange(count + 1))
 
 
 def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles at a common point, bent by less than SMOOTH towards the sphere: by triangle and side of it.
+    """Competing triangles by triangle and side: common point, angle below SMOOTH, concave towards the particle.
 
-    One that lies wholly behind the plane of another cannot be nearer to a sphere before that plane.
+    A triangle completely behind the plane of another cannot be nearer to a particle in front of that plane.
     """
     one, other = neighbors_of(corners, len(points))
     folded = np.abs(np.sum(normal[one] * normal[other], axis=1))
@@ -244,18 +245,18 @@ def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) 
     one, other = one[smooth], other[smooth]
     height = np.sum((points[corners[other]] - points[corners[one, 0]][:, None, :]) * normal[one][:, None, :], axis=2)
     size = np.abs(height).max(axis=1)
-    keys, rivals = [], []
+    keys, competitors = [], []
     for side, heights_above in enumerate((height.max(axis=1), -height.min(axis=1))):
         towards = heights_above > FLAT * size
         keys.append(2 * one[towards] + side)
-        rivals.append(other[towards])
-    key, competitor = np.concatenate(keys), np.concatenate(rivals)
+        competitors.append(other[towards])
+    key, competitor = np.concatenate(keys), np.concatenate(competitors)
     order = np.lexsort((competitor, key))
     return starts_of(key[order], 2 * len(corners)), competitor[order]
 
 
 def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """All ordered pairs (p,), (p,) of different triangles that share a point, each once."""
+    """Ordered pairs (p,), (p,) of different triangles with a common point, without duplicates."""
     triangle = np.repeat(np.arange(len(corners)), 3)
     order = np.argsort(corners.reshape(-1), kind="stable")
     start = starts_of(corners.reshape(-1)[order], point_count)

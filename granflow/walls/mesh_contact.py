@@ -1,4 +1,4 @@
-"""Distance and contact of a point with one triangle of a mesh, in numpy: the twin of what `device/mesh.py` computes."""
+"""Distance and contact of a point with a triangle of a mesh in numpy: reference implementation of `device/mesh.py`."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from granflow.walls.mesh_adjacency import NOT_OWNED, OPEN_EDGE, SHARED_EDGE, Mes
 from granflow.walls.shape import FAR_AWAY
 
 ROUNDING = 16.0
-"""Units in the last place of the lengths about a corner within which a center counts as straight above it."""
+"""Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""
 
 
 def bare_distance(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distance (n,) [m] of points (n, 3) from triangles (n, 3, 3): to the face if the foot is on it, or an edge."""
+    """Distance (n,) [m] of points (n, 3) from triangles (n, 3, 3): from the face or from the nearest edge."""
     sides = np.roll(vertex, -1, axis=1) - vertex
     from_vertex = points[:, None, :] - vertex
     share = np.clip(_dot(from_vertex, sides) / _dot(sides, sides), 0.0, 1.0)
@@ -24,9 +24,10 @@ def bare_distance(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
 def reference_contact(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gap (n,) [m] and normal (n, 3) of the contact of points (n, 3) with triangles (n,) by number.
+    """Gap (n,) [m] and normal (n, 3) of the contact of points (n, 3) with triangles (n,) by index.
 
-    FAR_AWAY where another triangle answers, or where the nearest point of the triangle is none of the mesh.
+    FAR_AWAY if another triangle owns the contact, or if the nearest point of the triangle is not a local minimum of
+    the distance to the mesh.
     """
     gap, normal = reference_contact_alone(adjacency, triangles, points)
     height = _dot(points - adjacency.vertex[triangles, 0], adjacency.normal[triangles])
@@ -41,17 +42,17 @@ def reference_contact(
 
 
 def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All entries (r,) of the wanted rows (n,), which begin at `start`, and which of the wanted (r,) each is from."""
-    is_edge_contact = start[wanted + 1] - start[wanted]
-    query = np.repeat(np.arange(len(wanted)), is_edge_contact)
-    within = np.arange(len(query)) - np.repeat(np.cumsum(is_edge_contact) - is_edge_contact, is_edge_contact)
+    """All entries of the wanted rows (n,), which begin at `start`: (positions in `wanted` (r,), entries (r,))."""
+    counts = start[wanted + 1] - start[wanted]
+    query = np.repeat(np.arange(len(wanted)), counts)
+    within = np.arange(len(query)) - np.repeat(np.cumsum(counts) - counts, counts)
     return query, start[wanted][query] + within
 
 
 def reference_contact_alone(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `reference_contact`, before rivals are asked."""
+    """Same as `reference_contact`, without the comparison with competing triangles."""
     gap, normal = np.full(len(points), FAR_AWAY), adjacency.normal[triangles].copy()
     from_vertex = points[:, None, :] - adjacency.vertex[triangles]
     height = _dot(from_vertex[:, 0], normal)
@@ -80,13 +81,13 @@ def reference_contact_alone(
 
 
 def _over(adjacency: MeshAdjacency, triangles: np.ndarray, from_vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n, 3) over the own face at every edge, and over that of the other triangle."""
+    """Distance `s` (n, 3) at each edge over the face of the triangle, and over the face of the other triangle."""
     from_base = np.take_along_axis(from_vertex, adjacency.base[triangles][:, :, None], axis=1)
     return _dot(from_base, adjacency.inward[triangles]), _dot(from_base, adjacency.inward_other[triangles])
 
 
 def _above_vertex(adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether (n, 3) no edge that leaves a corner comes nearer to the point."""
+    """Whether (n, 3) no edge at a vertex is nearer to the point than the vertex."""
     found = np.zeros((len(points), 3), bool)
     eps = np.finfo(points.dtype).eps
     for k in range(3):
@@ -101,7 +102,7 @@ def _above_vertex(adjacency: MeshAdjacency, triangles: np.ndarray, points: np.nd
 
 
 def _enter(gap: np.ndarray, normal: np.ndarray, where: np.ndarray, from_vertex: np.ndarray) -> None:
-    """Contacts with an edge or a corner: `from_vertex` (n, 3) from its nearest point to the center."""
+    """Set gap and normal of contacts with an edge or vertex; `from_vertex` (n, 3) runs from the nearest point."""
     distance = np.linalg.norm(from_vertex, axis=1)
     gap[where] = distance[where]
     some = where & (distance > 0.0)

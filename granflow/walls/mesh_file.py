@@ -1,4 +1,4 @@
-"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK, VTU; meshio reads text STL, PLY, VTK."""
+"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK, VTU. meshio reads text STL, PLY and VTK."""
 
 import io
 import warnings
@@ -15,7 +15,7 @@ from granflow.vtu_file import VtuError, read_vtu
 from granflow.walls.obj_file import ObjError, read_obj
 
 LARGEST_FILE = 256 * 2**20
-"""Bytes of a mesh file; reading that takes seconds."""
+"""Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
 
 MAX_TRIANGLES = 1_000_000
 
@@ -24,19 +24,19 @@ FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
 STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 MAX_REASON_LENGTH = 200
-"""Characters of a message from elsewhere."""
+"""Maximum length of a message of meshio, in characters."""
 
 IGNORED_CELLS = ("vertex", "line")
-"""Cells without a surface, which files may hold besides their triangles."""
+"""Cells without a surface; ignored."""
 
 
 class MeshFileError(Exception):
-    """A file that holds no triangles that could be a wall; the message goes after "FILE "."""
+    """A file that contains no valid triangles for a wall; the message continues the sentence "FILE ..."."""
 
 
 @dataclass(frozen=True)
 class RawTriangles:
-    """Triangles as a file has them: points (n, 3), corners (t, 3), and how many four-sided cells were cut in two."""
+    """Triangles as read: points (n, 3), corners (t, 3), and the number of quadrilaterals split into two triangles."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -44,11 +44,11 @@ class RawTriangles:
 
 
 def read_triangles(path: Path) -> RawTriangles:
-    """The triangles in a file, in its own units. Raises MeshFileError with what keeps them from being a wall."""
+    """Triangles in a file, in the units of the file. Raises MeshFileError if they cannot form a wall."""
     raw = _bytes(path)
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
-        raise MeshFileError(f"is no kind of file that is read here; the kinds are {', '.join(FORMATS)}")
+        raise MeshFileError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
     return _validated(_soup(path, kind, raw))
 
 
@@ -78,7 +78,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _is_text_stl(raw: bytes) -> bool:
-    """Whether an STL file is text: many binary ones begin with the word "solid", too, but have the length they say."""
+    """Whether an STL file is text. Binary files may begin with "solid" as well, but have the declared length."""
     if not raw.lstrip()[:5].lower() == b"solid" or b"\0" in raw[:STL_HEADER]:
         return False
     return len(raw) != STL_HEADER + STL_RECORD.itemsize * _stl_count(raw)
@@ -91,16 +91,16 @@ def _stl_count(raw: bytes) -> int:
 def _binary_stl(raw: bytes) -> RawTriangles:
     count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
-        raise MeshFileError(f"is cut short: it has {len(raw)} bytes, fewer than the head of an STL file")
+        raise MeshFileError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
     if count > capacity:
-        raise MeshFileError(f"says it holds {count} triangles, but has room for {capacity}: it is cut short or damaged")
+        raise MeshFileError(f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged")
     records = np.frombuffer(raw, STL_RECORD, min(count, MAX_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)
     return RawTriangles(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
-    """Whatever is wrong with a file, meshio says it in some exception of its own or of Python's."""
+    """Read a file with meshio; every exception of meshio becomes a MeshFileError."""
     read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
@@ -108,7 +108,7 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
             return read(path)
     except (Exception, SystemExit) as error:
         reason = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:MAX_REASON_LENGTH]
-        reason = reason or "it is damaged, or of another kind"
+        reason = reason or "it is damaged or has another format"
         raise MeshFileError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
@@ -122,7 +122,7 @@ def _soup_of(mesh: meshio.Mesh) -> RawTriangles:
         others.pop(known, None)
     if any(others.values()):
         named = ", ".join(f"{count} {name}" for name, count in others.items())
-        raise MeshFileError(f"holds {named}, but a wall is made of triangles; write out its surface alone")
+        raise MeshFileError(f"contains {named}, but a wall consists of triangles; export the surface only")
     triangles_of_quads = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return RawTriangles(points, np.concatenate([triangles, triangles_of_quads]), len(quads))
 
@@ -133,21 +133,21 @@ def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
 
 
 def _validated(triangles_read: RawTriangles) -> RawTriangles:
-    """The same triangles, if there are some, not too many, with finite corners that exist."""
+    """Check the number of triangles, the point indices and the coordinates; return the triangles unchanged."""
     count = len(triangles_read.corners)
     if not count:
-        raise MeshFileError("holds no triangles")
+        raise MeshFileError("contains no triangles")
     if count > MAX_TRIANGLES:
-        raise MeshFileError(f"holds more than {MAX_TRIANGLES} triangles, the most a mesh may have")
+        raise MeshFileError(f"contains more than {MAX_TRIANGLES} triangles, the maximum for a mesh")
     if (
         triangles_read.points.ndim != 2
         or triangles_read.points.shape[1] != 3
         or triangles_read.corners.max() >= len(triangles_read.points)
     ):
-        raise MeshFileError("names corners that it does not hold: it is damaged")
+        raise MeshFileError("refers to vertices that it does not contain: it is damaged")
     if triangles_read.corners.min() < 0:
-        raise MeshFileError("names corners that it does not hold: it is damaged")
+        raise MeshFileError("refers to vertices that it does not contain: it is damaged")
     wrong = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
     if wrong.any():
-        raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are no numbers")
+        raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are not finite")
     return triangles_read

@@ -1,7 +1,7 @@
-"""The grid of one mesh at rest: for every cell the triangles that a sphere centered there could touch. numpy only.
+"""Grid of one mesh at rest: for each cell the triangles that a particle centered there can touch. numpy only.
 
-A triangle is listed in all cells that it comes within reach of, so that a sphere looks into one cell only and finds
-each triangle once. What a sphere costs is then what there is near it, however many triangles there are elsewhere.
+A triangle is listed in all cells within its reach, so that a particle reads a single cell and finds each triangle once.
+The cost per particle depends on the number of triangles near it, not on the total number of triangles.
 """
 
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ from granflow.walls.mesh_contact import bare_distance, row_entries
 from granflow.walls.shape import FAR_AWAY
 
 CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
-"""Most cells of a grid."""
+"""Maximum number of cells of a grid."""
 
 ENTRIES_PER_TRIANGLE, MIN_ENTRIES = 64.0, 65536
-"""Most triangles looked at for all cells: a large one lies in many."""
+"""Maximum total number of (cell, triangle) candidates; a large triangle lies in many cells."""
 
 BOUND_SHARE = 1.0 + 1e-5
-"""Room for the rounding of positions on the device, single precision included, over the reach."""
+"""Relative margin of the reach for rounding of positions on the device, including float32."""
 
 CHUNK_PAIRS = 200_000
-"""Pairs of cell and triangle whose distance is found at a time."""
+"""Number of (cell, triangle) candidates evaluated at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshGrid:
-    """Cells of side `side` [m] from `low` (3,), `shape` (3,) of them, x fastest; the list of cell c from start[c]."""
+    """Grid of `shape` (3,) cells of edge length `side` [m] from `low` (3,), x fastest; cell c starts at start[c]."""
 
     low: np.ndarray
     side: float
@@ -36,7 +36,7 @@ class MeshGrid:
 
 
 def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
-    """The grid of triangles (t, 3, 3) for centers within `reach` [m] of them."""
+    """Grid of triangles (t, 3, 3) for particle centers within `reach` [m] of them."""
     reach = reach * BOUND_SHARE
     low, high = vertex.min(axis=(0, 1)) - reach, vertex.max(axis=(0, 1)) + reach
     side = side_of(vertex, reach, low, high)
@@ -60,7 +60,7 @@ def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndar
 
 
 def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray) -> float:
-    """Smallest side [m], of those from `reach` on, with few enough cells and not too many triangles in them."""
+    """Smallest cell size [m], at least `reach`, that satisfies the limits on cells and candidates."""
     size = np.ptp(vertex, axis=1) + 2.0 * reach
     count, side = len(vertex), reach
     while True:
@@ -75,7 +75,7 @@ def side_of(vertex: np.ndarray, reach: float, low: np.ndarray, high: np.ndarray)
 def overlaps(
     vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells (p,) and triangles (p,): those within `reach` of the box around a triangle."""
+    """Candidates (cells (p,), triangles (p,)): cells within `reach` of the bounding box of a triangle."""
     first = np.clip(np.floor((vertex.min(axis=1) - reach - low) / side).astype(np.int64), 0, shape - 1)
     last = np.clip(np.floor((vertex.max(axis=1) + reach - low) / side).astype(np.int64), 0, shape - 1)
     spans = last - first + 1
@@ -92,7 +92,7 @@ def within_reach(
     vertex: np.ndarray, reach: float, low: np.ndarray, side: float, shape: np.ndarray, cell: np.ndarray,
     triangle: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Those pairs whose cell, seen as the ball around it, comes within `reach` of the triangle."""
+    """Candidates whose cell, replaced by its circumscribed sphere, is within `reach` of the triangle."""
     is_near = np.ones(len(cell), bool)
     for begin in range(0, len(cell), CHUNK_PAIRS):
         part = slice(begin, begin + CHUNK_PAIRS)

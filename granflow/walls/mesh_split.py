@@ -1,27 +1,27 @@
-"""Triangles divided where a corner of others lies on one of their edges, so that the two sides of the seam join."""
+"""Splits triangles at hanging points (vertices of other triangles on their edges), so that both sides share edges."""
 
 import numpy as np
 
 from granflow.walls.mesh_adjacency import edges_of, pairs_of
 
 MAX_PAIRS = 2 * 10**8
-"""Pairs of open edge and point beyond which a mesh is left as it is: nothing in it fits together."""
+"""Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not match."""
 
 CHUNK_PAIRS = 10**6
-"""Pairs that are looked at together."""
+"""Number of pairs evaluated at a time."""
 
 
 def divided(points: np.ndarray, corners: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
-    """Corners (u, 3) of triangles that share whole edges, and how many of the given (t, 3) were divided.
+    """Corners (u, 3) of triangles that share complete edges, and the number of split triangles of the given (t, 3).
 
-    A point within `tolerance` [m] of an open edge, and further from both its ends, divides the triangle of that edge.
+    A point within `tolerance` [m] of an open edge, but not of its ends, splits the triangle of that edge.
     """
     count = 0
     while True:
         triangle, side, on_edge = hanging_points(points, corners, tolerance)
         if not len(triangle):
             return corners, count
-        one_side = side == side[np.searchsorted(triangle, triangle)]  # the others have their turn next
+        one_side = side == side[np.searchsorted(triangle, triangle)]  # other sides follow in the next iteration
         triangle, side, on_edge = triangle[one_side], side[one_side], on_edge[one_side]
         count += len(np.unique(triangle))
         corners = np.concatenate([np.delete(corners, triangle, axis=0), fans(points, corners, triangle, side, on_edge)])
@@ -30,7 +30,7 @@ def divided(points: np.ndarray, corners: np.ndarray, tolerance: float) -> tuple[
 def hanging_points(
     points: np.ndarray, corners: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles (h,) in order, their sides 0 to 2, and the points that lie on them."""
+    """Triangles (h,) in order, their sides 0 to 2, and the points on these sides."""
     _, _, open_ = pairs_of(edges_of(corners))
     open_ = np.sort(open_)
     start, end = corners.reshape(-1)[open_], np.roll(corners, -1, axis=1).reshape(-1)[open_]
@@ -49,7 +49,7 @@ def hanging_points(
 def lies_on(
     points: np.ndarray, start: np.ndarray, end: np.ndarray, candidate_points: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """Whether (e, p) each point lies on each edge, apart from its ends."""
+    """Whether (e, p) each point lies on each edge, excluding its ends."""
     along = points[end] - points[start]
     length = np.linalg.norm(along, axis=1)
     away = points[candidate_points][None, :, :] - points[start][:, None, :]
@@ -61,7 +61,7 @@ def lies_on(
 def fans(
     points: np.ndarray, corners: np.ndarray, triangle: np.ndarray, side: np.ndarray, on_edge: np.ndarray
 ) -> np.ndarray:
-    """Triangles from the corner across to the pieces of the divided side, for each divided triangle."""
+    """Triangles from the opposite corner to the segments of the split side, for each split triangle."""
     found = []
     for each in np.unique(triangle):
         is_this = triangle == each

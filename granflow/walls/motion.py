@@ -1,7 +1,7 @@
-"""How walls move: records of plain numbers, and where that puts a wall at given times. numpy only.
+"""Wall motion: records of plain numbers, and the pose of a wall at given times. numpy only.
 
-A wall rests where the scene put it until its first motion starts, and stays where it is when its last one
-ends. Translations and vibrations add; at most one rotation turns the wall, about an axis that moves along.
+A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends. Translations and
+vibrations add; at most one rotation turns the wall, about an axis that translates with it.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ class Vibration:
 
         s(t) = A [sin(w (t - start) + phase) - sin(phase)]        start <= t < end
 
-    so that nothing jumps at `start`; the center of the vibration is at -A sin(phase). The velocity starts at
-    A w cos(phase): with a phase of a quarter turn (pi/2 or -pi/2) it starts from rest.
+    The displacement is continuous at `start`; the center of the vibration is at -A sin(phase). The initial velocity is
+    A w cos(phase), zero for a phase of pi/2 or -pi/2.
     """
 
     direction: tuple[float, float, float]
@@ -40,7 +40,7 @@ class Translation:
 
 @dataclass(frozen=True)
 class Rotation:
-    """Turning about the axis through `point` along the unit vector `axis` at a constant rate [rad/s]."""
+    """Rotation about the axis through `point` [m] along the unit vector `axis` at a constant rate [rad/s]."""
 
     point: tuple[float, float, float]
     axis: tuple[float, float, float]
@@ -51,7 +51,7 @@ class Rotation:
 
 @dataclass(frozen=True)
 class ForceControlled:
-    """A wall that the grains' forces move from `start` to `end`: its displacement is found step by step, not here."""
+    """Motion of a wall by particle forces from `start` to `end` [s]; the displacement is integrated on the device."""
 
     start: float = 0.0
     end: float = inf
@@ -62,10 +62,10 @@ Motion = Vibration | Translation | Rotation | ForceControlled
 
 @dataclass(frozen=True)
 class Poses:
-    """Where a wall is at k times and how it moves there.
+    """Poses and velocities of a wall at k times.
 
-    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`; a point of the wall now at
-    x moves at `velocity + angular_velocity x (x - pivot - offset)`.
+    A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`. A point of the wall at x has the
+    velocity `velocity + angular_velocity x (x - pivot - offset)`.
     """
 
     offset: np.ndarray  # (k, 3) [m]
@@ -76,9 +76,9 @@ class Poses:
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
-    """The pose a wall has at each time (k,) [s]; at rest without motions. ValueError for two rotations.
+    """Pose of a wall at each time (k,) [s]; the rest pose without motions. Raises ValueError for two rotations.
 
-    What a driven wall has moved is not in it.
+    Excludes the displacement of a force-controlled wall.
     """
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
@@ -123,17 +123,17 @@ def rotation_matrices(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 def elapsed(motion: Motion, times: np.ndarray) -> np.ndarray:
-    """Time (k,) [s] the motion has been running: 0 before its start, constant after its end."""
+    """Elapsed time (k,) [s] of a motion: 0 before its start, constant after its end."""
     return np.maximum(np.minimum(times, motion.end) - motion.start, 0.0)
 
 
 def is_running(motion: Motion, times: np.ndarray) -> np.ndarray:
-    """Whether the motion runs at each time: start <= t < end."""
+    """Whether the motion is active at each time: start <= t < end."""
     return (motion.start <= times) & (times < motion.end)
 
 
 def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
-    """The one rotation among the motions, or None. ValueError if there are several."""
+    """The rotation among the motions, or None. Raises ValueError if there are several."""
     rotations = [motion for motion in motions if isinstance(motion, Rotation)]
     if len(rotations) > 1:
         raise ValueError("A wall can have at most one rotation.")
@@ -141,12 +141,10 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
 
 
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
-    """Largest speed [m/s] at which any point of the wall's geometry ever moves, as if all motions ran at once.
+    """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    Driven motions are not counted.
-
-    `reach` is the largest distance [m] from the rotation's axis of geometry that moves when turning
-    (`catalog.reach_about`); it does not matter without a rotation.
+    Excludes force-controlled motion. `reach` is the largest distance [m] from the rotation axis of geometry that moves
+    (`catalog.reach_about`); it is unused without a rotation.
     """
     bound = 0.0
     for motion in motions:

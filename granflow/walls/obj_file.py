@@ -1,4 +1,4 @@
-"""Reads the vertices and faces of a Wavefront OBJ file; relative (negative) indices count back from the last vertex."""
+"""Reads vertices and faces of a Wavefront OBJ file; negative indices count back from the last vertex."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ LONGEST_FACE = 4
 
 
 class ObjError(Exception):
-    """A line that cannot be used; the message follows "FILE "."""
+    """An invalid line; the message continues the sentence "FILE ..."."""
 
 
 def read_obj(raw: bytes) -> tuple[np.ndarray, np.ndarray, int]:
-    """Points (n, 3), triangles (t, 3) counted from 0, and how many four-sided faces were cut in two."""
+    """Points (n, 3), triangles (t, 3) as indices from 0, and the number of quadrilaterals split into two triangles."""
     points: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     quads = 0
@@ -45,9 +45,9 @@ def _numbers(words: list[str], number: int) -> list[float]:
 
 
 def _corners(words: list[str], count: int, number: int) -> list[int]:
-    """Indices from 0 of a face: 1 is the first vertex, -1 the last one above the line."""
+    """Indices from 0 of a face: in the file, 1 is the first vertex, -1 the last vertex before the line."""
     if not 3 <= len(words) <= LONGEST_FACE:
-        raise ObjError(f"holds a face of {len(words)} corners in line {number}; write out its surface as triangles")
+        raise ObjError(f"contains a face of {len(words)} corners in line {number}; export the surface as triangles")
     found = []
     for word in words:
         text = word.partition("/")[0]
@@ -58,6 +58,6 @@ def _corners(words: list[str], count: int, number: int) -> list[int]:
         index = int(text)
         index = index - 1 if index > 0 else count + index if index < 0 else -1
         if not 0 <= index < 2**31 or int(text) < -count:
-            raise ObjError(f"names corners that it does not hold in line {number}")
+            raise ObjError(f"refers to vertices that it does not contain in line {number}")
         found.append(index)
     return found

@@ -1,9 +1,9 @@
-"""Flat walls: the half space (one-sided) and the rectangle (two-sided).
+"""Flat walls: half space (one-sided) and rectangle (two-sided).
 
-Edges of rectangles are not joined with their neighbors (see `edges` for surfaces of revolution). Inside a
-box of rectangles nothing is needed: the nearest points are on faces. Outside, at a convex edge that two
-rectangles share, a grain touches both edges and feels twice the stiffness there. A rectangle on a half space
-is harmless: the shared edge can only be reached through the half space.
+Rectangles do not share edges with each other (see `shared_edges` for surfaces of revolution). Inside a box of
+rectangles this has no effect, because the nearest points are on faces. Outside, at a convex edge that two rectangles
+share, a particle touches both edges and the stiffness is doubled. A rectangle on a half space is not affected: the
+common edge is accessible only through the half space.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from granflow.walls.shape import Shape, ShapeKind, distance_from_axis, is_parall
 
 @ti.func
 def closest_on_half_space(point, parameters):
-    """Signed distance from the plane, negative behind it, and the plane's normal.
+    """Signed distance [m] from the plane, negative behind it, and the normal of the plane.
 
     d = (x - p) . n
     """
@@ -35,7 +35,7 @@ def half_space_distance(point, parameters):
 
 @ti.func
 def rectangle_coordinates(point, parameters):
-    """How far the point lies beyond the edges along both sides (0 above the face), and its height."""
+    """Distance [m] of the point beyond the edges along both sides (0 above the face), and its height [m]."""
     offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
     along1 = offset[0] * parameters[3] + offset[1] * parameters[4] + offset[2] * parameters[5]
     along2 = offset[0] * parameters[6] + offset[1] * parameters[7] + offset[2] * parameters[8]
@@ -47,13 +47,13 @@ def rectangle_coordinates(point, parameters):
 
 @ti.func
 def rectangle_distance(point, parameters):
-    """Distance from the rectangle [m], never negative."""
+    """Distance from the rectangle [m], at least 0."""
     return rectangle_coordinates(point, parameters).norm()
 
 
 @ti.func
 def closest_on_rectangle(point, parameters):
-    """Distance from the rectangle and direction from its nearest point; its own normal on the face itself."""
+    """Distance [m] from the rectangle and unit vector from its nearest point; at distance 0 the plane normal."""
     beyond = rectangle_coordinates(point, parameters)
     distance = beyond.norm()
     on_surface = distance == 0.0
@@ -72,14 +72,14 @@ def closest_on_rectangle(point, parameters):
 
 
 def reference_closest_on_half_space(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `closest_on_half_space`: drop a perpendicular, measure it along the normal."""
+    """Reference implementation of `closest_on_half_space`: project the point, measure along the normal."""
     origin, normal = parameters[0:3], parameters[3:6]
     distance = (points - origin) @ normal
     return distance, np.broadcast_to(normal, points.shape).copy()
 
 
 def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `closest_on_rectangle`: find the nearest point in space, then look from there to the point."""
+    """Reference implementation of `closest_on_rectangle`: nearest point in space, then the vector to the point."""
     corner, frame, lengths = parameters[0:3], parameters[3:9].reshape(2, 3), parameters[12:14]
     along = np.clip((points - corner) @ frame.T, 0.0, lengths)
     from_surface = points - (corner + along @ frame)
@@ -91,7 +91,7 @@ def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -
 
 
 def half_space_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """A square patch of half width `extent` about the foot of `center` on the plane."""
+    """Square of half width `extent` [m] about the projection of `center` on the plane."""
     origin, normal = parameters[0:3], parameters[3:6]
     foot = np.asarray(center) - ((np.asarray(center) - origin) @ normal) * normal
     side1 = unit(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]))
@@ -100,7 +100,7 @@ def half_space_triangles(parameters: np.ndarray, center: np.ndarray, extent: flo
 
 
 def rectangle_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """The rectangle as two triangles; `center` and `extent` do not matter."""
+    """The rectangle as two triangles; `center` and `extent` are unused."""
     return quadrilateral(parameters[0:3], *rectangle_sides(parameters))
 
 
@@ -121,7 +121,7 @@ def half_space_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray
 
 
 def rectangle_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """The farthest corner from the axis."""
+    """Distance [m] of the farthest corner from the axis."""
     corners, _ = quadrilateral(parameters[0:3], *rectangle_sides(parameters))
     return float(distance_from_axis(corners, point, axis).max())
 
@@ -156,12 +156,12 @@ RECTANGLE = ShapeKind(
 
 
 def half_space(point: object, normal: object) -> Shape:
-    """All space behind the plane through `point` is solid; particles live on the side `normal` points to."""
+    """Half space: solid behind the plane through `point`; particles are on the side of `normal`."""
     return make_shape(HALF_SPACE, point, unit(normal))
 
 
 def rectangle(corner: object, side1: object, side2: object) -> Shape:
-    """A thin plate from `corner` along two perpendicular edge vectors; felt from both sides.
+    """Two-sided thin plate from `corner` along two perpendicular edge vectors [m].
 
     Raises ValueError if the sides are not perpendicular within 1e-6.
     """

@@ -1,7 +1,7 @@
-"""Surfaces of revolution: a straight segment in the (r, z) half plane turned about an axis.
+"""Surfaces of revolution: a straight segment in the (r, z) half plane revolved about an axis.
 
-Cylinder, cone frustum and disc (with a round hole or none) are all this. The surface is thin and felt from
-both sides. Each end of the segment is a circular rim; `edges.join_shared_edges` tells it who else shares the rim.
+Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin and
+two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared edges to owners.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ FACET_COUNT = 64
 
 @ti.func
 def half_plane_coordinates(point, parameters):
-    """The point as (r, z), distance from the axis and height over the segment's start, and its radial direction.
+    """The point as (r, z): distance from the axis and height above the start of the segment; and the radial direction.
 
-    On the axis, where no radial direction is better than another, a fixed one is taken. The double cross product
-    keeps the radial vector perpendicular to the axis where rounding is all that is left of it.
+    On the axis the radial direction is a fixed vector. The double cross product keeps the radial vector perpendicular
+    to the axis even if it consists of rounding errors only.
 
         radial = axis x (offset x axis)
     """
@@ -37,7 +37,7 @@ def half_plane_coordinates(point, parameters):
 
 @ti.func
 def segment_coordinates(r, z, parameters):
-    """Position along the segment, how far beyond the nearer end that is (0 above the face), height over it.
+    """Position along the segment, distance beyond the nearer end (0 above the face), and height above it [m].
 
     t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur
     """
@@ -50,7 +50,7 @@ def segment_coordinates(r, z, parameters):
 
 @ti.func
 def revolved_distance(point, parameters):
-    """Distance from the surface [m], shared rims not considered, never negative."""
+    """Distance from the surface [m], at least 0, without regard to shared edges."""
     r, z, _ = half_plane_coordinates(point, parameters)
     _, beyond, height = segment_coordinates(r, z, parameters)
     return ti.sqrt(beyond * beyond + height * height)
@@ -58,10 +58,10 @@ def revolved_distance(point, parameters):
 
 @ti.func
 def owns_contact(along, height, parameters):
-    """Whether this surface answers for the contact.
+    """Whether this surface owns the contact.
 
-    Always on its face; on a rim only if it owns the rim and the point lies beyond the end of the neighbor too
-    (whose face is nearer otherwise).
+    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of the
+    competing face as well (otherwise that face is nearer).
     """
     before = along <= 0.0
     after = along >= parameters[7]
@@ -78,9 +78,9 @@ def owns_contact(along, height, parameters):
 
 @ti.func
 def closest_on_revolved(point, parameters):
-    """Distance from the surface and the direction from its nearest point, on the side where the point is.
+    """Distance [m] from the surface and unit vector from its nearest point to the point.
 
-    Distance FAR_AWAY where the nearest point is on a rim that another wall answers for.
+    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns.
     """
     r, z, radial = half_plane_coordinates(point, parameters)
     along, beyond, height = segment_coordinates(r, z, parameters)
@@ -97,7 +97,7 @@ def closest_on_revolved(point, parameters):
 
 
 def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `closest_on_revolved`: cut the surface with the half plane of the point, find the foot in space."""
+    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point."""
     axis = parameters[3:6]
     start, end = profile(parameters)
     outward = radial_directions(points - parameters[0:3], axis)
@@ -120,29 +120,31 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
 def reference_edge_counts(
     from_surface: np.ndarray, outward: np.ndarray, axis: np.ndarray, edge: np.ndarray
 ) -> np.ndarray:
-    """Whether a rim (neighbor r, neighbor z, owner) answers for points that lie `from_surface` (n, 3) from it."""
+    """Whether an edge (competing direction r, z; owner flag) owns the contacts of points at `from_surface` (n, 3)."""
     neighbor = edge[0] * outward + edge[1] * axis
     return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
 
 
 def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) from the axis to the points; for points on the axis some fixed one."""
+    """Unit vectors (n, 3) from the axis to the points; a fixed vector for points on the axis."""
     radial = offsets - np.outer(offsets @ axis, axis)
     on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
     radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
     radial /= np.linalg.norm(radial, axis=1)[:, None]
-    radial -= np.outer(radial @ axis, axis)  # again: near the axis the first difference is mostly rounding
+    radial -= np.outer(
+        radial @ axis, axis
+    )  # second projection: near the axis the first result is mostly rounding error
     return radial / np.linalg.norm(radial, axis=1)[:, None]
 
 
 def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two ends of the segment as (r, z) in the shape's own frame."""
+    """The two ends of the segment as (r, z) [m] in the frame of the shape."""
     start = np.array([parameters[6], 0.0])
     return start, start + parameters[7] * parameters[8:10]
 
 
 def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """The surface with FACET_COUNT facets around; `center` and `extent` do not matter."""
+    """The surface as FACET_COUNT facets around the axis; `center` and `extent` are unused."""
     axis = parameters[3:6]
     angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
     first = radial_directions(np.zeros((1, 3)), axis)[0]
@@ -156,7 +158,7 @@ def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float
 
 
 def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """The farthest point of either rim from the axis; 0 if the surface turns about its own axis."""
+    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis."""
     origin, axis_of_shape = parameters[0:3], parameters[3:6]
     radius = max(end[0] for end in profile(parameters))
     centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
@@ -166,7 +168,7 @@ def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 
 
 def revolved_area(parameters: np.ndarray) -> float:
-    """Length of the segment times the way of its middle about the axis (Pappus) [m2]."""
+    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus)."""
     start, end = profile(parameters)
     return float(np.pi * (start[0] + end[0]) * parameters[7])
 
@@ -190,7 +192,7 @@ REVOLVED = ShapeKind(
 
 
 def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: float) -> Shape:
-    """The segment from (start_r, 0) to (end_r, end_z) turned about the axis; both rims free.
+    """Segment from (start_r, 0) to (end_r, end_z) [m] revolved about the axis; neither edge is shared.
 
     Raises ValueError for a negative radius or a segment without length.
     """
@@ -198,25 +200,25 @@ def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: 
         raise ValueError("A radius must not be negative.")
     length = np.hypot(end_r - start_r, end_z)
     if not length > 0 or max(start_r, end_r) == 0:
-        raise ValueError("A surface of revolution needs a length and a radius above zero.")
+        raise ValueError("A surface of revolution requires a length and a radius above zero.")
     free_rim = (0.0, 0.0, 1.0)
     direction = (end_r - start_r) / length, end_z / length
     return make_shape(REVOLVED, origin, unit(axis), start_r, length, *direction, *free_rim, *free_rim)
 
 
 def cone(a: object, b: object, radius_a: float, radius_b: float) -> Shape:
-    """A frustum from radius_a at point `a` to radius_b at point `b`; either radius may be 0."""
+    """Cone frustum with radius_a [m] at point `a` and radius_b [m] at point `b`; one radius may be 0."""
     axis = np.asarray(b, dtype=float) - np.asarray(a, dtype=float)
     return revolved(a, axis, radius_a, radius_b, float(np.linalg.norm(axis)))
 
 
 def cylinder(a: object, b: object, radius: float) -> Shape:
-    """A tube from point `a` to point `b`, open at both ends."""
+    """Cylinder from point `a` to point `b`, open at both ends."""
     return cone(a, b, radius, radius)
 
 
 def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0) -> Shape:
-    """A flat disc, with a round hole if `hole_radius` is above zero."""
+    """Flat disc, with a round hole if `hole_radius` [m] is above zero."""
     if not radius > hole_radius:
         raise ValueError("The hole of a disc must be smaller than the disc.")
     return revolved(center, normal, hole_radius, radius, 0.0)

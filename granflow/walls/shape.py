@@ -1,4 +1,4 @@
-"""What a wall shape is: one record per kind of shape, one record per shape."""
+"""Wall shapes: one record per kind of shape, one record per shape."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -6,30 +6,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 PARAMETER_COUNT = 16
-"""Every shape of every kind is described by this many floats, so that all of them fit one device field."""
+"""Number of parameters of every shape, so that all shapes fit one device field."""
 
 FAR_AWAY = 1e9
-"""Distance [m] reported where a surface has no contact to offer (see `edges`): beyond any radius plus skin,
-and small enough for its square to be finite in f32."""
+"""Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius plus skin,
+and small enough for its square to be finite in float32."""
 
 
 @dataclass(frozen=True)
 class ShapeKind:
-    """A kind of surface: its device functions, their numpy twin, its triangles.
+    """A kind of surface: device functions, reference implementation and triangles.
 
     closest            ti.func (point: 3-vector, parameters: 16-vector) -> (distance, normal)
                        Distance [m] from the surface to the point and unit normal from the surface to the
-                       point. Negative distances exist for `half_space` only. FAR_AWAY where the nearest
-                       point is an edge that another wall answers for.
-    surface_distance   ti.func (point, parameters) -> distance of the surface alone, shared rims not
-                       considered: what a list of near walls must be built from, because a point beyond a
-                       rim can be above the face a moment later.
-    reference_closest  numpy twin of `closest`, over points (n, 3): -> (distance (n,), normal (n, 3))
-    triangles          (parameters, center (3,), extent) -> (points (m, 3), triangles (k, 3)): for pictures;
-                       unbounded kinds show a square patch of half width `extent` about the foot of `center`.
-    reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] from the axis of any
-                       point of the surface, 0 where turning about the axis maps the surface onto itself.
-    area               (parameters) -> area [m2] of the surface, None where it has no end.
+                       point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is on
+                       an edge that another wall owns.
+    bare_distance      ti.func (point, parameters) -> distance [m] without regard to shared edges. Wall
+                       neighbor lists use it, because a point beyond an edge can be above the face in the
+                       next step.
+    reference_closest  reference implementation of `closest` for points (n, 3):
+                       -> (distance (n,), normal (n, 3))
+    triangles          (parameters, center (3,), extent) -> (points (m, 3), triangles (k, 3)) for
+                       visualization; an unbounded kind is a square of half width `extent` about the
+                       projection of `center`.
+    reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] of a point of the
+                       surface from the axis, 0 if rotation about the axis maps the surface onto itself.
+    area               (parameters) -> area [m2] of the surface, None if it is unbounded.
     """
 
     name: str
@@ -44,17 +46,17 @@ class ShapeKind:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One surface at rest: its kind and its parameters, (16,) float64, read-only, unused ones 0."""
+    """One surface at rest: kind and parameters (16,), float64, read-only, unused ones 0."""
 
     kind: ShapeKind
     parameters: np.ndarray
 
     def __getitem__(self, name: str) -> float:
-        """The parameter called `name` in the kind's `parameter_names`."""
+        """Parameter with a name of `kind.parameter_names`."""
         return float(self.parameters[self.kind.parameter_names.index(name)])
 
     def with_parameters(self, **values: float) -> "Shape":
-        """A copy in which the named parameters have new values."""
+        """Copy with new values of the named parameters."""
         parameters = self.parameters.copy()
         for name, value in values.items():
             parameters[self.kind.parameter_names.index(name)] = value
@@ -62,7 +64,7 @@ class Shape:
 
 
 def make_shape(kind: ShapeKind, *values: object) -> Shape:
-    """A shape from scalars and 3-vectors in the order of the kind's parameter names."""
+    """Build a shape from scalars and 3-vectors in the order of `kind.parameter_names`."""
     flat = np.concatenate([np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in values])
     if len(flat) != len(kind.parameter_names):
         raise ValueError(f"{kind.name} takes {len(kind.parameter_names)} numbers, got {len(flat)}.")
@@ -72,13 +74,13 @@ def make_shape(kind: ShapeKind, *values: object) -> Shape:
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """The same array, locked against writing."""
+    """The same array, set to read-only."""
     array.setflags(write=False)
     return array
 
 
 def unit(vector: object) -> np.ndarray:
-    """The (3,) vector scaled to length 1; ValueError if it has no direction."""
+    """Vector (3,) scaled to length 1. Raises ValueError if it has no direction."""
     array = np.asarray(vector, dtype=np.float64)
     length = np.linalg.norm(array)
     if array.shape != (3,) or not length > 0:
@@ -92,5 +94,5 @@ def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 
 
 def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> bool:
-    """Whether two unit vectors lie along one line, either way round."""
+    """Whether two unit vectors are parallel or antiparallel."""
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)

@@ -1,20 +1,20 @@
-"""Rims that several surfaces of revolution share: one contact there, not one from each.
+"""Circular edges shared by several surfaces of revolution: a single contact instead of one per surface.
 
-Where a cone meets its outlet tube both segments end in the same circle. A grain hanging over that circle
-from outside has its nearest point on both, so one of them must own the rim. In the half plane through the
-point, with `w` from the rim to the point and `u`, `v` the directions in which the segments run from the rim:
+Where a cone joins its outlet tube, both segments end in the same circle. For a particle outside that circle the nearest
+point lies on both surfaces, so one of them must own the edge. In the half plane through the point, let `w` be the
+vector from the edge to the point and `u`, `v` the directions of the segments from the edge:
 
-    w.u <= 0 and w.v <= 0    edge contact, counted by the owner alone
-    w.u <= 0 and w.v >  0    face of v, which is nearer than the rim: u stays silent
-    w.u >  0 and w.v >  0    a concave corner: both faces, no edge
+    w.u <= 0 and w.v <= 0    edge contact, counted for the owner only
+    w.u <= 0 and w.v >  0    face of v, which is nearer than the edge: no contact with u
+    w.u >  0 and w.v >  0    a concave corner: contacts with both faces, none with the edge
 
-With more segments at one rim the points that touch the rim itself form one wedge (an intersection of half
-planes), bounded by the two directions on either side of the widest free angle: one of those two owns the rim
-with the other as its neighbor, everybody else is silent there. If no free angle is above 180 degrees no point
-touches the rim. A segment that passes through the rim with its face (a tube standing on a plate) counts as two
-directions, so the tube's end is silent.
+If more segments share an edge, the points in contact with the edge form one wedge (an intersection of half planes),
+bounded by the two directions on either side of the widest free angle. One of these two owns the edge, with the other as
+competing face; the remaining segments have no contact there. If no free angle exceeds 180 degrees, the edge has no
+contacts. A segment whose face passes through the edge (a tube on a plate) counts as two directions, so that the end of
+the tube has no contacts.
 
-A contact that slides off a face onto a rim owned by the neighbor continues as a contact of that neighbor.
+A contact that slides from a face onto an edge owned by another surface continues as a contact of that surface.
 """
 
 from collections.abc import Hashable, Sequence
@@ -34,9 +34,9 @@ Profile = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Ray:
-    """One direction in which a segment runs from a rim, in the (r, z) frame of the segment asked about.
+    """Direction of a segment from an edge, in the (r, z) frame of the shape that has the edge.
 
-    `end` is "start" or "end" if the segment ends at the rim, None if it passes through.
+    `end` is "start" or "end" if the segment ends at the edge, None if it passes through.
     """
 
     index: int
@@ -45,15 +45,15 @@ class Ray:
 
     @property
     def angle(self) -> float:
-        """Angle in [0, 2 pi) from outward towards the axis."""
+        """Angle [rad] in [0, 2 pi) from the outward radial direction towards the axis direction."""
         return float(np.arctan2(self.direction[1], self.direction[0]) % (2 * np.pi))
 
 
 def join_shared_edges(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> list[Shape]:
-    """The same shapes with the rims that surfaces of revolution share assigned to one owner each.
+    """The same shapes with each shared edge of surfaces of revolution assigned to one owner.
 
-    `groups` names for each shape the wall motion it follows: only shapes that move alike share rims. Call it
-    again with the shapes that are present whenever a wall appears or vanishes; joining twice is harmless.
+    `groups` identifies the wall motion of each shape: only shapes with the same motion share edges. Call the function
+    again with the active shapes when a wall is added or removed; repeated calls are idempotent.
     """
     joined = list(shapes)
     for index, shape in enumerate(shapes):
@@ -67,7 +67,7 @@ def join_shared_edges(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> li
 
 
 def is_coaxial(shape: Shape, other: Shape) -> bool:
-    """Whether the other shape is a surface of revolution about the same line, either way up."""
+    """Whether the other shape is a surface of revolution about the same line, in either direction."""
     if other.kind is not REVOLVED:
         return False
     between = other.parameters[0:3] - shape.parameters[0:3]
@@ -78,12 +78,12 @@ def is_coaxial(shape: Shape, other: Shape) -> bool:
 
 
 def profile_size(shape: Shape) -> float:
-    """Length scale [m] of a segment for relative tolerances."""
+    """Length scale [m] of a segment, for relative tolerances."""
     return float(np.abs(np.array(profile(shape.parameters))).max())
 
 
 def rays_at_edge(shapes: Sequence[Shape], index: int, end: str, partners: Sequence[int]) -> list[Ray]:
-    """Every direction in which a partner (the shape itself among them) runs from the given rim."""
+    """Directions of all partners (including the shape itself) from the given edge."""
     shape = shapes[index]
     edge = profile(shape.parameters)[0 if end == "start" else 1]
     rays: list[Ray] = []
@@ -94,7 +94,7 @@ def rays_at_edge(shapes: Sequence[Shape], index: int, end: str, partners: Sequen
 
 
 def profile_in_frame_of(shape: Shape, other: Shape) -> Profile:
-    """The ends of the other segment as (r, z) in this shape's frame."""
+    """Ends of the segment of `other` as (r, z) [m] in the frame of `shape`."""
     axis = shape.parameters[3:6]
     shift = np.array([0.0, (other.parameters[0:3] - shape.parameters[0:3]) @ axis])
     flip = np.array([1.0, np.sign(other.parameters[3:6] @ axis)])
@@ -103,7 +103,7 @@ def profile_in_frame_of(shape: Shape, other: Shape) -> Profile:
 
 
 def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: float) -> list[Ray]:
-    """How one segment runs from the rim: from one of its ends, through it, or not at all."""
+    """Directions of one segment from the edge: one at an end, two if it passes through, none otherwise."""
     start, end = ends
     length = np.linalg.norm(end - start)
     along = (end - start) / length
@@ -118,7 +118,7 @@ def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: floa
 
 
 def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, float]:
-    """The three rim parameters of one end of one shape, from all rays at that rim."""
+    """The three edge parameters of one end of a shape, from all rays at that edge."""
     bounds = wedge_bounds(rays)
     own_rays = [ray for ray in bounds if ray.index == index and ray.end == end]
     neighbors = [ray for ray in bounds if ray not in own_rays]
@@ -130,7 +130,7 @@ def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, floa
 
 
 def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
-    """The two rays on either side of the widest free angle, if that is 180 degrees or more; a lone ray itself."""
+    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray itself."""
     if len(rays) == 1:
         return list(rays)
     ordered = sorted(rays, key=lambda ray: ray.angle)

@@ -47,7 +47,7 @@ def problem(folder, file, more=""):
 
 
 def binary_stl(path, triangles, count=None, head=b"made by hand"):
-    """A binary STL of triangles (t, 3, 3) that says it holds `count`."""
+    """A binary STL file of triangles (t, 3, 3) that declares `count` triangles."""
     parts = [head.ljust(80), struct.pack("<I", len(triangles) if count is None else count)]
     parts += [struct.pack("<12fH", 0.0, 0.0, 0.0, *np.ravel(triangle), 0) for triangle in triangles]
     path.write_bytes(b"".join(parts))
@@ -91,21 +91,21 @@ def test_files_that_are_no_walls(tmp_path):
     assert problem(tmp_path, "empty.stl") == "is empty."
     binary_stl(tmp_path / "lies.stl", triangles, count=2**32 - 1)
     assert problem(tmp_path, "lies.stl") == (
-        "says it holds 4294967295 triangles, but has room for 12: it is cut short or damaged."
+        "declares 4294967295 triangles, but its size allows 12: it is truncated or damaged."
     )
     (tmp_path / "short.stl").write_bytes(b"\0" * 50)
-    assert problem(tmp_path, "short.stl") == "is cut short: it has 50 bytes, fewer than the head of an STL file."
+    assert problem(tmp_path, "short.stl") == "is truncated: it has 50 bytes, fewer than the header of an STL file."
     binary_stl(tmp_path / "nan.stl", np.where(triangles == 1.0, np.nan, triangles))
-    assert problem(tmp_path, "nan.stl") == "has 12 triangles with coordinates that are no numbers."
+    assert problem(tmp_path, "nan.stl") == "has 12 triangles with coordinates that are not finite."
     binary_stl(tmp_path / "flat.stl", triangles * [1, 0, 0])
-    assert problem(tmp_path, "flat.stl") == "has no triangle with an area."
+    assert problem(tmp_path, "flat.stl") == "has no triangle with nonzero area."
     (tmp_path / "mesh.step").write_text("ISO-10303-21")
     assert problem(tmp_path, "mesh.step") == (
-        "is no kind of file that is read here; the kinds are stl, obj, ply, vtk, vtu."
+        "has an unsupported format; the supported formats are stl, obj, ply, vtk, vtu."
     )
     meshio.write(tmp_path / "solid.vtu", meshio.Mesh(points, [("tetra", [[0, 1, 2, 4]])]))
     assert problem(tmp_path, "solid.vtu") == (
-        "holds 1 tetra, but a wall is made of triangles; write out its surface alone."
+        "contains 1 tetra, but a wall consists of triangles; export the surface only."
     )
     for name in ("cube.ply", "cube.vtu", "cube.vtk", "cube.obj"):
         write(tmp_path / name, points, corners)

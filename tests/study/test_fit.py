@@ -99,7 +99,7 @@ def test_the_limit_velocity_of_steel_is_equation_11():
     ("make", "limit", "expected"),
     [
         (lambda: measured(SOFT, 8.0, count=2), 12.0, "2 rows are too few"),
-        (lambda: measured(SOFT, 8.0), 5.0, "a limit velocity of 5 m/s is given"),
+        (lambda: measured(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
         (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0, "at 1 different velocities"),
         (lambda: measured(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),
     ],
@@ -139,9 +139,9 @@ def test_the_ways_a_table_may_be_written(tmp_path, text):
 
 def test_deviations_and_weights(tmp_path):
     deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
-    np.testing.assert_array_equal(deviations.spread, [0.1, 0.2])
+    np.testing.assert_array_equal(deviations.uncertainty, [0.1, 0.2])
     weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
-    np.testing.assert_array_equal(weights.spread, [0.5, 1.0])
+    np.testing.assert_array_equal(weights.uncertainty, [0.5, 1.0])
     assert (deviations.absolute, weights.absolute) == (True, False)
 
 
@@ -164,15 +164,15 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
     expected = [
         ":2: restitution is 0,5, but a decimal point is asked here, not a comma: 0.5.",
         ":3: velocity is x, but a velocity is asked here, such as 3 m/s.",
-        ":3: restitution is 1.2, but a restitution coefficient lies in [0, 1].",
+        ":3: restitution is 1.2, but a restitution coefficient must be in [0, 1].",
         ":4: velocity is -3, but it must be above 0.",
-        ":4: restitution is nan, but a number is asked here; leave the row out if nothing was measured.",
-        ":5: velocity is empty, but a number is asked here; leave the row out if nothing was measured.",
-        ":6: restitution is empty, but a number is asked here; leave the row out if nothing was measured.",
+        ":4: restitution is nan, but a number is required; remove the row if nothing was measured.",
+        ":5: velocity is empty, but a number is required; remove the row if nothing was measured.",
+        ":6: restitution is empty, but a number is required; remove the row if nothing was measured.",
         ":6: deviation is 0, but it must be above 0.",
         ":7: velocity is 0, but it must be above 0.",
-        ":7: restitution is -0.1, but a restitution coefficient lies in [0, 1].",
-        ":8: the row has 4 values, but the header 3 columns; decimals are written with a point.",
+        ":7: restitution is -0.1, but a restitution coefficient must be in [0, 1].",
+        ":8: the row has 4 values, but the header has 3 columns; use a point as decimal separator.",
     ]
     assert list(refusal.value.problems) == [f"{path}{each}" for each in expected]
 
@@ -180,15 +180,15 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "there are no rows"),
-        ("# only this\n", "there are no rows"),
+        ("", "the file has no rows"),
+        ("# only this\n", "the file has no rows"),
         ("v,e\n", "no measurements below the header"),
         ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
         ("v,x\n1,0.8\n", ":1: the header is v, x, which does not name restitution"),
         ("v,e,e\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
         ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
-        ("v [mm/s],e\n1,0.8\n", "the velocities are in mm/s, but m/s is asked"),
-        ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header 2 columns"),
+        ("v [mm/s],e\n1,0.8\n", "the velocities are in mm/s, but must be in m/s"),
+        ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns"),
     ],
 )
 def test_tables_that_cannot_be_used(tmp_path, text, expected):
@@ -241,6 +241,6 @@ def test_refusals_of_the_verb(tmp_path, capsys):
     assert main(["fit", str(path), "--material", "glass"]) == 2
     good = written(tmp_path, "v,e\n1,0.8\n2,0.7\n3,0.6\n")
     assert main(["fit", str(good), "--material", "glass"]) == 2
-    assert "glass has no yield strength, which Eq. 11 needs" in capsys.readouterr().err
+    assert "glass has no yield strength, which Eq. 11 requires" in capsys.readouterr().err
     assert main(["fit", str(good), "--material", "stainles_316"]) == 2
     assert "Did you mean stainless_316?" in capsys.readouterr().err

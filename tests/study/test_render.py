@@ -9,10 +9,11 @@ import pytest
 from observe.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.cli import main
+from granflow.cli.render import FITS
 from granflow.errors import GranflowError
 from granflow.observe import ContactFrames, ParticleFrames, WallFrames
 from granflow.study.render import frames_of, selected_frames
-from granflow.study.render.bounding_points import corners_of, outermost_points
+from granflow.study.render.bounding_points import bounding_points, corners_of, outermost_points
 from granflow.study.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
 from granflow.study.render.colors import prefixed, scale_for, values_of
 from granflow.study.render.frames import FrameParticles, read_force_chains, read_particles, read_walls
@@ -60,6 +61,14 @@ def test_frames_come_with_their_walls_and_contacts(run):
     np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
 
 
+def test_each_fit_gives_other_points(run):
+    """`all` adds the walls to the points of `particles`; `domain` gives the corners of the box."""
+    box = np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]])
+    points = {fit: bounding_points(fit, None, frames_of(run), box) for fit in FITS}
+    np.testing.assert_array_equal(points["domain"], corners_of(box))
+    assert len(points["all"]) > len(points["particles"]) > 0
+
+
 def test_frames_taken_away_are_left_out(run):
     (run / "particles_0001.vtu").unlink()
     (run / "walls_0002.vtu").unlink()
@@ -85,7 +94,7 @@ def test_frames_are_named_by_place_number_or_time(run, words, numbers):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [("7", "no such frame, but 0 to 3"), ("soon", "a time is asked"), ("3 mm", "give last, first, all")],
+    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is asked"), ("3 mm", "give last, first, all")],
 )
 def test_a_frame_that_there_is_not_is_refused(run, words, sentence):
     with pytest.raises(GranflowError, match=sentence):
@@ -96,7 +105,7 @@ def test_what_is_no_run_is_refused(tmp_path, capsys):
     assert main(["render", str(tmp_path / "none")]) == 2
     assert "there is no such directory" in capsys.readouterr().err
     assert main(["render", str(tmp_path)]) == 2
-    assert "holds no frames" in capsys.readouterr().err
+    assert "contains no particle frames" in capsys.readouterr().err
 
 
 def test_a_frame_cut_short_is_refused(run):
@@ -138,7 +147,7 @@ def test_vectors_are_shown_by_magnitude_or_component():
 def test_the_range_holds_98_of_100_values_and_zero_if_near():
     values = np.arange(101.0)
     scale = scale_for("force", [values[:50], values[50:]], is_vector=True)
-    assert scale.limits == (0.0, 99.0) and scale.beyond == (False, True)
+    assert scale.limits == (0.0, 99.0) and scale.out_of_range == (False, True)
     assert (scale.title, scale.unit) == ("force\nmagnitude", "N")
     narrow = scale_for("radius", [2e-3 + 1e-5 * values])
     assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
@@ -218,15 +227,15 @@ AREAS = """
 import sys
 import numpy as np
 from granflow.study.render.camera import camera_for, view_of
-from granflow.study.render.frames import Grains
-from granflow.study.render.renderer import Painter
+from granflow.study.render.frames import FrameParticles
+from granflow.study.render.renderer import Renderer
 for words in ("front", "iso"):
     for radius in (0.07, 0.4):
         view = view_of(words)
         camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
-        painter = Painter((600, 600), camera)
-        grains = Grains(np.zeros((1, 3)), np.array([radius]), {})
-        painter.set_grains(grains, np.array([[0, 0, 0]], np.uint8))
+        painter = Renderer((600, 600), camera)
+        particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
+        painter.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
         share = np.mean(painter.draw().min(axis=2) < 128)
         distance = np.linalg.norm(camera.eye)
         seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))

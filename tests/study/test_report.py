@@ -78,7 +78,7 @@ def columns(*names):
 def test_the_page_says_all_of_a_run_that_is_done(run):
     text = text_of(run)
     for words in (
-        *("The run is done.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
+        *("The run is complete.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
         *(
             "Two <beads> (two.yaml)",
             "every pair has friction 0",
@@ -88,13 +88,13 @@ def test_the_page_says_all_of_a_run_that_is_done(run):
             "wall force (N)",
             "7.5",
         ),
-        *("not a scene: at all", "This version cannot read it", "Zero throughout: idle", "it burst\nat the seams"),
+        *("not a scene: at all", "This version cannot read the scene", "Always zero: idle", "it burst\nat the seams"),
     ):
         assert words in text, words
 
 
 def test_the_profile_adds_up_to_the_wall_clock(run):
-    section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Where the time went")
+    section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Timings")
     assert [row[:3] for row in section.parts[0].rows] == [
         ("forces", "6.00", "60%"),
         ("compile", "3.00", "30%"),
@@ -107,7 +107,7 @@ def test_an_interrupted_run_says_why_and_how_far(run):
     with (run / "timeseries.csv").open("a") as file:
         file.write("0.3,pour,2,1e-")
     text = text_of(run)
-    assert "The run did not come to its end (ended by RunError: see the warnings). granflow resume" in text
+    assert "The run did not finish (ended by RunError: see the warnings). granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
     assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
         "the last row stands in for the result"
@@ -117,7 +117,7 @@ def test_an_interrupted_run_says_why_and_how_far(run):
 def test_a_resumed_run_lists_its_parts(run):
     (run / "run.log").write_text(LOG + AGAIN)
     text = text_of(run)
-    assert "in 2 parts" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
+    assert "resumed (2 sessions)" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
 
 
 @pytest.mark.parametrize("left", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
@@ -125,7 +125,7 @@ def test_any_one_file_is_enough_for_a_page(run, left):
     for path in list(run.iterdir()):
         if path.name != left:
             path.unlink()
-    assert "In short" in text_of(run)
+    assert "Summary" in text_of(run)
 
 
 @pytest.mark.parametrize("text", ["", "time [s],stage,a\n", "a,b\n1,2\n", "time [s],stage,a\n0.0,fi"])
@@ -149,7 +149,7 @@ def test_without_plotly_the_page_is_written_and_says_what_is_missing(run, capsys
     assert main(["report", str(run)]) == 0
     assert "pip install granflow[plot]" in capsys.readouterr().out
     html = (run / "report.html").read_text(encoding="utf-8")
-    assert "Plots need plotly" in html and "run has no frames" in html
+    assert "Plots require plotly" in html and "run has no frames" in html
     assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "something comes from outside of the page"
 
 

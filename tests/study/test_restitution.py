@@ -1,4 +1,4 @@
-"""Restitution asked and reached: what `granflow restitution` measures, and what `granflow run` warns of."""
+"""Given and simulated restitution: results of `granflow restitution` and warnings of `granflow run`."""
 
 import re
 from pathlib import Path
@@ -109,11 +109,11 @@ def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(t
     sentences = {each.split(":")[0]: each for each in warnings(plan_for(scene))}
     assert list(sentences) == ["steel-steel wall"]  # one ball: no collision between particles
     numbers = re.search(
-        r"restitution (\S+) is asked for at (\S+) m/s, but (\S+) comes out with a step of (\S+) s\. "
-        r"A run\.time_step of (\S+) s would do\.",
+        r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+)\. "
+        r"Use run\.time_step: (\S+) s\.",
         sentences["steel-steel wall"],
     )
-    requested, velocity, reached, step, remedy = map(float, numbers.groups())
+    requested, velocity, step, reached, remedy = map(float, numbers.groups())
     assert (requested, velocity) == (0.3, 2.0)
     assert step == pytest.approx(plan_for(scene).time_step, rel=5e-3)
     rows, _ = measure(scene)

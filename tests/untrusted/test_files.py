@@ -133,9 +133,9 @@ def test_relative_indices_of_obj_count_back_from_the_last_vertex_above(tmp_path)
 @pytest.mark.parametrize(
     ("face", "message"),
     [
-        ("f -4 -1 -2", "does not hold in line 4"),
-        ("f 1 2 0", "does not hold in line 4"),
-        ("f 1 2 9", "does not hold"),
+        ("f -4 -1 -2", "does not contain in line 4"),
+        ("f 1 2 0", "does not contain in line 4"),
+        ("f 1 2 9", "does not contain"),
         ("f 1 2 x", "line 4 has the corner 'x'"),
         ("f 1 2", "face of 2 corners in line 4"),
         ("f 1 2 3 1 2", "face of 5 corners in line 4"),

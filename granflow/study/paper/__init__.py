@@ -1,4 +1,4 @@
-"""Zhou (2011) reproduced: its figures and tables from simulated collisions, and all laws side by side."""
+"""Reproduction of Zhou (2011): figures and tables from simulated collisions, and a comparison of all contact models."""
 
 from granflow.study.paper.report import write_paper
 

@@ -1,4 +1,4 @@
-"""How restitution and duration reached differ from those asked, by the steps that a collision takes."""
+"""Deviation of simulated restitution and duration from the given values, by the number of steps per collision."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,11 +17,11 @@ VELOCITY = 1.0
 RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 STEPS = np.array([50, 100, 200, 400])
 PHASES = 8
-"""Collisions of each kind, first touching at different times within a step: the worst is shown."""
+"""Number of phases of first touch within a step; the largest deviation is shown."""
 
 
 def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
-    """All restitutions, steps and phases in one scene: outcomes, restitution (n,) and steps per contact (n,)."""
+    """Simulate all restitutions, steps and phases in one scene: outcomes, restitution (n,), steps per contact (n,)."""
     steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, RESTITUTIONS))
     time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
     pairs = [
@@ -32,7 +32,7 @@ def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
 
 
 def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:
-    """Worst of the phases for every restitution and every number of steps."""
+    """Largest deviation over the phases, for each restitution and number of steps."""
     restitution_error = np.abs(outcomes.restitution / e - 1.0)
     duration_error = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
     shape = (-1, PHASES)
@@ -57,18 +57,16 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
         worst("duration_deviation", "T", TARGET_DURATION),
     )
     caption = (
-        "Largest deviation of (a) the restitution and (b) the duration reached by simulated collisions from those "
-        f"asked, over {PHASES} phases of first touch within a step, by the number of steps a collision takes. Dotted: "
-        f"the accuracy aimed at with {STEPS_PER_CONTACT} steps. With 50 steps the bound "
-        "on the unloading tangent keeps e = 0.05 out of reach."
+        "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given values, over "
+        f"{PHASES} phases of first touch within a step, by the number of steps per collision. Dotted: target with "
+        f"{STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of the bound on the unloading "
+        "tangent."
     )
-    return FigureData(
-        "accuracy", "How many steps for how much accuracy", caption, columns, deviations, draw_accuracy, 3.0
-    )
+    return FigureData("accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 3.0)
 
 
 def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """A panel for e, one for T; a line for each number of steps."""
+    """Panels for e and T, with a line for each number of steps."""
     panels = figure.subplots(1, 2)
     shown = (("restitution_deviation", TARGET_RESTITUTION, "$e$"), ("duration_deviation", TARGET_DURATION, "$T$"))
     for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):

@@ -1,4 +1,4 @@
-"""What the paper's figures are made for: two equal spheres of one material, with the closed forms of a collision."""
+"""Cases of the paper: two equal spheres of one material, with the closed forms of their collision."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from granflow.scene.presets import PRESETS
 from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 DIAMETER = 25.4e-3
-"""Of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
+"""Diameter of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
 
 STEPS_PER_CONTACT = 200
-"""Duration over time step at which the deviations are stated."""
+"""Ratio of collision duration to time step for the reported deviations."""
 
 
 @dataclass(frozen=True)
 class PaperCase:
-    """Two equal spheres of one solid. `material` as a scene writes it; `yield_velocity` [m/s] for Thornton's e(v)."""
+    """Two equal spheres of one solid. `material` as in a scene; `yield_velocity` [m/s] for Thornton's e(v)."""
 
     name: str
     title: str
@@ -33,11 +33,11 @@ class PaperCase:
 
     @cached_property
     def modulus_eff(self) -> float:
-        """Effective modulus of the two [Pa]."""
+        """Effective modulus of the pair [Pa]."""
         return modulus_eff(self.solid, self.solid)
 
     def mass_eff(self, diameter: float | None = None) -> float:
-        """Effective mass [kg] of two equal spheres: half of one."""
+        """Effective mass [kg] of two equal spheres: half the mass of one."""
         return 0.5 * np.pi / 6.0 * (diameter or self.diameter) ** 3 * self.solid.density
 
     def stiffness(self, diameter: float | None = None) -> float:
@@ -49,24 +49,24 @@ class PaperCase:
         return float(theory.duration(e, self.stiffness(diameter), self.mass_eff(diameter), velocity))
 
     def durations(self, e: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Collision durations [s] at the case's diameter, for arrays of restitution and velocity."""
+        """Collision durations [s] at the diameter of the case, for arrays of restitution and velocity."""
         return np.array([self.duration(float(a), float(v)) for a, v in zip(e, velocity, strict=True)])
 
     def springs(self, velocity: np.ndarray) -> np.ndarray:
-        """Linear spring of the same energy [N/m] (Zhou 2011, Eq. 19)."""
+        """Stiffness [N/m] of the linear spring with the same energy (Zhou 2011, Eq. 19)."""
         return np.asarray(theory.equivalent_spring(self.stiffness(), self.mass_eff(), velocity))
 
     def diameter_lasting(self, duration: float, e: float, velocity: float) -> float:
-        """Diameter [m] of the spheres whose collision takes that long: durations go with the diameter."""
+        """Diameter [m] of spheres with the given collision duration [s], which is proportional to the diameter."""
         return self.diameter * duration / self.duration(e, velocity)
 
     def head_on(self, restitution: Any, velocity: float, diameter: float | None = None) -> HeadOnCollision:
-        """The case meeting at a velocity [m/s]; `restitution` as a scene writes it."""
+        """Head-on collision of the case at a velocity [m/s]; `restitution` as in a scene."""
         return HeadOnCollision(self.material, restitution, diameter or self.diameter, velocity)
 
 
 def paper_case(preset: str, title: str, yield_velocity: float) -> PaperCase:
-    """One of the materials of Figs. 3 and 4."""
+    """Case with one of the materials of Figs. 3 and 4."""
     known = PRESETS[preset]
     solid = Solid(known.young_modulus, known.poisson_ratio, known.density, known.yield_strength)
     sigma, psi = known.restitution_fit or (0.0, 1.0)
@@ -78,11 +78,11 @@ PAPER_CASES = (
     paper_case("stainless_316", "stainless steel 316", 0.0082),
     paper_case("chrome_52100", "chrome steel 52100", 0.9090),
 )
-"""Yield velocities [m/s] as the paper takes them from Stevens & Hrenya (2005)."""
+"""Yield velocities [m/s] of the paper, from Stevens & Hrenya (2005)."""
 
 
 def small_soft_case(poisson_ratio: float = 0.3) -> PaperCase:
-    """Spheres of the paper's estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the Poisson ratio is ours."""
+    """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the paper gives no Poisson ratio."""
     solid = Solid(1e8, poisson_ratio, 1e3)
     material = {"young_modulus": 1e8, "poisson_ratio": poisson_ratio, "density": 1e3}
     return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)

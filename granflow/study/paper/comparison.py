@@ -1,4 +1,4 @@
-"""Every law of the catalog on the paper's two materials, matched at one velocity: e(v) and T(v) from collisions."""
+"""All contact models for the two materials of the paper, matched at one velocity: simulated e(v) and T(v)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from granflow.study.paper.velocity import restitution_of
 
 VELOCITIES = np.geomspace(0.01, 10.0, 19)
 REFERENCE_VELOCITY = 1.0
-"""Approach velocity at which every law is given the restitution of Eq. 12 [m/s]."""
+"""Approach velocity [m/s] at which all contact models have the restitution of Eq. 12."""
 
 _AT_REFERENCE = {"reference_velocity": REFERENCE_VELOCITY}
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
@@ -29,12 +29,12 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "luding": {"stiffness": _AT_REFERENCE, "plasticity_depth": 0.01, "tension": 0.0},
     "kuwabara_kono": _AT_REFERENCE,
 }
-"""In place of a law's example, where the comparison is better served."""
+"""Settings that replace the example of the catalog in this comparison."""
 
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """A law with its settings, and for each material what is matched: `restitution` of the pair, yield strength."""
+    """A contact model with its settings and the matched parameter of each material: restitution or yield strength."""
 
     name: str
     settings: Mapping[str, Any]
@@ -44,16 +44,16 @@ class CandidateModel:
 
     @property
     def normal(self) -> dict[str, Any]:
-        """As `contact.normal` of a scene."""
+        """The entry `contact.normal` of a scene."""
         return {"law": self.name, **self.settings}
 
     def text(self) -> str:
-        """Settings and what was matched, for a table."""
+        """Settings and matched parameters, for a table."""
         text_parts = [f"{key} {_as_text(value)}" for key, value in self.settings.items()]
         if any(isinstance(value, float) for value in self.restitutions):
             text_parts.append("restitution " + " and ".join(f"{value:.4g}" for value in self.restitutions))
         elif self.restitutions[0] is not None:
-            text_parts.append("Eq. 12 with the paper's sigma and psi")
+            text_parts.append("Eq. 12 with sigma and psi of the paper")
         if any(self.yield_strengths):
             text_parts.append(
                 "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
@@ -68,7 +68,7 @@ def _as_text(value: Any) -> str:
 
 
 def candidate_model(name: str) -> CandidateModel:
-    """The law matched to Eq. 12 at the reference velocity on both materials, by the one number it has for that."""
+    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free parameter."""
     kind = NORMAL_LAWS[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
@@ -87,32 +87,34 @@ def candidate_model(name: str) -> CandidateModel:
 
 
 def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) -> PairMaterial:
-    """The case's pair as laws see it, without friction."""
+    """Material pair of the case for contact models, without friction."""
     shear = shear_modulus_eff(case.solid, case.solid)
     yields = strength or case.solid.yield_strength
     return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
 
 
-def promised_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
-    """Restitution that a law promises to the case at a velocity [m/s]."""
+def theoretical_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
+    """Theoretical restitution of a contact model for the case at a velocity [m/s]."""
     return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
 
 
 def _matched_number(law: NormalLaw, case: PaperCase, e: float) -> float:
-    """The pair's restitution number with which the law promises e at the reference velocity."""
+    """Restitution number of the pair for which the contact model has restitution e at the reference velocity."""
     return _root(
-        lambda number: promised_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
+        lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
     )
 
 
 def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
-    """The yield strength [Pa] with which the law promises e at the reference velocity."""
+    """Yield strength [Pa] for which the contact model has restitution e at the reference velocity."""
     low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
-    return _root(lambda y: promised_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high)
+    return _root(
+        lambda y: theoretical_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high
+    )
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where an increasing function is zero between two numbers, by halving."""
+    """Root of an increasing function between two numbers, by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0.0 else (low, middle)
@@ -121,14 +123,14 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class LawComparison:
-    """Contenders with what their collisions reached; laws that could not run, with the reason."""
+    """Outcomes of each contact model, and the models that could not run, with the reason."""
 
     ran: dict[str, tuple[CandidateModel, Outcomes]] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
 
 
 def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawComparison:
-    """Collide both materials at all velocities under every law of the catalog."""
+    """Simulate collisions of both materials at all velocities with all contact models."""
     comparison = LawComparison()
     shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
     for name in NORMAL_LAWS:
@@ -152,34 +154,34 @@ def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
 
 
 def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCITIES) -> FigureData:
-    """e(v) and T(v) of all laws, with the deviation of each e from what its law promises."""
+    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model."""
     count, rows, deviations = len(velocities), [], []
     for name, (model, outcomes) in comparison.ran.items():
         requested_values = []
         for number, case in enumerate(PAPER_CASES):
             given = case.fit if isinstance(model.restitutions[number], dict) else model.restitutions[number]
             pair = pair_of(case, given, model.yield_strengths[number])
-            requested_values += [promised_restitution(model.law, case, pair, float(v)) for v in velocities]
+            requested_values += [theoretical_restitution(model.law, case, pair, float(v)) for v in velocities]
         materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
         speeds = np.tile(velocities, len(PAPER_CASES))
         laws = np.repeat(name, len(speeds))
         rows.append((laws, materials, speeds, np.array(requested_values), outcomes.restitution, outcomes.duration))
         where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
-        text = f"the e reached under {name} from what the law promises"
+        text = f"simulated e with {name} from its theoretical value"
         deviations.append(relative_deviation(text, outcomes.restitution, np.array(requested_values), where.__getitem__))
     names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")
     columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
     caption = (
         "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
-        "25.4 mm under every law of the catalog, against approach velocity. Each law has the restitution of Eq. 12 "
+        "25.4 mm with all contact models, against approach velocity. Each model has the restitution of Eq. 12 "
         f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
     )
-    title = "All laws on the same two materials"
+    title = "Comparison of all contact models"
     return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
 
 
 def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """Restitution above duration, a column for each material."""
+    """Panels of restitution (top) and duration (bottom), with a column for each material."""
     panels = figure.subplots(2, len(PAPER_CASES), sharex=True, sharey="row")
     laws = list(dict.fromkeys(columns["law"].tolist()))
     for column, case in enumerate(PAPER_CASES):

@@ -1,4 +1,4 @@
-"""What a contact of each law costs beside one of Hertz: all laws in one process, in turn, many times over."""
+"""Cost per contact of each contact model relative to Hertz: all models in one process, alternating, repeated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ from granflow.study.paper.cases import PAPER_CASES
 from granflow.study.paper.comparison import CandidateModel
 
 SIDE = 16
-"""Grains along an edge of the lattice that is timed."""
+"""Particles along an edge of the lattice."""
 CONTACTS = 3 * SIDE**2 * (SIDE - 1)
 REPEATS = 15
 STEPS = 60
-"""Of each timing."""
+"""Number of steps per timing."""
 TIME_STEP = 1e-12
-"""So short [s] that the lattice stays as it is; grains approach and part all the same."""
+"""Time step [s], so short that the lattice does not change, while particles approach and separate."""
 CLOSENESS = 0.9999
-"""Distance of neighbors over the diameter."""
+"""Distance of neighboring particles over the diameter."""
 BASE = "hertz"
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Time of a step with this law over one with Hertz: median and quartiles; nanoseconds per contact and step."""
+    """Time per step relative to the Hertz model: median and quartiles; time per contact and step [ns]."""
 
     median: float
     low: float
@@ -39,7 +39,7 @@ class Cost:
 
 
 def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
-    """Time every law on the same compressed lattice, one after the other, `repeats` times; Hertz is the measure."""
+    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times."""
     engines = {name: _engine(model, backend) for name, model in candidate_models.items()}
     for engine in engines.values():
         engine.advance(STEPS)
@@ -74,19 +74,19 @@ def _engine(model: CandidateModel, backend: Backend) -> Engine:
 
 
 def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
-    """A cubic lattice of the first material, neighbors pressed together, with velocities of either sign."""
+    """Cubic lattice of overlapping particles of the first material, with velocities of both signs."""
     case, random = PAPER_CASES[0], np.random.default_rng(1)
     axis = CLOSENESS * case.diameter * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     strength = model.yield_strengths[0]
     reach = case.diameter * (SIDE + 1)
     return {
-        "title": "A lattice to time contacts on",
+        "title": "Lattice for timing of contacts",
         "gravity": [0, 0, 0],
         "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
         "pairs": {"steel-steel": {"restitution": model.restitutions[0], "friction": 0}},
         "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
-        "particles": {"grains": {
+        "particles": {"lattice": {
             "material": "steel", "diameter": case.diameter,
             "velocity": random.uniform(-1.0, 1.0, positions.shape).tolist(),
             "insert": {"kind": "positions", "positions": positions.tolist()},

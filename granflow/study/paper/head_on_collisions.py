@@ -1,4 +1,4 @@
-"""Many head-on collisions side by side in one scene, watched step by step: each pair far from all others."""
+"""Many independent head-on collisions in one scene, recorded at each step; pairs are far apart."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -18,18 +18,18 @@ from granflow.scene.generate import initial_particles
 from granflow.scene.schema import LARGEST_OVERLAP
 
 LONGEST = 40.0
-"""Collisions not over after this many of the durations expected are given up."""
+"""Maximum length of a collision in units of its expected duration."""
 
 SPACING = 4.0
-"""Distance of neighboring pairs over the largest diameter."""
+"""Spacing of neighboring pairs over the largest diameter."""
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Its multiples, modulo 1, fill the unit interval evenly."""
+"""Golden ratio; its multiples modulo 1 are evenly distributed in the unit interval."""
 
 
 @dataclass(frozen=True)
 class HeadOnCollision:
-    """Two equal spheres that meet head on; `material` and `restitution` as a scene writes them, the rest in SI."""
+    """Head-on collision of two equal spheres; `material`, `restitution` as in a scene, diameter [m], velocity [m/s]."""
 
     material: Mapping[str, Any]
     restitution: Any
@@ -38,16 +38,16 @@ class HeadOnCollision:
 
     @property
     def group(self) -> str:
-        """The same for all encounters that can share one group of particles."""
+        """Key that is equal for collisions that can share one group of particles."""
         return json.dumps([dict(self.material), self.restitution], sort_keys=True)
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """What n collisions reached (n,), and their course at all times (steps, n), in the order of the encounters.
+    """Results of n collisions (n,), and their time series (steps, n), in the order of the collisions.
 
-    A collision begins at first touch and ends when the force vanishes; both are found inside their steps. Spheres
-    that do not part have restitution 0 and no duration (nan).
+    A collision begins at first touch and ends when the force vanishes; both times are interpolated within a step.
+    Spheres that do not separate have restitution 0 and duration nan.
     """
 
     restitution: np.ndarray
@@ -57,21 +57,21 @@ class Outcomes:
     """Overlap at which the force vanishes [m]."""
     force_max: np.ndarray
     stored_energy: np.ndarray
-    """Work done on the contact up to the largest overlap [J]."""
+    """Work done on the contact up to the maximum overlap [J]."""
     time_step: float
     overlap: np.ndarray
     force: np.ndarray
 
 
 FORCES_TO_END = 4
-"""Last forces of a contact from which its end is found."""
+"""Number of final forces of a contact that determine its end."""
 
 
 def collide_all(normal: Any, collisions: Sequence[HeadOnCollision], time_step: float, backend: Backend) -> Outcomes:
-    """Run all encounters in one scene with the many-particle kernels.
+    """Simulate all collisions in one scene with the many-particle kernels.
 
-    `normal` is the scene's `contact.normal`. First touches fall evenly on all phases of a step. Raises SceneError
-    where the law or the step cannot serve them, GranflowError where some never touch.
+    `normal` is the entry `contact.normal` of the scene. First touches are evenly distributed over the phases of a step.
+    Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never touch.
     """
     first_contact_times = time_step * (GOLDEN * np.arange(len(collisions)) % 1.0)
     scene, pair_ids = side_by_side(normal, collisions, first_contact_times, time_step, backend.precision)
@@ -96,10 +96,10 @@ def side_by_side(
     velocity_max: float | None = None,
     numerics: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[Scene, np.ndarray]:
-    """The scene of all encounters, and for each the ids of its left and right sphere (n, 2).
+    """Scene of all collisions, and ids of the left and right sphere of each (n, 2).
 
-    `first_contact_times` (n,): when each pair first touches [s]. Pairs meet at x = `middle` [m]; the plan reckons with
-    `velocity_max` [m/s], the fastest of all if it is left out. `numerics` of the scene are added to ours.
+    `first_contact_times` (n,): time of first touch of each pair [s]. Contacts are at x = `middle` [m]. The plan assumes
+    `velocity_max` [m/s], by default the largest velocity. `numerics` is added to that of the scene.
     """
     spacing = SPACING * max(each.diameter for each in collisions)
     side = int(np.ceil(np.sqrt(len(collisions))))
@@ -120,7 +120,7 @@ def side_by_side(
         placed += 2 * len(members)
     reach = spacing * (side + 1) + abs(middle)
     scene = Scene.model_validate({
-        "title": "Head-on collisions side by side",
+        "title": "Independent head-on collisions",
         "gravity": [0, 0, 0],
         "materials": materials,
         "pairs": pairs,
@@ -145,7 +145,7 @@ def _spheres(
     side: int,
     middle: float,
 ) -> dict[str, Any]:
-    """Diameters, velocities and places of the spheres of one group, left and right in turn."""
+    """Diameters, velocities and positions of the spheres of one group, alternating left and right."""
     diameters, velocities, positions = [], [], []
     for index in members:
         each = collisions[index]
@@ -161,7 +161,7 @@ def _spheres(
 
 
 def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Step until every pair has parted: overlap [m], its rate [m/s] and repulsion [N], each (steps, n)."""
+    """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n)."""
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([], [])
     engine.refresh()
@@ -185,7 +185,7 @@ def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple
 
 
 def _most_steps(plan: Plan) -> int:
-    """Steps of the slowest collision there can be, many times over."""
+    """Upper bound of the number of steps of the slowest possible collision."""
     slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in plan.scene.particles.values())
     largest = max(plan.radius_max / pair_case.radius for pair_case in pair_cases_of(plan.scene))
     longest = max(
@@ -196,7 +196,7 @@ def _most_steps(plan: Plan) -> int:
 
 
 def sample(engine: Engine, pair_ids: np.ndarray) -> np.ndarray:
-    """Overlap [m], its rate [m/s] and repulsion [N] of every pair now, (3, n)."""
+    """Present overlap [m], overlap rate [m/s] and repulsion [N] of each pair, (3, n)."""
     arrays = engine.synchronized(("id", "position", "velocity", "force", "mass", "radius"))
     where = np.argsort(arrays["id"])
     left, right = where[pair_ids[:, 0]], where[pair_ids[:, 1]]
@@ -209,7 +209,7 @@ def sample(engine: Engine, pair_ids: np.ndarray) -> np.ndarray:
 def _measured(
     overlap: np.ndarray, rate: np.ndarray, force: np.ndarray, velocity: float, first_contact: float, time_step: float
 ) -> tuple[float, ...]:
-    """The numbers of `Outcomes` for one pair, from its course."""
+    """Values of `Outcomes` for one pair, from its time series."""
     peak = int(np.argmax(overlap))
     work = 0.5 * float((force[1 : peak + 1] + force[:peak]) @ np.diff(overlap[: peak + 1]))
     shared = (float(overlap[peak]), float(force.max()), work)
@@ -224,11 +224,11 @@ def _measured(
 
 
 def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
-    """Share s of a step from the last force to the moment it vanishes; negative where a mean over the step outlives it.
+    """Fraction s of a step from the last force to the time at which the force vanishes; may be negative.
 
-    From the three forces before the last, F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3 before the end: a
-    straight spring, a Hertz contact, and any sum of them. The last one may be a mean over a step that reaches beyond
-    the end. A contact that ends under tension ends where the overlap does.
+    Extrapolates the three forces before the last with F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3 before
+    the end: exact for a linear spring, a Hertz contact, and their sum. The last force may be a mean over a step that
+    extends beyond the end. A contact under tension ends at zero overlap.
     """
     if force[-1] < 0.0:
         return float(np.clip(overlap[0] / (overlap[0] - overlap[1]), 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Force against overlap in one collision, for restitutions from 0 to 1."""
+"""Force-overlap curves of single collisions, for restitutions from 0 to 1."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,14 +17,14 @@ CASE = PAPER_CASES[0]
 VELOCITY = 1.0
 RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 UNLOADING_ANGLE = Numerics().unloading_angle
-"""Bound on sqrt(K/M) dt of the unloading tangent that scenes have by default."""
+"""Default bound on sqrt(K/M) dt of the unloading tangent in scenes."""
 
 DRAWN_EVERY = 6
-"""Of the simulated steps."""
+"""Interval of the drawn simulated steps."""
 
 
 def loop_run(backend: Backend) -> Outcomes:
-    """A pair per restitution, its diameter such that each collision takes 200 steps."""
+    """Simulate one pair per restitution, with a diameter such that each collision takes 200 steps."""
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in RESTITUTIONS
@@ -38,7 +38,7 @@ def _diameter(outcomes: Outcomes, index: int) -> float:
 
 
 def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
-    """The restitutions asked for, or the least that the time step can carry where that is more."""
+    """Given restitutions, or the smallest one that the time step allows if that is larger."""
     least = []
     for index in range(len(RESTITUTIONS)):
         k, mass = CASE.stiffness(_diameter(outcomes, index)), CASE.mass_eff(_diameter(outcomes, index))
@@ -48,15 +48,15 @@ def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
 
 
 def loop_force(share: np.ndarray, e: float) -> np.ndarray:
-    """Unloading force over the largest, at an overlap over the largest (Zhou 2011, Eq. 4)."""
+    """Unloading force over the maximum force, at an overlap over the maximum overlap (Zhou 2011, Eq. 4)."""
     above = np.maximum(share - 1.0 + float(theory.recovery(e)), 0.0)
     return float(theory.unloading_slope(e)) * above + e**3 * above**1.5
 
 
 def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
-    """Restitution asked, overlap and force over the largest in theory, theory's force there; steps with a force (m, 4).
+    """Columns (m, 4) of all steps with a force: given restitution, overlap, simulated force, theoretical force.
 
-    `e` is the restitution that the step carries.
+    Overlap and forces are divided by their theoretical maxima. `e` is the restitution that the time step allows.
     """
     diameter = _diameter(outcomes, index)
     k = CASE.stiffness(diameter)
@@ -71,33 +71,33 @@ def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
 
 
 def enclosed_share(rows: np.ndarray) -> float:
-    """Area inside a loop over the area under its loading branch: the share of energy lost, 1 - e^2."""
+    """Area of a loop over the area under its loading branch: the fraction of energy lost, 1 - e^2."""
     share, force = np.pad(rows[:, 1], 1), np.pad(rows[:, 2], 1)
-    share[-1] = rows[-1, 1]  # straight down from the last force: there the overlap changes no more than a step
+    share[-1] = rows[-1, 1]  # vertical line from the last force; the overlap changes by at most one step there
     work = 0.5 * (force[1:] + force[:-1]) * np.diff(share)
     return float(work.sum() / work[work > 0.0].sum())
 
 
 def loop_figure(outcomes: Outcomes) -> FigureData:
-    """The loops as rows of all steps with a force."""
+    """Figure of the loops; the rows are all steps with a force."""
     carried = restitutions_carried(outcomes)
     loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(carried)]
     force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
     energy_error = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
     remark = (
-        f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps carry no less than "
-        f"e = {carried[0]:.3f}, the bound that the step sets itself and theory is taken with."
+        f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps allow at least "
+        f"e = {carried[0]:.3f}, which the theoretical curve uses as well."
     )
     deviations = (
         FigureDeviation(
-            "the force from Eq. 4, in shares of the largest force", max(force_error), f"e = {_worst(force_error)}"
+            "the force from Eq. 4, relative to the maximum force", max(force_error), f"e = {_worst(force_error)}"
         ),
         FigureDeviation(
-            "the share of energy lost from 1 − e²", max(energy_error), f"e = {_worst(energy_error)}", None, remark
+            "the fraction of energy lost from 1 − e²", max(energy_error), f"e = {_worst(energy_error)}", None, remark
         ),
     )
     caption = (
-        "Force against overlap in one collision, both over their largest values, for restitution coefficients from 0 "
+        "Force against overlap in one collision, both divided by their maxima, for restitution coefficients from 0 "
         f"to 1: Eq. 4 (lines) and every {DRAWN_EVERY}th of {STEPS_PER_CONTACT} simulated steps (points)."
     )
     names = ("restitution", "overlap_over_max", "force_over_max", "force_over_max_theory")
@@ -110,7 +110,7 @@ def _worst(values: list[float]) -> str:
 
 
 def draw_loops(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """Common loading branch, unloading branches from vertical to elastic."""
+    """Draw the common loading branch and the unloading branches from vertical to elastic."""
     axes = figure.subplots()
     fine = np.linspace(0.0, 1.0, 1001)
     axes.plot(fine, fine**1.5, color="0.3")

@@ -1,7 +1,7 @@
-"""Spheres that meet a plate under an angle or with spin: Chung & Ooi's tests 4, 5, 6 and 8, and measured rebounds.
+"""Oblique and spinning impacts of spheres on a plate: tests 4, 5, 6 and 8 of Chung & Ooi, and measured rebounds.
 
 Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz, Gorham & Salman 2001, doi
-10.1016/S0032-5910(01)00283-2. Their figures lie in `published/`.
+10.1016/S0032-5910(01)00283-2. The published data are in `published/`.
 """
 
 import csv
@@ -20,15 +20,15 @@ from granflow.study.figures import COLORS, POINTS
 from granflow.study.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 
 SAFETY = 0.005
-"""Share of the shortest contact phase that a step takes."""
+"""Time step over the shortest contact phase."""
 LONGEST = 2.0
-"""Elastic durations after which every sphere has left, damped ones too."""
+"""Length of the simulation in elastic contact durations; all spheres, including damped ones, have separated then."""
 CLOSE = 0.01
-"""Gap at the start over the way of one elastic duration."""
+"""Initial gap over the distance traveled in one elastic contact duration."""
 SLIDING = 1.05
-"""This far above 3.5 mu (1 + e) a contact slides throughout for certain."""
+"""Factor on 3.5 mu (1 + e) above which a contact certainly slides throughout."""
 TARGET = 1e-3
-"""For what a contact that slides throughout passes on."""
+"""Target of the relative deviation for contacts that slide throughout."""
 
 Solid = Mapping[str, float]
 ALUMINA = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
@@ -37,13 +37,13 @@ STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
 TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
 RIGIDITY = 1e10
-"""Young's modulus of a rigid plate over that of the sphere."""
+"""Ratio of Young's modulus of a rigid plate to that of the sphere."""
 HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
 
 
 @dataclass(frozen=True)
 class ImpactSetup:
-    """What meets what: sphere, plate, radius [m], restitution, friction; `partner_radius` for a sphere as plate."""
+    """Sphere, plate, radius [m], restitution and friction of an impact; `partner_radius` [m] for a sphere as plate."""
 
     sphere: Solid
     plate: Solid
@@ -66,7 +66,7 @@ class ImpactSetup:
 
 
 def rigid(solid: Solid) -> Solid:
-    """A plate that does not give way."""
+    """Properties of a rigid plate for a solid."""
     return {**solid, "young_modulus": RIGIDITY * solid["young_modulus"]}
 
 
@@ -80,19 +80,22 @@ SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
 
 @dataclass(frozen=True)
 class ImpactMotion:
-    """n spheres over a plate: velocity away from it and along it [m/s], and spin [rad/s] that such a slide sets up."""
+    """Motion of n spheres above a plate: velocity away from the plate and along it [m/s], angular velocity [rad/s].
+
+    Friction on a positive velocity along the plate generates a positive angular velocity.
+    """
 
     normal: np.ndarray
     along: np.ndarray
     spin: np.ndarray
 
     def slip(self, radius: float) -> np.ndarray:
-        """Velocity of the sphere's lowest point along the plate [m/s]."""
+        """Tangential velocity of the lowest point of the sphere [m/s]."""
         return self.along - radius * self.spin
 
 
 def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
-    """Motion after the impact, each sphere with a place of its own on the plate; `before.normal` is below 0."""
+    """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative."""
     elastic = theory.duration(1.0, *setup.reduced, -before.normal)
     scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
     simulation = Simulation(scene)
@@ -123,7 +126,7 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
     pair = {"restitution": setup.restitution, "friction": setup.friction}
     return Scene.model_validate({
-        "title": "Oblique impacts side by side",
+        "title": "Independent oblique impacts",
         "gravity": [0, 0, 0],
         "materials": {"sphere": setup.sphere, "plate": setup.plate},
         "pairs": dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
@@ -141,10 +144,10 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
 
 
 def mean_overlap_share(e: float) -> float:
-    """Overlap over the largest, averaged over the impulse of a collision after Zhou (2011).
+    """Overlap over the maximum overlap, averaged over the impulse of a collision (model of Zhou 2011).
 
-    By parts, as F dt = -M dv:   int F d dt / int F dt = (eta1/1.8 + e x + J) / (1 + e)
-    with the loading int_0^1 sqrt(1 - u^2.5) du = eta1/1.8, and on unloading, s = u - x:
+    Integration by parts, with F dt = -M dv:   int F d dt / int F dt = (eta1/1.8 + e x + J) / (1 + e)
+    where loading gives int_0^1 sqrt(1 - u^2.5) du = eta1/1.8, and unloading, with s = u - x:
     J = int_0^y sqrt((5/4) Lambda (y^2 - s^2) + e^3 (y^2.5 - s^2.5)) ds
     """
     y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
@@ -157,10 +160,11 @@ def mean_overlap_share(e: float) -> float:
 
 
 def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
-    """Motion after an impact that slides throughout under Zhou's law; impulse mu (1 + e) m v, arm radius - overlap.
+    """Motion after an impact that slides throughout, with Zhou's model.
 
-    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/R); the textbook's relations take
-    the lever arm as R. Against a partner sphere the overlap is shared between the two.
+    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/R). The tangential impulse is
+    mu (1 + e) m v, its lever arm the radius minus the overlap; textbook relations use R. For a partner sphere each
+    sphere has half of the overlap.
     """
     speed, direction = -before.normal, np.sign(before.slip(setup.radius))
     k, mass = setup.reduced
@@ -175,7 +179,7 @@ def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
 
 
 def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
-    """Where the slip before is more than friction can take away: |slip| > 3.5 mu (1 + e) v, with some distance."""
+    """Whether the contact slides throughout: |slip| > 3.5 mu (1 + e) v, with a margin."""
     limit = 3.5 * setup.friction * (1.0 + setup.restitution) * -before.normal
     return np.abs(before.slip(setup.radius)) > SLIDING * limit
 
@@ -191,25 +195,25 @@ def published(source: str) -> dict[str, np.ndarray]:
 
 
 def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
-    """Spheres without spin that come at an angle from the normal [deg] and a speed [m/s]."""
+    """Motion without spin at an angle from the normal [deg] and a speed [m/s]."""
     turned = np.radians(angle)
     return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
 
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:
-    """Test 5: velocity along the plate over friction times velocity towards it."""
+    """Motion of test 5; `ratio` is the tangential velocity over friction times normal velocity."""
     return ImpactMotion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
 
 
 def with_spin(ratio: np.ndarray) -> ImpactMotion:
-    """Tests 6 and 8: 3.5 mu (1 + e) times velocity towards the plate over the slip that the spin makes."""
+    """Motion of tests 6 and 8; `ratio` is 3.5 mu (1 + e) times the normal velocity over the slip due to spin."""
     slip = 3.5 * TEST_6.friction * (1.0 + TEST_6.restitution) * SPEED_6 / ratio
     return ImpactMotion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
 
 
 @dataclass(frozen=True)
 class ImpactSweep:
-    """One bench under one law, over a range of impacts."""
+    """One setup with one contact model, over a range of impacts."""
 
     setup: ImpactSetup
     law: str
@@ -219,7 +223,7 @@ class ImpactSweep:
 
 
 def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
-    """Simulate all that the figure shows; fewer points make it faster."""
+    """Simulate all impacts of the figure; fewer points take less time."""
     angle = np.linspace(2.0, 88.0, angles)
     slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
     cases: dict[str, tuple[ImpactSetup, str, np.ndarray, ImpactMotion]] = {
@@ -234,7 +238,7 @@ def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
 
 
 def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
-    """What the sources plot: of tests 4, 5 or 6, by the name of the published curve."""
+    """Quantities of the published plots of tests 4, 5 or 6, by the name of the published curve."""
     before, after, radius = sweep.before, sweep.after, sweep.setup.radius
     slip = after.slip(radius)
     if kind == "test4":
@@ -250,17 +254,16 @@ def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
 
 
 def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
-    """The figure of oblique impacts, with the measured points and what a contact that slides throughout is off."""
+    """Figure of oblique impacts, with measured points and the deviations of contacts that slide throughout."""
     return FigureData(
         name="oblique_impacts",
         title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
         caption=(
             "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
             "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
-            "patch; below, their tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). Where the "
-            "contact sticks for a while, the published curve of test 5 is that of half the tangential "
-            "stiffness (a plate rigid along its normal only); those of 6 and 8 are not "
-            "reproduced."
+            "patch. Bottom: tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
+            "sticks temporarily, the published curve of test 5 corresponds to half the tangential stiffness (a plate "
+            "rigid along its normal only); the curves of tests 6 and 8 are not reproduced."
         ),
         columns=_columns(run),
         deviations=_deviations(run),
@@ -270,7 +273,7 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
 
 
 def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
-    """Every curve as two columns; the shorter ones end with nan."""
+    """Each curve as two columns; shorter columns are padded with nan."""
     columns: dict[str, np.ndarray] = {}
     for name, sweep in run.items():
         columns[f"{name}_x"] = sweep.x
@@ -290,7 +293,7 @@ def _kind(name: str) -> str:
 
 
 def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
-    """Of contacts that slide throughout from their closed forms, under Zhou's law, in the order of the tests."""
+    """Deviations of contacts that slide throughout from the closed forms, with Zhou's model, in the order of tests."""
     found = []
     for name, sweep in run.items():
         if sweep.law == "zhou":
@@ -299,7 +302,7 @@ def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
 
 
 def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
-    """Velocity along the plate and spin; the textbook's lever arm is told of where it matters."""
+    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks if relevant."""
     sliding = slides(sweep.setup, sweep.before)
     closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
     title = TITLES[name.split("_")[0]]
@@ -308,17 +311,17 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
     change = (after.spin - sweep.before.spin)[sliding]
     textbook = 2.5 * (closed_form.along - sweep.before.along)[sliding] / -radius
     remark = (
-        f"The textbook takes the radius as lever arm, where it is the radius less the overlap: "
+        f"Textbook relations use the radius as lever arm instead of the radius minus the overlap: "
         f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
     )
-    promised = (closed_form.spin - sweep.before.spin)[sliding]
+    expected = (closed_form.spin - sweep.before.spin)[sliding]
     return [
         relative_deviation(
-            f"the change of velocity along the plate, sliding ({title})", (after.along - sweep.before.along)[sliding],
+            f"the change of tangential velocity, sliding ({title})", (after.along - sweep.before.along)[sliding],
             (closed_form.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
         ),
         relative_deviation(
-            f"the change of spin, sliding ({title})", change, promised, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
+            f"the change of spin, sliding ({title})", change, expected, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
         ),
     ]  # fmt: skip
 
@@ -333,7 +336,7 @@ def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
 
 
 def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Test 4 and the measurements: Hertz with its damping, and Zhou's law."""
+    """Draw test 4 and the measurements: Hertz with damping, and Zhou's model."""
     measured, curves = published("kharaz_2001"), published("chung_ooi_2011")
     labels = {
         "tangential_restitution": r"tangential restitution $v_t'/v_t$", "spin": r"spin $\omega'$ [rad/s]",
@@ -354,7 +357,7 @@ def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
 
 
 def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Slip and spin after against slip before, and the straight lines of a contact that slides throughout."""
+    """Draw final slip and spin against initial slip, and the lines of a contact that slides throughout."""
     sweep, curves = run["test5_zhou"], published("chung_ooi_2011")
     sliding = np.array([7.0, 20.0])
     lines = {"slip": sliding - 7.0, "spin": np.full(2, -5.0)}
@@ -369,7 +372,7 @@ def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
 
 
 def _draw_test_6(panel: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Slip after over slip before, turned about, against what friction could take away over slip before."""
+    """Draw minus final over initial slip against the largest change by friction over initial slip."""
     for name, line, color in (("test6_hertz", "-", 0), ("test6_zhou", "-", 1), ("test8_zhou", ":", 2)):
         sweep = run[name]
         label = {"test6_hertz": "hertz", "test6_zhou": "zhou", "test8_zhou": "zhou, test 8"}[name]

@@ -1,4 +1,4 @@
-"""`granflow paper`: every figure as PNG and CSV, and one page that shows them with their deviations."""
+"""`granflow paper`: all figures as PNG and CSV files, and a page with the figures and their deviations."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -28,38 +28,38 @@ from granflow.study.paper.velocity import (
 
 PAGE = "paper.html"
 TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
-"""Restitutions of the table of the model's numbers."""
+"""Restitutions in the table of the model."""
 
 LEAD = (
     "Figures and tables of Y. H. Zhou, A theoretical model of collision between soft-spheres with Hertz elastic "
     "loading and nonlinear plastic unloading, Theor. Appl. Mech. Lett. 1, 041006 (2011), doi 10.1063/2.1104106, "
-    "reproduced with the many-particle kernels: every point is a collision of two among many spheres in one scene. "
-    "Under each figure stands the largest deviation between simulation and theory."
+    "reproduced with the many-particle kernels: each point is a collision of two spheres in a scene of many. "
+    "The largest deviation between simulation and theory is given below each figure."
 )
 
 
 def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) -> Path:
-    """Write all figures (PNG and CSV) and the page into `out`; returns the page.
+    """Write all figures (PNG and CSV) and the page to `out`; return the path of the page.
 
-    `report` hears what is being done. Raises GranflowError where matplotlib is not installed.
+    `report` is called with progress messages. Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     out.mkdir(parents=True, exist_ok=True)
     backend = start("cpu", "f64")
-    report("collisions of the paper's figures")
+    report("collisions for the figures of the paper")
     figures = paper_figures(backend)
-    report("collisions under every law of the catalog")
+    report("collisions with all contact models")
     comparison = compare(backend)
     laws = comparison_figure(comparison)
     report("oblique impacts")
     oblique = oblique_figure(oblique_run())
-    report("cost of a contact of each law")
+    report("cost per contact of all contact models")
     law_costs = costs({name: model for name, (model, _) in comparison.ran.items()}, backend)
     report("drawing")
     for figure_data in (*figures.values(), laws, oblique):
         write_columns(out / f"{figure_data.name}.csv", figure_data.columns)
         draw_to(out / f"{figure_data.name}.png", _drawing(figure_data), figure_data.height)
-    page = Page("A model of collisions, reproduced", LEAD, [
+    page = Page("Reproduction of Zhou (2011)", LEAD, [
         *_paper_sections(figures, out), _laws_section(laws, comparison, law_costs, out),
         Section(oblique.title, _figure_parts(oblique, out)), _numerics_section(backend),
     ])  # fmt: skip
@@ -68,7 +68,7 @@ def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) ->
 
 
 def paper_figures(backend: Backend) -> dict[str, FigureData]:
-    """All figures of the paper as numbers, by name."""
+    """Data of all figures of the paper, by name."""
     columns = velocity_columns(velocity_run(backend))
     figures = (
         residual_figure(residual_run(backend)),
@@ -87,7 +87,7 @@ def _drawing(figure_data: FigureData) -> Callable[[Any], None]:
 
 
 def _figure_parts(figure_data: FigureData, out: Path) -> list[str | PageTable | Picture]:
-    """A figure and, under it, its deviations."""
+    """A figure followed by its deviations."""
     files = (f"{figure_data.name}.png", f"{figure_data.name}.csv")
     picture = Picture(out / files[0], figure_data.caption, files)
     return [picture, *(deviation.sentence() for deviation in figure_data.deviations)]
@@ -103,7 +103,7 @@ def _paper_sections(figures: dict[str, FigureData], out: Path) -> Iterable[Secti
 
 
 def _model_table(figure_data: FigureData) -> PageTable:
-    """x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15 beside what collisions reached."""
+    """Theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values."""
     columns, rows = figure_data.columns, []
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())
@@ -114,13 +114,13 @@ def _model_table(figure_data: FigureData) -> PageTable:
             f"{float(theory.unloading_slope(e)):.5g}", f"{theory.unloading_duration(e):.4f}",
             f"{scaled:.4f}", f"{scaled * columns['duration_simulated_over_theory'][index]:.4f}",
         ))  # fmt: skip
-    heads = ("e asked", "e reached", "x theory", "x reached", "Λ(e)", "η₂", "T/Ts theory", "T/Ts reached")
-    caption = f"The model's numbers (Eqs. 7, 8, 13-15) and collisions of {STEPS_PER_CONTACT} steps."
+    heads = ("e given", "e simulated", "x theory", "x simulated", "Λ(e)", "η₂", "T/Ts theory", "T/Ts simulated")
+    caption = f"Theory (Eqs. 7, 8, 13-15) and simulated collisions of {STEPS_PER_CONTACT} steps."
     return PageTable(caption, heads, rows)
 
 
 def _material_table() -> PageTable:
-    """The paper's materials, with its own check: the ratio of E/Y between the two."""
+    """Materials of the paper, with the ratio of E/Y of the two, which the paper gives as well."""
     rows = []
     ratios = []
     for case in PAPER_CASES:
@@ -134,22 +134,23 @@ def _material_table() -> PageTable:
         ))  # fmt: skip
     heads = ("", "E (GPa)", "ν", "ρ (kg/m³)", "Y (GPa)", "σ", "ψ", "v limit (m/s), Eq. 11", "v yield (m/s)")
     caption = (
-        "Materials of Figs. 3 and 4. The effective modulus over the yield strength is "
-        f"{ratios[0] / ratios[1]:.2f} times as large for the first as for the second; the paper says 6.5."
+        "Materials of Figs. 3 and 4. The ratio of effective modulus to yield strength is "
+        f"{ratios[0] / ratios[1]:.2f} times as large for the first as for the second; the paper gives 6.5."
     )
     return PageTable(caption, heads, rows)
 
 
 def _laws_section(figure_data: FigureData, comparison: LawComparison, law_costs: dict[str, Cost], out: Path) -> Section:
-    """The figure of all laws, the farthest from its promise, what each was given and costs, and where it fails."""
+    """Figure of all contact models, largest deviation, table of cost and parameters, table of limitations."""
     worst = max(figure_data.deviations, key=lambda deviation: deviation.largest)
     picture = Picture(
         out / f"{figure_data.name}.png", figure_data.caption, (f"{figure_data.name}.png", f"{figure_data.name}.csv")
     )
     intro = (
-        "What Stevens and Hrenya (2005) did for the laws of their day, open and repeatable: the one number of each law "
-        f"that decides its restitution is such that it promises Eq. 12 at {REFERENCE_VELOCITY:g} m/s; linear springs "
-        "have the stiffness of Eq. 19 there. Where the curves part, the law and not the match speaks."
+        "A reproducible comparison in the manner of Stevens and Hrenya (2005). The parameter of each model that "
+        f"determines its restitution is matched to Eq. 12 at {REFERENCE_VELOCITY:g} m/s; linear springs have the "
+        "stiffness of Eq. 19 at that velocity. Differences at other velocities result from the models, not from the "
+        "matching."
     )
     tables = (_cost_table(figure_data, comparison, law_costs), _failure_table(comparison))
     return Section(figure_data.title, [intro, picture, worst.sentence(), *tables])
@@ -162,30 +163,29 @@ def _cost_table(figure_data: FigureData, comparison: LawComparison, law_costs: d
         spread = "" if name == BASE else f"{cost.low:.2f}–{cost.high:.2f}"
         history = str(model.law.history_count)
         rows.append((name, history, f"{cost.median:.2f}", spread, percent(deviation.largest), model.text()))
-    heads = ("law", "history numbers", "cost", "quartiles", "e off its promise", "given here, SI (316 and 52100)")
+    heads = ("model", "history fields", "cost", "quartiles", "deviation of e", "parameters, SI (316 and 52100)")
     caption = (
-        f"Cost: time of a step on a compressed lattice of {SIDE**3} grains with {CONTACTS} contacts over that with "
-        f"{BASE} and its damping, in {REPEATS} rounds in which all laws take their turn in one process, motion "
-        f"included; {law_costs[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on the writing machine. "
-        "Other work on that machine shows as spread."
+        f"Cost: time per step on a compressed lattice of {SIDE**3} particles with {CONTACTS} contacts, relative to "
+        f"{BASE} with damping, in {REPEATS} rounds that alternate between all models in one process, integration "
+        f"included; {law_costs[BASE].nanoseconds:.0f} ns per contact and step with {BASE} on this machine. "
+        "Other load on the machine increases the spread."
     )
     return PageTable(caption, heads, rows)
 
 
 def _failure_table(comparison: LawComparison) -> PageTable:
     rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
-    rows += [(name, "", f"not compared here: {reason}") for name, reason in comparison.refused.items()]
-    return PageTable(
-        "Where the laws come from and what goes wrong with them.", ("law", "source", "what goes wrong"), rows
-    )
+    rows += [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
+    return PageTable("Sources and limitations of the contact models.", ("model", "source", "limitations"), rows)
 
 
 def _numerics_section(backend: Backend) -> Section:
     text = (
-        f"Double precision on {backend.arch}. Pairs stand far apart in one scene and first touch at times spread "
-        "evenly over the phases of a step. A collision begins at first touch, known from the gap, and ends where the "
-        "force, continued from its last three values as a t + b t^1.5, vanishes inside a step; the restitution is the "
-        "rate of parting over that of approach. In Fig. 1, the loops and the figure of accuracy the diameters are "
-        f"chosen such that every collision takes the same number of steps, {STEPS_PER_CONTACT} unless said otherwise."
+        f"Double precision on {backend.arch}. The pairs are far apart in one scene; the times of first touch are "
+        "evenly distributed over the phases of a step. A collision begins at first touch, which follows from the gap, "
+        "and ends where the force, extrapolated from its last three values as a t + b t^1.5, vanishes within a step. "
+        "The restitution is the ratio of separation to approach velocity. In Fig. 1, the loops and the figure of "
+        f"accuracy the diameters are such that all collisions take the same number of steps, {STEPS_PER_CONTACT} "
+        "unless stated otherwise."
     )
-    return Section("How this was computed", [text])
+    return Section("Method", [text])

@@ -1,4 +1,4 @@
-"""Figs. 1 and 2: the residual overlap against the restitution coefficient, exact, closed form and simulated."""
+"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,18 +13,18 @@ from granflow.study.paper.figure_data import FigureData, relative_deviation
 from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
-"""x(e) and T/Ts depend on the restitution alone: any material shows them."""
+"""Material of the collisions; x(e) and T/Ts depend on the restitution only, not on the material."""
 
 VELOCITY = 1.0
 RESTITUTIONS = np.linspace(0.025, 1.0, 40)
 RESOLVED = 0.1
-"""From this restitution on, unloading takes enough of the 200 steps for the accuracy aimed at."""
+"""Smallest restitution for which unloading takes enough of the 200 steps for the target accuracy."""
 
 TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
 
 
 def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
-    """One scene with a pair per restitution, its diameter such that each collision takes exactly 200 steps."""
+    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps."""
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
@@ -33,7 +33,7 @@ def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> O
 
 
 def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureData:
-    """Fig. 1: x(e), its exact root, Eq. 9, and what the collisions leave; with T and e reached."""
+    """Fig. 1: x(e) from Eq. 8 (exact root), Eq. 9 and simulation, with the deviations of T and e."""
     exact = 1.0 - theory.recovery(e)
     simulated = outcomes.overlap_residual / outcomes.overlap_max
     whole = np.full_like(e, STEPS_PER_CONTACT * outcomes.time_step)
@@ -43,14 +43,14 @@ def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureD
         return lambda index: f"e = {e[chosen][index]:.3g}"
 
     deviations = (
-        relative_deviation("x from Eq. 8, in shares of δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)),
+        relative_deviation("x from Eq. 8, relative to δmax", 1.0 + simulated - exact, np.ones_like(e), at(plain)),
         relative_deviation("T from Eq. 13", outcomes.duration, whole, at(plain), TARGET_DURATION),
         relative_deviation(
-            f"the e reached from that asked, from e = {RESOLVED:g} on",
+            f"simulated from given e, for e from {RESOLVED:g} on",
             outcomes.restitution[clear], e[clear], at(clear), TARGET_RESTITUTION,
         ),
         relative_deviation(
-            "the e reached, over all e", outcomes.restitution, e, at(plain), TARGET_RESTITUTION, _few_steps()
+            "simulated from given e, for all e", outcomes.restitution, e, at(plain), TARGET_RESTITUTION, _few_steps()
         ),
     )  # fmt: skip
     columns = {
@@ -63,8 +63,8 @@ def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureD
         "duration_simulated_over_theory": outcomes.duration / whole,
     }
     caption = (
-        "Residual overlap over largest overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
-        "(line), the paper's Eq. 9 (dashed), and simulated collisions of 200 time steps each (circles)."
+        "Ratio of residual to maximum overlap, x = δ*/δmax, against the restitution coefficient: exact root of Eq. 8 "
+        "(line), Eq. 9 of the paper (dashed), and simulated collisions of 200 time steps each (circles)."
     )
     return FigureData("figure1_residual", "Fig. 1: residual overlap", caption, columns, deviations, draw_residual, 3.4)
 
@@ -73,18 +73,18 @@ def _few_steps() -> str:
     steps = [unloading_steps(e) for e in (RESOLVED, 0.5 * RESOLVED)]
     return (
         f"Below e = {RESOLVED:g} unloading takes fewer than {steps[0]:.0f} of the {STEPS_PER_CONTACT} steps "
-        f"({steps[1]:.0f} at e = {0.5 * RESOLVED:g}), too few to follow it that closely."
+        f"({steps[1]:.0f} at e = {0.5 * RESOLVED:g}), too few for this accuracy."
     )
 
 
 def unloading_steps(e: float) -> float:
-    """Steps that unloading takes of the STEPS_PER_CONTACT of a collision."""
+    """Number of unloading steps among the STEPS_PER_CONTACT of a collision."""
     unloading = theory.unloading_duration(e)
     return STEPS_PER_CONTACT * unloading / (theory.LOADING_DURATION + unloading)
 
 
 def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """Lines of theory from end to end, simulated points."""
+    """Draw theory as lines and simulation as points."""
     e = np.linspace(0.0, 1.0, 401)
     axes = figure.subplots()
     axes.plot(e, 1.0 - theory.recovery(e), color=COLORS[0], label="exact (Eq. 8)")
@@ -96,7 +96,7 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def error_figure(e: np.ndarray | None = None) -> FigureData:
-    """Fig. 2: the relative error of Eq. 9; no collision is involved."""
+    """Fig. 2: relative error of Eq. 9, without simulation."""
     e = np.linspace(0.0, 0.9999, 1000) if e is None else e
     exact = 1.0 - theory.recovery(e)
     closed_form = theory.residual_closed_form(e)
@@ -104,12 +104,12 @@ def error_figure(e: np.ndarray | None = None) -> FigureData:
         "x by Eq. 9 from the exact root", closed_form, exact, lambda index: f"e = {e[index]:.4g}"
     )
     columns = {"restitution": e, "error": closed_form / exact - 1.0}
-    caption = "Relative error of the paper's closed form, Eq. 9, against the exact root of Eq. 8."
+    caption = "Relative error of the closed form of the paper, Eq. 9, with respect to the exact root of Eq. 8."
     return FigureData("figure2_error", "Fig. 2: error of the closed form", caption, columns, (worst,), draw_error, 2.8)
 
 
 def draw_error(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """One line and its zero."""
+    """Draw the error and a zero line."""
     axes = figure.subplots()
     axes.axhline(0.0, color="0.6", linewidth=0.6)
     axes.plot(columns["restitution"], 100.0 * columns["error"], color=COLORS[1])

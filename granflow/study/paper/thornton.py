@@ -1,4 +1,4 @@
-"""Thornton's elastic, perfectly plastic sphere: its restitution in closed form, for comparison in Fig. 3."""
+"""Restitution of Thornton's elastic, perfectly plastic sphere in closed form, for comparison in Fig. 3."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against the approach velocity."""
+"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,16 +14,16 @@ from granflow.study.paper.residual import TARGET_DURATION, TARGET_RESTITUTION
 from granflow.study.paper.thornton import thornton_restitution
 
 VELOCITIES = np.geomspace(0.01, 100.0, 33)
-"""Of the simulated collisions of Figs. 3 and 4 [m/s]."""
+"""Approach velocities of the simulated collisions of Figs. 3 and 4 [m/s]."""
 
 ESTIMATE_VELOCITIES = np.geomspace(1.0, 10.0, 9)
-"""Of the paper's estimate below Eq. 19 [m/s]."""
+"""Approach velocities of the estimate below Eq. 19 [m/s]."""
 
 Columns = Mapping[str, np.ndarray]
 
 
 def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:
-    """Both materials at all velocities side by side, one after the other; the fastest collision takes 200 steps."""
+    """Simulate both materials at all velocities in one scene; the shortest collision takes 200 steps."""
     pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
     return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT, backend)
 
@@ -33,14 +33,14 @@ def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
 
 
 def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
-    """Restitution asked for (Zhou 2011, Eq. 12)."""
+    """Given restitution (Zhou 2011, Eq. 12)."""
     if case.fit is None:
         raise ValueError(f"{case.name} has no restitution that depends on velocity")
     return case.fit(velocity)
 
 
 def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) -> dict[str, np.ndarray]:
-    """Theory and simulation by material and velocity: what Figs. 3, 4 and 5 show."""
+    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19."""
     e = [restitution_of(case, velocities) for case in PAPER_CASES]
     yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
     durations = np.concatenate([case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)])
@@ -59,7 +59,7 @@ def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) ->
 
 
 def spring_of(outcomes: Outcomes) -> np.ndarray:
-    """Spring [N/m] that stores the work done on the contact at its largest overlap: 2 W / dmax^2 (Eq. 18)."""
+    """Stiffness [N/m] of the spring with the same work W at the maximum overlap: 2 W / dmax^2 (Eq. 18)."""
     return 2.0 * outcomes.stored_energy / outcomes.overlap_max**2
 
 
@@ -79,18 +79,18 @@ def _compared(columns: Columns, quantity: str, text: str, target: float | None =
 
 def _steps(columns: Columns) -> str:
     steps = columns["steps_per_contact"]
-    return f"One time step for all: {steps.min():.0f} to {steps.max():.0f} steps per contact"
+    return f"All collisions have the same time step: {steps.min():.0f} to {steps.max():.0f} steps per contact"
 
 
 def restitution_figure(columns: Columns) -> FigureData:
-    """Fig. 3: e(v) asked, reached, and Thornton's."""
+    """Fig. 3: given and simulated e(v), and Thornton's model."""
     caption = (
         "Restitution coefficient against approach velocity of spheres of 25.4 mm: Eq. 12 (line), simulated collisions "
         "(points), and Thornton's prediction (1997) with the yield velocities 0.0082 and 0.9090 m/s (dashed). "
-        f"{_steps(columns)}. Measured points are left out: their numbers are not at hand."
+        f"{_steps(columns)}. Measured points are omitted, because their values are not available."
     )
     names = ("restitution_theory", "restitution_simulated", "restitution_thornton", "steps_per_contact")
-    deviation = _compared(columns, "restitution", "the e reached from Eq. 12", TARGET_RESTITUTION)
+    deviation = _compared(columns, "restitution", "simulated e from Eq. 12", TARGET_RESTITUTION)
     title = "Fig. 3: restitution coefficient against velocity"
     return FigureData(
         "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 3.0
@@ -98,7 +98,7 @@ def restitution_figure(columns: Columns) -> FigureData:
 
 
 def draw_restitution(figure: Any, columns: Columns) -> None:
-    """A panel for each material."""
+    """Draw one panel per material."""
     panels = figure.subplots(1, len(PAPER_CASES), sharey=True)
     for letter, case, axes in zip("abcd", PAPER_CASES, panels, strict=False):
         mine = columns["material"] == case.name
@@ -126,7 +126,7 @@ def duration_figure(columns: Columns) -> FigureData:
 
 
 def draw_duration(figure: Any, columns: Columns) -> None:
-    """Both materials in one panel."""
+    """Draw both materials in one panel."""
     axes = figure.subplots()
     for case, color, marker in zip(PAPER_CASES, COLORS, MARKERS, strict=False):
         mine = columns["material"] == case.name
@@ -144,7 +144,7 @@ def draw_duration(figure: Any, columns: Columns) -> None:
 
 
 def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
-    """The small soft spheres of the paper's estimate; e of 0.9, which does not matter up to the largest overlap."""
+    """Simulate the small soft spheres of the estimate; e = 0.9 has no effect up to the maximum overlap."""
     case, e = small_soft_case(), 0.9
     pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
@@ -152,7 +152,7 @@ def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES)
 
 
 def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:
-    """Eq. 19: the equivalent spring of both materials and of the paper's estimate."""
+    """Eq. 19: equivalent spring of both materials and of the estimate in the paper."""
     case = small_soft_case()
     springs, count = case.springs(velocities), len(velocities)
     combined = {
@@ -163,10 +163,10 @@ def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray =
     }
     first, second = (each.springs(np.ones(1))[0] for each in PAPER_CASES)
     caption = (
-        "Linear spring that stores the energy of the Hertz contact at the same largest overlap, Eq. 19 (lines) and "
-        "twice the work done on the simulated contact over the square of its largest overlap (points): (a) the two "
-        f"steels, which differ by only {percent(abs(second / first - 1.0))}, (b) the paper's estimate for R = 1e-4 m, "
-        "E = 1e8 Pa, 1e3 kg/m³, here two equal spheres with a Poisson ratio of 0.3: "
+        "Stiffness of the linear spring with the energy of the Hertz contact at the same maximum overlap: Eq. 19 "
+        "(lines), and twice the work done on the simulated contact over the square of its maximum overlap (points). "
+        f"(a) The two steels, which differ by only {percent(abs(second / first - 1.0))}. (b) The estimate of the paper "
+        "for R = 1e-4 m, E = 1e8 Pa, 1e3 kg/m³, for two equal spheres with a Poisson ratio of 0.3: "
         f"{springs[0]:.0f} to {springs[-1]:.0f} N/m, of the order of the 1e3 N/m in the paper (dashed)."
     )
     deviations = (
@@ -179,7 +179,7 @@ def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray =
 
 
 def draw_spring(figure: Any, columns: Columns) -> None:
-    """The steels beside the estimate."""
+    """Draw one panel of the steels and one of the estimate."""
     left, right = figure.subplots(1, 2)
     for case, color, marker in zip((*PAPER_CASES, small_soft_case()), COLORS, MARKERS, strict=False):
         axes = left if case in PAPER_CASES else right
@@ -187,11 +187,11 @@ def draw_spring(figure: Any, columns: Columns) -> None:
         v = columns["velocity"][mine]
         fine = np.geomspace(v.min(), v.max(), 100)
         axes.plot(fine, case.springs(fine), color=color)
-        size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the steels lie on one another
+        size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the two steels coincide
         axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **size)
     right.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
     right.set_ylim(1e2, 1e4)
-    for axes, title in ((left, "(a) spheres of 25.4 mm"), (right, "(b) the paper's estimate")):
+    for axes, title in ((left, "(a) spheres of 25.4 mm"), (right, "(b) estimate of the paper")):
         axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", title=title)
         axes.legend(loc="upper left")
     left.set_ylabel(r"equivalent spring $\alpha$ (N/m)")

@@ -1,4 +1,4 @@
-"""What the camera has to have in sight: the outermost points of grains and walls, or the domain."""
+"""Points that the camera must show: the outermost points of particles and walls, or the domain."""
 
 from collections.abc import Sequence
 
@@ -8,35 +8,35 @@ from granflow.scene import Scene
 from granflow.study.render.frames import Frame, FrameParticles, FrameWalls, read_particles, read_walls
 
 SAMPLED_FRAMES = 12
-"""Frames of the whole run that are read for the camera: pictures of one run are then taken from one place."""
+"""Number of frames of the whole run that determine the camera, so that all pictures of a run have the same camera."""
 
 PLANE_MARGIN = 0.5
-"""Of what is shown of a plane, beyond the grains and over the largest extent of theirs."""
+"""Margin of a plane around the particles, relative to their largest extent."""
 
 
 EMPTY_BOX = np.array([[-0.5] * 3, [0.5] * 3])
-"""The box (2, 3) [m] that an empty picture of an unknown scene shows."""
+"""Box (2, 3) [m] shown if there are neither particles nor a scene."""
 
 
 def domain_of(scene: Scene | None) -> np.ndarray | None:
-    """The box (2, 3) [m] outside which nothing happens; none where it grows, or where the scene is not known."""
+    """Domain (2, 3) [m] of the simulation; None if it expands or if the scene is unknown."""
     if scene is None or scene.domain.on_exit == "expand":
         return None
     return np.array([scene.domain.min, scene.domain.max])
 
 
 def sampled(frames: Sequence[Frame], count: int) -> list[Frame]:
-    """Evenly spread frames, the first and the last among them."""
+    """Evenly spaced frames, including the first and the last one."""
     return [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
 
 
 def bounding_points(fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None) -> np.ndarray:
-    """Points (n, 3) [m] that the camera has to see: the domain, or the outermost of grains and walls."""
+    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and walls."""
     if fit == "domain" and domain is not None:
         return corners_of(domain)
     sampled_frames = sampled(frames, SAMPLED_FRAMES)
     points = np.concatenate([outermost_points(read_particles(frame)) for frame in sampled_frames])
-    if fit != "grains":
+    if fit != "particles":
         walls = [each for each in map(read_walls, sampled_frames) if each is not None]
         points = np.concatenate([points, *(wall_points(each, scene, points, domain) for each in walls)])
     if len(points):
@@ -45,7 +45,7 @@ def bounding_points(fit: str, scene: Scene | None, frames: Sequence[Frame], doma
 
 
 def outermost_points(particles: FrameParticles) -> np.ndarray:
-    """Points (n, 3) [m] on the surface of the bed: the farthest in each direction of a coarse star."""
+    """Points (n, 3) [m] on the surface of the bed: the farthest point in each of a set of directions."""
     if not len(particles.radius):
         return np.zeros((0, 3))
     directions = np.array([ray for ray in np.ndindex(3, 3, 3) if ray != (1, 1, 1)]) - 1.0
@@ -55,7 +55,7 @@ def outermost_points(particles: FrameParticles) -> np.ndarray:
 
 
 def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None) -> np.ndarray:
-    """Corners (n, 3) [m] of the walls, brought into the domain; of planes, which have no end, those near the grains."""
+    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles."""
     kinds = [getattr(wall, "shape", "") for wall in scene.walls.values()] if scene is not None else []
     numbers = {int(number) for each in walls.walls for number in np.unique(each)}
     planes = {number for number in numbers if number < len(kinds) and kinds[number] == "plane"}
@@ -70,5 +70,5 @@ def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, d
 
 
 def corners_of(box: np.ndarray) -> np.ndarray:
-    """The corners (8, 3) of a box (2, 3)."""
+    """Corners (8, 3) of a box (2, 3)."""
     return np.array([[box[i][0], box[j][1], box[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: a direction of view, and a camera that has everything in sight."""
+"""View direction, and a camera that shows all given points."""
 
 from dataclasses import dataclass
 
@@ -8,21 +8,21 @@ from granflow.errors import GranflowError
 
 VIEWS = ("iso", "front", "side", "top")
 ISO = (0.6, -1.0, 0.45)
-"""Towards the viewer of `iso`, in right, into and up."""
+"""Direction towards the viewer of the view `iso`, in the axes right, into and up."""
 
 OPENING = np.radians(24.0)
-"""Angle that the height of a perspective picture covers; narrow, so that grains look alike near and far."""
+"""Vertical field of view of a perspective picture; small, so that near and far particles have similar sizes."""
 
 MARGIN = 1.05
-"""Room around what is shown."""
+"""Relative margin around the shown points."""
 
 CENTERINGS = 6
-"""Steps that bring the middle of a perspective picture to its center: each leaves a tenth of the error."""
+"""Iterations that center a perspective picture; each reduces the error to a tenth."""
 
 
 @dataclass(frozen=True)
 class View:
-    """How a picture is looked at: `toward` the viewer and `up` (3,), unit vectors at right angles; in perspective?"""
+    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel."""
 
     toward: np.ndarray
     up: np.ndarray
@@ -30,7 +30,7 @@ class View:
 
     @property
     def right(self) -> np.ndarray:
-        """To the right in the picture (3,)."""
+        """Unit vector (3,) to the right in the picture."""
         return np.cross(self.up, self.toward)
 
     def projected(self, points: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ class View:
 
 @dataclass(frozen=True)
 class Camera:
-    """`eye` and `focus` (3,) [m]; `half_height` [m] of what is seen where there is no perspective."""
+    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection."""
 
     view: View
     eye: np.ndarray
@@ -49,10 +49,10 @@ class Camera:
 
 
 def view_of(text: str, gravity: np.ndarray | None = None) -> View:
-    """The view that words name: iso, front, side, top, or the direction of the viewer as three numbers "1,-2,0.8".
+    """View by name: iso, front, side, top, or the direction to the viewer as three numbers "1,-2,0.8".
 
-    Up is the axis against `gravity` (z without); front, side and top show true lengths, the others perspective.
-    Raises GranflowError for other words.
+    Up is the axis opposite to `gravity` (z without gravity); front, side and top are parallel projections, the others
+    perspective. Raises GranflowError for another text.
     """
     up = _upward(gravity)
     right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
@@ -85,13 +85,13 @@ def _direction(text: str) -> np.ndarray:
         numbers = np.zeros(0)
     if len(numbers) != 3 or not np.all(np.isfinite(numbers)) or not np.any(numbers):
         raise GranflowError(
-            f"--view {text}: give {', '.join(VIEWS)}, or where the viewer stands, such as --view=1,-2,0.8."
+            f"--view {text}: give {', '.join(VIEWS)}, or the direction to the viewer, such as --view=1,-2,0.8."
         )
     return numbers
 
 
 def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:
-    """Perspective from there, with `up` upright; seen from straight above, `into` is."""
+    """Perspective view from `toward` with `up` vertical in the picture; for a view along `up`, `into` is vertical."""
     toward = toward / np.linalg.norm(toward)
     axis = up if abs(toward @ up) < np.cos(np.radians(1.0)) else into
     upright = axis - (axis @ toward) * toward
@@ -99,13 +99,13 @@ def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:
 
 
 def aspect_of(view: View, points: np.ndarray) -> float:
-    """Width over height of what points (n, 3) [m] cover in a view."""
+    """Ratio of width to height of points (n, 3) [m] in a view."""
     width, height, _ = np.ptp(view.projected(points), axis=0)
     return float(width / height) if width > 0.0 and height > 0.0 else 1.0
 
 
 def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0) -> Camera:
-    """The camera that has points (n, 3) [m] just in sight, in a picture of that width over height."""
+    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height."""
     seen = view.projected(points)
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
@@ -120,12 +120,12 @@ def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0)
 
 
 def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
-    """Least distance [m] of the eye from the origin at which everything is within the angles."""
+    """Smallest distance [m] of the eye from the origin at which all points are in the field of view."""
     return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
 
 
 def _off_center(seen: np.ndarray, distance: float) -> np.ndarray:
-    """How far (2,) [m] the middle of what is seen lies off the center of the picture, in the plane of the focus."""
+    """Offset (2,) [m] of the middle of the shown points from the center of the picture, in the plane of the focus."""
     depth = np.maximum(distance - seen[:, 2:], 1e-3 * distance)
     shown = seen[:, :2] / depth
     return 0.5 * (shown.min(axis=0) + shown.max(axis=0)) * distance

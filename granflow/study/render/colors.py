@@ -1,4 +1,4 @@
-"""What the colors of a picture mean: values of one array, its name and unit, and a range."""
+"""Color scale of a picture: values of one array, its name and unit, and a range."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from granflow.scene.suggest import nearest
 
 AXES = ("x", "y", "z")
 PERCENTILES = (1.0, 99.0)
-"""Of all values in all frames: what lies beyond takes the color of the end."""
+"""Percentiles of all values in all frames that limit the range; values beyond have the color of the limit."""
 
 FROM_ZERO = 0.5
-"""A range begins at 0 where its lower end is nearer to 0 than this share of the upper one."""
+"""A range begins at 0 if its lower limit is below this fraction of the upper one."""
 
 PREFIXES = {-9: "n", -6: "\N{MICRO SIGN}", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 CATEGORIES = ("material", "group")
@@ -23,9 +23,9 @@ SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
 
 @dataclass(frozen=True)
 class Scale:
-    """What colors mean: the array, a title of one or two lines, `limits` [SI], and the unit shown, that many SI.
+    """Color scale: array, title of one or two lines, `limits` [SI], displayed unit and its value in SI.
 
-    `names` by number: of materials or groups, which get a color each; none for a scale without steps.
+    `names` by number: materials or groups, with one color each; empty for a continuous scale.
     """
 
     color: str
@@ -38,22 +38,22 @@ class Scale:
 
     @property
     def map_name(self) -> str:
-        """The color map: from blue over white to red where values have both signs, from pale to red for contacts."""
+        """Color map: blue to white to red for values of both signs, pale to red for contacts."""
         if self.color in CONTACT_QUANTITIES and self.color not in PARTICLE_QUANTITIES:
             return OF_CONTACTS
         return SIGNED if self.limits[0] < 0.0 < self.limits[1] else UNSIGNED
 
 
 def values_of(arrays: Mapping[str, np.ndarray], color: str) -> np.ndarray:
-    """The values (n,) that give the color: of an array, the magnitude of a vector, or one component as velocity.z.
+    """Values (n,) of an array, magnitude of a vector, or one component such as velocity.z.
 
-    Raises GranflowError with the names there are for one that is not among them.
+    Raises GranflowError with the available names for an unknown one.
     """
     name, _, axis = color.partition(".")
     if name not in arrays or (axis and (axis not in AXES or arrays[name].ndim != 2)):
         near = nearest(name, list(arrays))
         hint = f" Did you mean {near}?" if near and near != name else ""
-        raise GranflowError(f"--color {color}: there is no such array; there are {', '.join(arrays)}.{hint}")
+        raise GranflowError(f"--color {color}: no such array; the arrays are {', '.join(arrays)}.{hint}")
     values = np.asarray(arrays[name], dtype=np.float64)
     if values.ndim == 2:
         return values[:, AXES.index(axis)] if axis else np.linalg.norm(values, axis=1)
@@ -67,9 +67,9 @@ def scale_for(
     names: Mapping[str, Sequence[str]] | None = None,
     limits: tuple[float, float] | None = None,
 ) -> Scale:
-    """The scale for an array from all its values that are to be shown, or from given `limits` [SI].
+    """Color scale of an array from all shown values, or from given `limits` [SI].
 
-    `names`: of the materials and the groups of the scene, by the name of the array.
+    `names`: names of the materials and groups of the scene, by array name.
     """
     finite = np.concatenate([np.zeros(0), *values])
     finite = finite[np.isfinite(finite)]
@@ -91,7 +91,7 @@ def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]
 
 
 def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
-    """A range that shows most values; symmetric for components, from 0 where that is near."""
+    """Range that contains most values; symmetric for components, from 0 if the lower limit is near 0."""
     if not len(values):
         return 0.0, 1.0
     low, high = (float(end) for end in np.percentile(values, PERCENTILES))
@@ -106,7 +106,7 @@ def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
 
 
 def prefixed(unit: str, largest: float) -> tuple[float, str]:
-    """How many SI a unit with the prefix that suits the largest number is, and that unit; powers stay as they are."""
+    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix."""
     if not largest > 0.0 or not unit or any(sign in unit for sign in "^0123456789"):
         return 1.0, unit
     grams = unit.startswith("kg")

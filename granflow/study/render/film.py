@@ -1,4 +1,4 @@
-"""A film from pictures: MP4 through the ffmpeg that the package imageio-ffmpeg brings."""
+"""Films from pictures: MP4 by the ffmpeg of the package imageio-ffmpeg."""
 
 from collections.abc import Iterable
 from importlib.util import find_spec
@@ -9,19 +9,22 @@ import numpy as np
 from granflow.observe import replacing
 
 QUALITY = 8
-"""Of imageio's 0 to 10: no blocks to be seen around grains."""
+"""Quality on the scale 0 to 10 of imageio, without visible block artifacts around particles."""
 
 PLAYS_AT_ONCE = ("-f", "mp4", "-movflags", "+faststart")
-"""The format, as the temporary name does not say it; and the index first, so that browsers begin without the whole."""
+"""Explicit format, because the temporary name has another suffix, and the index first, so that browsers can stream."""
 
 
 def missing_for_film() -> str | None:
-    """The package that films need, where it is not installed."""
+    """Name of the package that films require if it is not installed, else None."""
     return "imageio-ffmpeg" if find_spec("imageio_ffmpeg") is None else None
 
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
-    """Write pictures (height, width, 3) of one even size, 0 to 255, as MP4 of `rate` a second, whole or not at all."""
+    """Write pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
+
+    The file is replaced when it is complete.
+    """
     from imageio_ffmpeg import write_frames
 
     with replacing(path) as temporary:

@@ -1,4 +1,4 @@
-"""The frames of a run as arrays: grains, walls and contacts of each moment, read from its VTU files."""
+"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from granflow.scene.units import UnitError, to_si
 from granflow.vtu_file import read_vtu
 
 SAME_TIME = 1e-9
-"""Largest difference of times, relative, at which frames of grains, walls and contacts belong together."""
+"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
 
 HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
-"""What stands near the beginning of a VTU file that holds nothing."""
+"""Text near the beginning of an empty VTU file."""
 
 
 LARGEST_FRAME = 2**32
-"""Bytes of all arrays of one frame."""
+"""Maximum size of all arrays of one frame in bytes."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment of a run: the number in its file names, its time [s], and its files."""
+    """One output time of a run: number in the file names, time [s], and files."""
 
     number: int
     time: float
@@ -37,7 +37,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameParticles:
-    """Grains of one frame: `position` (n, 3) [m], `radius` (n,) [m], and every array of the file by name."""
+    """Particles of one frame: `position` (n, 3) [m], `radius` (n,) [m], and all arrays of the file by name."""
 
     position: np.ndarray
     radius: np.ndarray
@@ -46,21 +46,21 @@ class FrameParticles:
 
 @dataclass(frozen=True)
 class FrameWalls:
-    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and numbers of walls (k,)."""
+    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,)."""
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
 
     def same_as(self, other: "FrameWalls | None") -> bool:
-        """Whether both show the same walls at the same place."""
+        """Whether both contain the same walls in the same pose."""
         if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
             return False
         mine, theirs = (self.points, *self.polygons), (other.points, *other.polygons)
         return all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
 
     def points_of(self, walls: Sequence[int]) -> np.ndarray:
-        """Corners (m, 3) [m] of the walls with these numbers."""
+        """Corners (m, 3) [m] of the walls with the given numbers."""
         corners = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
         return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in corners)]))]
 
@@ -74,19 +74,23 @@ class ForceChains:
 
 
 def frames_of(directory: Path) -> list[Frame]:
-    """The frames of grains that a run has written, in order, each with its walls and contacts.
+    """Particle frames of a run in order, each with its walls and contacts.
 
-    Raises GranflowError where the directory holds no frames.
+    Raises GranflowError if the directory contains no frames.
     """
     if not directory.is_dir():
         raise GranflowError(
-            f"{directory}: there is no such directory; name the directory of a run, such as out/hopper."
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
         )
     series = _series(directory, "particles")
     if not series:
         is_run = (directory / "run.log").exists() or (directory / "scene_as_run.yaml").exists()
-        why = "its scene writes none (output.particles), or it ended before the first" if is_run else "it is no run's"
-        raise GranflowError(f"{directory} holds no frames of grains to draw (no particles.pvd): {why}.")
+        why = (
+            "the scene writes none (output.particles), or the run ended before the first one"
+            if is_run
+            else "it is not the directory of a run"
+        )
+        raise GranflowError(f"{directory} contains no particle frames (particles.pvd is missing): {why}.")
     walls, contacts = _series(directory, "walls"), _series(directory, "contacts")
     return [
         Frame(int(path.stem.rpartition("_")[2]), time, path, _at(walls, time), _at(contacts, time))
@@ -95,7 +99,7 @@ def frames_of(directory: Path) -> list[Frame]:
 
 
 def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times and files of a PVD file, those that still exist; empty without one."""
+    """Times and existing files of a PVD file; empty if it does not exist."""
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
         return []
@@ -104,21 +108,21 @@ def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
         found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         raise GranflowError(
-            f"{listing} cannot be read ({error}): write it again with granflow run or resume."
+            f"{listing} cannot be read ({error}); write it again with granflow run or resume."
         ) from None
     return [(time, path) for time, path in found if path.exists()]
 
 
 def _at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
-    """The file of that time in another series of the same run."""
+    """File of the given time [s] in another series of the same run."""
     near = min(series, key=lambda each: abs(each[0] - time), default=None)
     return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
 
 
 def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
-    """The frames that words name: last, first, all, a number as in the file names, a time such as 0.4s; or several.
+    """Frames selected by last, first, all, a number as in the file names, a time such as 0.4s, or several of these.
 
-    Raises GranflowError for anything else and for a number that there is not.
+    Raises GranflowError for other text and for a number that does not exist.
     """
     if text == "all":
         return list(frames)
@@ -133,7 +137,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
         if not found:
             numbers = f"{frames[0].number} to {frames[-1].number}"
             raise GranflowError(
-                f"--frame {word}: the run has no such frame, but {numbers}; a time has a unit, {word}s."
+                f"--frame {word}: the run has no such frame; the frames are {numbers}. A time has a unit, {word}s."
             )
         return found[0]
     try:
@@ -144,7 +148,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
 
 
 def read_particles(frame: Frame) -> FrameParticles:
-    """Grains of a frame. Raises GranflowError where the file cannot be read."""
+    """Particles of a frame. Raises GranflowError if the file cannot be read."""
     mesh = read_mesh(frame.particles)
     arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     radius = arrays.get("radius", np.zeros(len(mesh.points)))
@@ -152,7 +156,7 @@ def read_particles(frame: Frame) -> FrameParticles:
 
 
 def read_walls(frame: Frame) -> FrameWalls | None:
-    """Walls of a frame, none where it has no file of walls. Raises GranflowError where it cannot be read."""
+    """Walls of a frame; None if it has no wall file. Raises GranflowError if the file cannot be read."""
     if frame.walls is None:
         return None
     mesh = read_mesh(frame.walls)
@@ -162,7 +166,7 @@ def read_walls(frame: Frame) -> FrameWalls | None:
 
 
 def read_force_chains(frame: Frame) -> ForceChains | None:
-    """Contacts of a frame, none where it has no file of them. Raises GranflowError where it cannot be read."""
+    """Contacts of a frame; None if it has no contact file. Raises GranflowError if the file cannot be read."""
     if frame.contacts is None:
         return None
     mesh = read_mesh(frame.contacts)
@@ -173,16 +177,16 @@ def read_force_chains(frame: Frame) -> ForceChains | None:
 
 
 def is_empty(path: Path) -> bool:
-    """Whether a VTU file holds nothing."""
+    """Whether a VTU file is empty."""
     with open_regular(path) as file:
         return EMPTY in file.read(HEADER_SIZE)
 
 
 def read_mesh(path: Path) -> meshio.Mesh:
-    """A VTU file, with nothing in it where it is empty. Raises GranflowError where it cannot be read."""
+    """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
     try:
-        if is_empty(path):  # which meshio cannot read
+        if is_empty(path):  # meshio cannot read empty files
             return meshio.Mesh(np.zeros((0, 3)), [])
         return read_vtu(path, LARGEST_FRAME)
-    except (Exception, SystemExit) as error:  # a file that is cut short has many ways to fail, meshio's exit is one
-        raise GranflowError(f"{path} cannot be read ({error}): take this frame away, or run again.") from None
+    except (Exception, SystemExit) as error:  # a truncated file raises various exceptions; meshio may call sys.exit
+        raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None

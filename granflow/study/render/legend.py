@@ -1,4 +1,4 @@
-"""The strip at the right of a picture: time, and what the colors mean. Beside the grains, so that it hides none."""
+"""The legend strip on the right of a picture: time and color scale, outside the view of the particles."""
 
 from textwrap import wrap
 from typing import Any
@@ -10,20 +10,20 @@ from granflow.study.render.colors import Scale
 
 DPI = 100
 WIDTH = 0.27
-"""Of the strip, over the height of the picture; so are all lengths below."""
+"""Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
 
 LETTERS = 0.03
 TITLE_LETTERS = 13
-"""Letters in a line of the title."""
+"""Maximum number of characters in a line of the title."""
 
 BAR = (0.12, 0.16, 0.17, 0.52)
-"""Left, bottom, width and height of the color bar, over those of the strip."""
+"""Left, bottom, width and height of the color bar, relative to the strip."""
 
 NO_VALUE = (0.6, 0.6, 0.6)
 
 
 def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
-    """Colors (n, 3), 0 to 255, of values (n,) [SI]; gray where there is no number."""
+    """Colors (n, 3), 0 to 255, of values (n,) [SI]; gray for nan."""
     from matplotlib import colormaps, colors
 
     if scale.names is not None:
@@ -75,7 +75,7 @@ def _bar(figure: Any, scale: Scale, letters: float) -> None:
 
 
 def _legend(figure: Any, scale: Scale, letters: float) -> None:
-    """A round patch and a name for each material or group, as many as there is room for."""
+    """A colored dot and a name for each material or group, as many as fit."""
     assert scale.names is not None
     line = 1.5 * letters * DPI / 72.0 / (figure.get_figheight() * DPI)
     for row, (number, name) in enumerate(list(scale.names.items())[: int(BAR[3] / line)]):

@@ -1,4 +1,4 @@
-"""From the frames of a run to pictures: one look, one camera and one range of colors for all of them."""
+"""Pictures of the frames of a run, with the same style, camera and color range."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,24 +26,24 @@ from granflow.study.render.renderer import Renderer, require_pyvista
 
 HEIGHT = 1200
 ASPECTS = (0.5, 1.9)
-"""Narrowest and widest picture where no size is asked for."""
+"""Minimum and maximum width over height of a picture without a given size."""
 
 COLOR_FRAMES = 40
-"""Most frames that are read for the range of colors."""
+"""Maximum number of frames that determine the color range."""
 
 THICKEST, THINNEST = 0.5, 0.04
-"""Radius of the tube of the largest force, over the mean radius of grains; those below the second are left out."""
+"""Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
 
 CHAIN_COLOR = "normal_force"
 
 
 @dataclass(frozen=True)
 class PictureStyle:
-    """What a picture shows and from where.
+    """Content and view of a picture.
 
-    `color`: an array of the grains; with `chains` the contacts are shown instead, by their normal force. `fit`: what
-    is in sight, "all", "grains" or "domain". `cut`: without the half in front. `limits`: ends of the color scale
-    [SI]. `size`: (width, height) in pixels, the strip with the scale included.
+    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force. `fit`:
+    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI].
+    `size`: (width, height) in pixels, including the legend strip.
     """
 
     color: str = "velocity"
@@ -57,13 +57,13 @@ class PictureStyle:
 
     @property
     def shown(self) -> str:
-        """The array that gives the color."""
+        """Array that determines the color."""
         return CHAIN_COLOR if self.chains else self.color
 
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """What all pictures of one run have in common."""
+    """Common properties of all pictures of a run."""
 
     style: PictureStyle
     scale: Scale
@@ -72,11 +72,11 @@ class PictureSetup:
     domain: np.ndarray | None
     cut: tuple[np.ndarray, np.ndarray] | None
     decimals: int
-    """Of the time in seconds, so that frames are told apart."""
+    """Decimals of the time [s] that distinguish the frames."""
 
 
 def scene_as_run(directory: Path) -> Scene | None:
-    """The scene of a run; none where it is gone or cannot be read any more."""
+    """Scene of a run; None if its file is missing or cannot be read."""
     try:
         return load(directory / "scene_as_run.yaml")
     except GranflowError:
@@ -86,10 +86,10 @@ def scene_as_run(directory: Path) -> Scene | None:
 def write_pictures(
     directory: Path, frames: Sequence[Frame], style: PictureStyle, out: Path | None = None
 ) -> list[Path]:
-    """Write a PNG of each frame into `pictures/` of the run, or the only one to `out`; returns their paths.
+    """Write a PNG of each frame to `pictures/` of the run, or a single one to `out`; return the paths.
 
-    Raises GranflowError where the extra `plot` is not installed, files cannot be read, or the look asks for what
-    there is not.
+    Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style requires data
+    that the run did not write.
     """
     require_pyvista()
     from PIL import Image
@@ -103,13 +103,13 @@ def write_pictures(
 
 
 def name_of(style: PictureStyle) -> str:
-    """A file name that tells looks apart: the view and the color."""
+    """File name of a style: color and view."""
     view = style.view if style.view.isalpha() else "from_" + style.view.replace(",", "_")
     return "_".join(["picture", style.shown.replace(".", "_"), view, *(["cut"] if style.cut else [])])
 
 
 def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> Iterator[np.ndarray]:
-    """Pictures (height, width, 3), 0 to 255, of the frames, one after the other. Raises as `write_pictures` does."""
+    """Yield pictures (height, width, 3), 0 to 255, of the frames. Raises the errors of `write_pictures`."""
     require_pyvista()
     setup = setup_for(directory, frames, style)
     renderer = Renderer((setup.size[0] - _strip_width(setup.size[1]), setup.size[1]), setup.camera)
@@ -126,7 +126,7 @@ def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> 
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)
-    points = bounding_points(style.fit, scene, frames if style.fit == "grains" else whole, domain)
+    points = bounding_points(style.fit, scene, frames if style.fit == "particles" else whole, domain)
     size = style.size or _size(aspect_of(view, points))
     camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], style.zoom)
     cut = _cut(view, points) if style.cut else None
@@ -135,13 +135,13 @@ def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> 
 
 
 def decimals_of(times: Sequence[float]) -> int:
-    """Digits behind the point that tell most of these times [s] apart."""
+    """Number of decimals that distinguish most of these times [s]."""
     spacing = float(np.median(np.diff(times))) if len(times) > 1 else float(np.max(times))
     return max(0, -int(np.floor(np.log10(spacing) + 1e-3))) if spacing > 0.0 else 1
 
 
 def _size(aspect: float) -> tuple[int, int]:
-    """Even numbers of pixels, as films need."""
+    """Picture size in pixels; even numbers, as films require."""
     width = HEIGHT * min(max(aspect, ASPECTS[0]), ASPECTS[1])
     return 2 * round(0.5 * width) + _strip_width(HEIGHT), HEIGHT
 
@@ -151,7 +151,7 @@ def _strip_width(height: int) -> int:
 
 
 def _cut(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The plane (point, normal) through the middle, across the axis that points most to the viewer."""
+    """Plane (point, normal) through the center, normal to the axis closest to the direction of the viewer."""
     axis = int(np.argmax(np.abs(view.toward)))
     normal = np.zeros(3)
     normal[axis] = np.sign(view.toward[axis])
@@ -163,7 +163,7 @@ def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) ->
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
             raise GranflowError(
-                "--chains: the run has no contacts_*.vtu; put output.contacts: true into its scene and run it again."
+                "--chains: the run has no contacts_*.vtu; set output.contacts: true in the scene and run it again."
             )
         return scale_for(CHAIN_COLOR, forces, limits=style.limits)
     particles = [each for each in map(read_particles, frames) if len(each.radius)]
@@ -173,14 +173,14 @@ def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) ->
 
 
 def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
-    """Names of materials and groups in the order of their numbers in the files."""
+    """Names of materials and groups, in the order of their numbers in the files."""
     if scene is None:
         return {}
     from granflow.plan import plan_for
 
     try:
         materials = plan_for(scene).materials
-    except GranflowError:  # such as a mesh that has been moved since
+    except GranflowError:  # such as a missing mesh file
         materials = ()
     return {"group": tuple(scene.particles), "material": materials}
 
@@ -214,7 +214,7 @@ def _draw_chains(
 
 
 def _behind(particles: FrameParticles, cut: tuple[np.ndarray, np.ndarray] | None) -> FrameParticles:
-    """Grains whose center is behind the plane."""
+    """Particles whose center is behind the plane."""
     if cut is None:
         return particles
     point, normal = cut

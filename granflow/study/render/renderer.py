@@ -1,4 +1,4 @@
-"""Draws grains, walls and force chains without a window, with pyvista."""
+"""Off-screen rendering of particles, walls and force chains with pyvista."""
 
 from typing import Any
 
@@ -9,52 +9,54 @@ from granflow.study.render.camera import OPENING, Camera
 from granflow.study.render.frames import ForceChains, FrameParticles, FrameWalls
 
 FINER = 2
-"""Pixels are drawn so many times finer along each side, then averaged: smooth edges."""
+"""Supersampling factor along each side, for antialiasing."""
 
 WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
 EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
 EDGE_ANGLE = 25.0
-"""Degrees between two facets of a wall above which their edge is drawn."""
+"""Angle between two facets of a wall above which their edge is drawn [degrees]."""
 
 SHADE = {"ambient": 0.22, "diffuse": 0.85, "specular": 0.18, "specular_power": 25.0}
 FAINT = 0.05
-"""Opacity of grains among which force chains are shown."""
+"""Opacity of particles in pictures of force chains."""
 
 TUBE_SIDES = 10
 GRAY = (205, 205, 205)
 
 NEAR = 0.02
-"""Radius over the distance from the eye above which a sphere is drawn with triangles: a tenth of the height."""
+"""Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the height)."""
 
 FACETS = 80
-"""Of such a sphere, round and from pole to pole."""
+"""Number of facets of such a sphere, around the axis and from pole to pole."""
 
 
 def require_pyvista() -> Any:
-    """pyvista, or GranflowError where the extra `plot` is not installed."""
+    """Import pyvista. Raises GranflowError if the extra `plot` is not installed."""
     try:
         import matplotlib  # noqa: F401
         import pyvista
         from vtkmodules.vtkCommonCore import vtkLogger
     except ImportError as error:
-        raise GranflowError(f"Pictures need {error.name}, which is not installed: pip install granflow[plot]") from None
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it tells of every display that it does not find
+        raise GranflowError(
+            f"Pictures require {error.name}, which is not installed: pip install granflow[plot]"
+        ) from None
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # no messages about missing displays
     return pyvista
 
 
 class Renderer:
-    """Draws frame after frame with the same camera: spheres as such to the pixel, however many."""
+    """Renders frames with a fixed camera; spheres are exact to the pixel."""
 
     def __init__(self, size: tuple[int, int], camera: Camera) -> None:
         self._pyvista = require_pyvista()
         self._plotter = self._pyvista.Plotter(off_screen=True, window_size=[FINER * side for side in size])
         self._plotter.set_background("white")
-        self._plotter.ren_win.SetMultiSamples(0)  # it would show the seams of see-through triangles
+        self._plotter.ren_win.SetMultiSamples(0)  # multisampling would show the edges of transparent triangles
         self._walls: FrameWalls | None = None
         self._set_camera(camera)
 
     def draw(self) -> np.ndarray:
-        """The picture (height, width, 3), 0 to 255."""
+        """Picture (height, width, 3), 0 to 255."""
         from PIL import Image
 
         self._plotter.renderer.ResetCameraClippingRange()
@@ -63,15 +65,15 @@ class Renderer:
         return np.asarray(Image.fromarray(np.ascontiguousarray(drawn[:, :, :3])).reduce(FINER))
 
     def close(self) -> None:
-        """Give the window's memory back."""
+        """Release the memory of the window."""
         self._plotter.close()
 
     def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
-        """Show these spheres in `colors` (n, 3), 0 to 255; or faint and gray."""
+        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray."""
         colors = np.full_like(colors, GRAY) if faint else colors
         distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
         is_near = particles.radius > NEAR * distance
-        for name, chosen, add in (("grains", ~is_near, self._add_many), ("near grains", is_near, self._add_near)):
+        for name, chosen, add in (("particles", ~is_near, self._add_many), ("near particles", is_near, self._add_near)):
             self._plotter.remove_actor(name, render=False)
             if np.any(chosen):
                 points = self._pyvista.PolyData(particles.position[chosen])
@@ -80,7 +82,7 @@ class Renderer:
                 add(points, name, FAINT if faint else 1.0)
 
     def _add_many(self, points: Any, name: str, opacity: float) -> None:
-        """Spheres worked out pixel by pixel: fast, but cut off at the corners where one fills much of the picture."""
+        """Add spheres that a shader computes per pixel: fast, but clipped if a sphere fills much of the picture."""
         from vtkmodules.vtkRenderingCore import vtkActor
         from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
 
@@ -100,7 +102,7 @@ class Renderer:
         self._plotter.add_actor(actor, name=name, reset_camera=False, render=False)
 
     def _add_near(self, points: Any, name: str, opacity: float) -> None:
-        """Spheres of triangles: for the few that are large in the picture."""
+        """Add spheres of triangles, for the few that are large in the picture."""
         sphere = self._pyvista.Sphere(radius=1.0, theta_resolution=FACETS, phi_resolution=FACETS)
         spheres = points.glyph(scale="radius", geom=sphere, orient=False)
         mesh_style = {"scalars": "color", "rgb": True, "smooth_shading": True, "opacity": opacity, **SHADE}
@@ -109,7 +111,7 @@ class Renderer:
     def set_walls(
         self, walls: FrameWalls | None, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        """Show walls see-through with their rims, those parts within `box` (2, 3) [m] and behind the plane `cut`."""
+        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`."""
         if walls is not None and walls.same_as(self._walls):
             return
         self._walls = walls
@@ -154,7 +156,7 @@ class Renderer:
 
     @staticmethod
     def _clipped(surface: Any, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None) -> Any:
-        """What of a surface lies in the box and behind the plane (point, normal towards the viewer)."""
+        """Part of a surface in the box and behind the plane (point, normal towards the viewer)."""
         planes = [] if cut is None else [cut]
         if box is not None:
             margin = 1e-3 * np.ptp(box, axis=0)

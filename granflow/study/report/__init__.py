@@ -1,4 +1,4 @@
-"""`granflow report`: one page about one run."""
+"""`granflow report`: an HTML page that summarizes a run."""
 
 from granflow.study.report.record import read_record
 from granflow.study.report.report import write_report

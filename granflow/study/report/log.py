@@ -1,4 +1,4 @@
-"""What `run.log` says: when a run began, on what machine, what it warned of, and how it ended."""
+"""Parser of `run.log`: start time, machine, warnings and end of a run."""
 
 import re
 from collections import Counter
@@ -10,7 +10,7 @@ from granflow.errors import GranflowError
 from granflow.regular_files import read_regular_text
 
 ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
-"""Time, level, logger, and words of an entry, as granflow.observe.log writes them."""
+"""Time, level, logger and text of an entry in the format of granflow.observe.log."""
 
 COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
 RESUMED_FROM = "goes on from"
@@ -20,7 +20,7 @@ REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
 
 @dataclass(frozen=True)
 class LogEntry:
-    """One entry of a log; words may have several lines."""
+    """One entry of a log; the text may have several lines."""
 
     time: str
     level: str
@@ -29,7 +29,7 @@ class LogEntry:
 
 @dataclass(frozen=True)
 class RunSession:
-    """One stretch of a run, from its start or a checkpoint on: when, with what, where, and from where."""
+    """One session of a run, from its start or from a checkpoint: start time, versions, backend, checkpoint."""
 
     started: str
     versions: str
@@ -40,7 +40,7 @@ class RunSession:
 
 
 def read_log(path: Path) -> list[LogEntry]:
-    """The entries of a log; none where there is no file. Raises GranflowError where it cannot be read."""
+    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read."""
     try:
         lines = read_regular_text(path).splitlines()
     except FileNotFoundError:
@@ -59,7 +59,7 @@ def read_log(path: Path) -> list[LogEntry]:
 
 
 def sessions(entries: list[LogEntry]) -> list[RunSession]:
-    """The stretches of a run, the first one first: each begins with the entry of versions."""
+    """Sessions of a run in order; each begins with the entry of versions."""
     starts = [number for number, entry in enumerate(entries) if entry.text.startswith("granflow ")]
     ends = [*starts[1:], len(entries)]
     return [_session(entries[start:end]) for start, end in zip(starts, ends, strict=False)]
@@ -73,7 +73,7 @@ def _session(entries: list[LogEntry]) -> RunSession:
 
 
 def explanation(entries: list[LogEntry]) -> str:
-    """What `granflow explain` said of the last stretch of the run, as far as it is logged: up to the first event."""
+    """Logged output of `granflow explain` in the last session of the run: the text up to the first event."""
     starts = [number for number, entry in enumerate(entries) if COMPILED.fullmatch(entry.text)]
     lines: list[str] = []
     for entry in entries[starts[-1] + 1 :] if starts else ():
@@ -84,7 +84,7 @@ def explanation(entries: list[LogEntry]) -> str:
 
 
 def warnings_and_errors(entries: list[LogEntry]) -> Iterator[tuple[str, str, str]]:
-    """Time, level and words of every warning and error; one that comes again is said once, with how often."""
+    """Time, level and text of each warning and error; repeated entries appear once, with their number."""
     count = Counter((entry.level, entry.text) for entry in entries if entry.level in REPORTED_LEVELS)
     first = {(entry.level, entry.text): entry.time for entry in reversed(entries)}
     for (level, text), times in count.items():

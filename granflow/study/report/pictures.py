@@ -1,4 +1,4 @@
-"""Pictures for the page: those that were rendered since the run ended, or a few that are rendered now."""
+"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now."""
 
 import re
 import subprocess
@@ -16,28 +16,28 @@ from granflow.study.render.frames import is_empty
 
 MOST_PICTURES = 6
 SHOWN_FRAMES = 4
-"""Of a run without pictures: spread evenly, the last among them."""
+"""Number of frames rendered for a run without pictures: evenly spaced, including the last one."""
 
 HEIGHT = 800
-"""Pixels of a picture in the page: sharp at twice the size it is shown in."""
+"""Height of a picture in the page [pixels]: twice its displayed size."""
 
 QUALITY = 85
 FILM_BYTES = 700_000
-"""A film above this stays beside the page, so that the page can be mailed."""
+"""Maximum size of an embedded film in bytes; larger films are referenced by name."""
 
 TIMEOUT = 600.0
-"""Seconds after which a picture that does not come is done without."""
+"""Time limit of rendering [s]."""
 
 NAME = re.compile(rf"(?:picture|film)_(.+?)_({'|'.join(VIEWS)}|from_[-+.e\d_]+?)(_cut)?(?:_(\d+))?")
-"""Of a file that granflow render has named: color, view, cut, number of the frame."""
+"""File names of granflow render: color, view, cut, frame number."""
 
-HOW_TO_ADD = "They lie in pictures/; what else granflow render draws there stands here after the next granflow report."
+HOW_TO_ADD = "The files are in pictures/. To add pictures, run granflow render, then granflow report again."
 
 
 def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
-    """Pictures and films for the page, made small in `scratch`, and a sentence about them."""
+    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them."""
     if not frames:
-        return [], "The run has no frames to draw."
+        return [], "The run has no frames to render."
     found = recent_pictures(directory, frames)
     problem = ""
     if not any(path.suffix == ".png" for path in found):
@@ -49,21 +49,21 @@ def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tup
     large = [path for path in films if path not in small]
     shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
-    beside = f" Films beside the page: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
+    beside = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
     return shown, (problem or HOW_TO_ADD) + beside
 
 
 def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
-    """PNG and MP4 files in `pictures/` that are younger than the last frame, by name."""
+    """PNG and MP4 files in `pictures/` that are newer than the last frame, sorted by name."""
     last = frames[-1].particles.stat().st_mtime
     found = [*(directory / "pictures").glob("*.png"), *(directory / "pictures").glob("*.mp4")]
     return sorted(path for path in found if path.stat().st_mtime >= last)
 
 
 def render(directory: Path, frames: Sequence[Frame]) -> str:
-    """Draw a few frames in a process of its own, as VTK aborts where it finds no way to draw; says what went wrong."""
+    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or ""."""
     if find_spec("pyvista") is None:
-        return "There are no pictures, as pyvista is not installed: pip install granflow[plot]"
+        return "No pictures, because pyvista is not installed: pip install granflow[plot]"
     filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
     places = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
     chosen = [filled[place] for place in places]
@@ -78,15 +78,15 @@ def render(directory: Path, frames: Sequence[Frame]) -> str:
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
-            return f"There are no pictures: drawing took longer than {TIMEOUT:.0f} s."
+            return f"No pictures: rendering took longer than {TIMEOUT:.0f} s."
         if done.returncode:
-            statement = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            return f"Pictures could not be drawn (granflow render ended with {done.returncode}): {statement}"
+            statement = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"Rendering failed (granflow render, exit code {done.returncode}): {statement}"
     return ""
 
 
 def reduced(path: Path, scratch: Path) -> Path:
-    """The picture as JPEG, HEIGHT pixels high; as it is where Pillow, which renders it, is not there any more."""
+    """The picture as JPEG of HEIGHT pixels; unchanged if Pillow is not installed."""
     try:
         from PIL import Image
     except ImportError:
@@ -99,7 +99,7 @@ def reduced(path: Path, scratch: Path) -> Path:
 
 
 def _caption(path: Path, frames: Sequence[Frame]) -> str:
-    """What a file of `granflow render` shows, by its name."""
+    """Caption of a file of `granflow render`, from its name."""
     match = NAME.fullmatch(path.stem)
     if match is None:
         return path.stem.replace("_", " ")

@@ -1,4 +1,4 @@
-"""Plots that can be hovered over, zoomed and switched, drawn by plotly inside the page, without a network."""
+"""Interactive plots, drawn by plotly inside the page, without a network connection."""
 
 from collections.abc import Sequence
 from math import inf
@@ -12,16 +12,16 @@ from granflow.study.report.series import PlotGroup, SeriesColumn, TimeSeriesTabl
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 DIGITS = 6
-"""Of a number in the page."""
+"""Significant digits of a number in the page."""
 
 AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
 HEIGHT = 340
 STAGE_ROW, NEAR = 14, 0.1
-"""Pixels by which the name of a stage is lifted that begins, over the whole time, so soon after another."""
+"""Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
 
 
 def library() -> str:
-    """The JavaScript of plotly, to stand in the page; empty where plotly is not installed."""
+    """JavaScript of plotly, to embed in the page; empty if plotly is not installed."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
@@ -30,7 +30,7 @@ def library() -> str:
 
 
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
-    """Curves of a group of columns over time, with the stages of the run."""
+    """Plot of a group of columns against time, with the stages of the run."""
     curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
     unit = f" ({group.unit})" if group.unit else ""
     layout = {
@@ -68,7 +68,7 @@ def _plain(values: np.ndarray) -> list[float]:
 
 
 def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
-    """A line and a name where each stage begins, if there are several."""
+    """A line and a name at the start of each stage if the run has several."""
     stages = series.stages if len(series.stages) > 1 else ()
     line = {"color": "#999", "width": 1, "dash": "dot"}
     rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
@@ -86,7 +86,7 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
 
 
 def _rows(times: Sequence[float], span: float) -> list[int]:
-    """0 or 1 for each name, so that names of stages that begin soon after each other do not overlap."""
+    """Row 0 or 1 of each stage name, so that names of closely spaced stages do not overlap."""
     rows: list[int] = []
     for before, time in zip([-inf, *times], times, strict=False):
         rows.append(1 - rows[-1] if rows and time - before < NEAR * span else 0)

@@ -1,4 +1,4 @@
-"""What a run has left in its directory, whole or not: scene, log, time series, result."""
+"""Files of a run in its directory, complete or not: scene, log, time series, result."""
 
 import json
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from granflow.study.report.series import TimeSeriesTable, read_series
 
 SCENE = "scene_as_run.yaml"
 RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json")
-"""Files of which a run has at least one."""
+"""Files that identify the directory of a run; at least one must exist."""
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """All that a run has left.
+    """Data of a run.
 
-    `scene`: none where its file is gone or cannot be read, `scene_problem` says why. `result`: the sections of
-    `result.json`, empty for a run that did not come to its end. `is_running`: whether a run writes there now.
+    `scene`: None if its file is missing or invalid; `scene_problem` is the reason. `result`: the sections of
+    `result.json`, empty if the run did not finish. `is_running`: whether a run is writing to the directory.
     """
 
     directory: Path
@@ -36,30 +36,30 @@ class RunRecord:
 
     @property
     def title(self) -> str:
-        """The scene's, or the name of the directory."""
+        """Title of the scene, or name of the directory."""
         return self.scene.title if self.scene is not None else resolved(self.directory).name
 
     @property
     def sessions(self) -> list[RunSession]:
-        """The stretches of the run: one, and one more for each time that it was gone on with."""
+        """Sessions of the run: one, plus one for each time it was resumed."""
         return sessions(self.entries)
 
     @property
     def time(self) -> float | None:
-        """Simulated time [s] that was reached, as far as the files say."""
+        """Simulated time [s] according to the files; None if unknown."""
         if "simulated_time" in self.result.get("run", {}):
             return self.result["run"]["simulated_time"]
         return float(self.series.time[-1]) if self.series is not None else None
 
 
 def read_record(directory: Path) -> RunRecord:
-    """Read what a run has left. Raises GranflowError for a directory that is not that of a run."""
+    """Read the data of a run. Raises GranflowError if the directory is not that of a run."""
     if not directory.is_dir():
         raise GranflowError(
-            f"{directory}: there is no such directory; name the directory of a run, such as out/hopper."
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
         )
     if not any((directory / name).exists() for name in RUN_FILES):
-        raise GranflowError(f"{directory} is not the directory of a run: it holds none of {', '.join(RUN_FILES)}.")
+        raise GranflowError(f"{directory} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}.")
     scene, problem = _scene(directory / SCENE)
     path = directory / SCENE
     return RunRecord(
@@ -87,7 +87,7 @@ def _result(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(read_regular_text(path))
     except (ValueError, RecursionError, OSError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}): take it away, or run again.") from None
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
     return found if isinstance(found, dict) else {}
 
 

@@ -1,4 +1,4 @@
-"""The page about one run, from what its directory holds."""
+"""The report page of a run, from the files in its directory."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,16 +14,16 @@ from granflow.study.report.plots import library
 from granflow.study.report.record import RunRecord, read_record
 
 PAGE = "report.html"
-LEAD = "granflow simulated this."
+LEAD = "Report of a granflow simulation."
 
 
 def write_report(
     directory: Path, out: Path | None = None, pictures: bool = True, report: Callable[[str], None] = print
 ) -> Path:
-    """Write the page about a run into its directory, or to `out`; return its path.
+    """Write the report page of a run to its directory or to `out`; return its path.
 
-    `pictures`: whether some are drawn where there are none. `report` gets what is missing for the page to be complete.
-    Raises GranflowError for a directory that is not that of a run, and for files that cannot be read.
+    `pictures`: include pictures, and render some if there are none. `report` is called with a message about missing
+    packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
     """
     record = read_record(directory)
     script = library()
@@ -39,7 +39,7 @@ def write_report(
 
 
 def page_of(record: RunRecord, script: str, pictures: Section | None) -> Page:
-    """The page: what came out first, then how it was computed. `script` is the library of plots, empty without."""
+    """The page: results first, then the computation. `script` is the plot library; empty for a page without plots."""
     found = [
         sections.summary(record),
         sections.warnings(record),

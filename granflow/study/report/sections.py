@@ -1,4 +1,4 @@
-"""The sections of the page, each from what the run has left; one that has nothing to say is left out."""
+"""Sections of the page, each from the files of the run; empty sections are omitted."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,25 +15,25 @@ from granflow.study.report.plots import plot_of
 from granflow.study.report.record import RunRecord
 from granflow.study.report.series import SeriesColumn, groups_of
 
-NO_LIBRARY = "Plots need plotly, which is not installed: pip install granflow[plot], then granflow report again."
-TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Loads": WALL_FORCE_QUANTITIES}
-SECTIONS = {"Flow": "flow_meters", "Loads": "wall_forces"}
-"""Of result.json."""
+NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
+TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Wall forces": WALL_FORCE_QUANTITIES}
+SECTIONS = {"Flow": "flow_meters", "Wall forces": "wall_forces"}
+"""Keys of result.json by topic."""
 
 CAPTIONS = {
-    "Flow": "Flow meters at the end; the mass flow is that of the steady part.",
-    "Loads": "What the grains press the walls with: means over the run, and the largest of a row.",
+    "Flow": "Flow meters at the end of the run; the mass flow rate is the steady one.",
+    "Wall forces": "Forces of the particles on the walls: means over the run, and the largest value of a row.",
 }
 ENDED_BY = "ended by "
-"""How the log says that an exception ended a run."""
+"""Prefix of the log entry of an exception that ended a run."""
 
-PLAN = "What was computed, and why"
+PLAN = "Plan of the run"
 BAR_STEPS = 30
-"""Blocks of the bar that stands for the whole run."""
+"""Length of the bar of the total wall-clock time, in blocks."""
 
 
 def summary(record: RunRecord) -> Section:
-    """How the run ended, how far it came, and what it cost."""
+    """State of the run, simulated time and performance."""
     numbers = record.result.get("run", {})
     rows = []
     if record.time is not None and "simulated_time" not in numbers:
@@ -46,23 +46,21 @@ def summary(record: RunRecord) -> Section:
     if is_met:
         parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are met.")
     elif record.result and record.scene is not None and record.scene.expect:
-        parts.append("It was ended early, with --until: the expectations of the scene are not judged.")
-    return Section(
-        "In short", [*parts, *([PageTable("How far it came, and how fast.", ("", "", ""), rows)] if rows else [])]
-    )
+        parts.append("The run ended early because of --until; the expectations of the scene are not evaluated.")
+    return Section("Summary", [*parts, *([PageTable("Progress and performance.", ("", "", ""), rows)] if rows else [])])
 
 
 def state_of(record: RunRecord) -> str:
     """One sentence on how the run ended."""
     if record.is_running:
-        return "The run is still going on: this page shows it as far as it has come."
+        return "The run is in progress; this page shows its present state."
     if record.result:
         parts = len(record.sessions)
-        return f"The run is done, in {parts} parts: it was gone on with." if parts > 1 else "The run is done."
+        return f"The run is complete; it was resumed ({parts} sessions)." if parts > 1 else "The run is complete."
     text = next((entry.text for entry in reversed(record.entries) if entry.text.startswith(ENDED_BY)), "")
     why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
-    resume = f"granflow resume {record.directory} goes on from its last checkpoint, if it has one."
-    return f"The run did not come to its end{why}. {resume}"
+    resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
+    return f"The run did not finish{why}. {resume}"
 
 
 def _row(name: str, number: Any) -> tuple[str, str, str]:
@@ -70,43 +68,43 @@ def _row(name: str, number: Any) -> tuple[str, str, str]:
 
 
 def expectations(record: RunRecord) -> Section | None:
-    """What the scene promises, and whether it came true."""
+    """Expectations of the scene and their results."""
     found = record.result.get("expect", ())
     rows = [("\N{CHECK MARK} met" if entry["met"] else "\N{BALLOT X} not met", entry["sentence"]) for entry in found]
     if not rows:
         return None
-    return Section("Expectations", [PageTable("What the scene expects of itself.", ("", "what came out"), rows)])
+    return Section("Expectations", [PageTable("Expectations of the scene (expect).", ("", "result"), rows)])
 
 
 def warnings(record: RunRecord) -> Section | None:
-    """What the run warned of, and what ended it before its time."""
+    """Warnings and errors of the run."""
     rows = list(warnings_and_errors(record.entries))
     if not rows:
         return None
-    return Section("Warnings", [PageTable("From run.log.", ("time", "", "what it says"), rows)])
+    return Section("Warnings", [PageTable("From run.log.", ("time", "", "message"), rows)])
 
 
 def is_zero(column: SeriesColumn) -> bool:
-    """Whether a column says nothing: zero, or no number, in every row."""
+    """Whether a column is zero or nan in every row."""
     return not np.nan_to_num(column.values).any()
 
 
 def topic_of(column: SeriesColumn) -> str:
-    """The section where a column is shown."""
+    """Section of the page that shows a column."""
     quantity, _, part = column.name.partition(".")
     topics = (name for name, quantities in TOPICS.items() if part and quantity in quantities)
-    return next(topics, "Energies" if column.unit == "J" or quantity.startswith("energy") else "Over time")
+    return next(topics, "Energy budget" if column.unit == "J" or quantity.startswith("energy") else "Over time")
 
 
 def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
-    """Flow, energies, and all else over time."""
+    """Sections of flow, wall forces, energy budget, and all other quantities over time."""
     series = record.series
     if series is None:
         return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
     zero_columns = [column.text for column in series.columns if is_zero(column)]
     parts_of: dict[str, list[PagePart]] = {topic: _readings(record, topic) for topic in TOPICS}
-    parts_of["Energies"] = _energy_budget(record)
-    parts_of["Over time"] = [f"Zero throughout: {', '.join(zero_columns)}."] if zero_columns else []
+    parts_of["Energy budget"] = _energy_budget(record)
+    parts_of["Over time"] = [f"Always zero: {', '.join(zero_columns)}."] if zero_columns else []
     found = []
     for topic, parts in parts_of.items():
         columns = [column for column in series.columns if topic_of(column) == topic and not is_zero(column)]
@@ -119,7 +117,7 @@ def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
 
 
 def _readings(record: RunRecord, topic: str) -> list[PagePart]:
-    """The readings of meters or walls at the end; from the last row where there is no result."""
+    """Final values of flow meters or walls; from the last row of the time series if the run has no result."""
     readings = record.result.get(SECTIONS[topic], {})
     if readings:
         return [table_of(CAPTIONS[topic], readings)]
@@ -128,7 +126,7 @@ def _readings(record: RunRecord, topic: str) -> list[PagePart]:
 
 
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
-    """A row for each part, such as a meter or a wall, and a column for each of its numbers."""
+    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity."""
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     heads = ["", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in names)]
     return PageTable(
@@ -146,7 +144,7 @@ def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dic
 
 
 def _energy_budget(record: RunRecord) -> list[PagePart]:
-    """Every energy at the start and at the end, and its largest amount."""
+    """Each energy at the start and at the end, and its largest absolute value [J]."""
     assert record.series is not None
     energies = [column for column in record.series.columns if column.unit == "J" and not is_zero(column)]
     if not energies:
@@ -158,12 +156,12 @@ def _energy_budget(record: RunRecord) -> list[PagePart]:
         numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
         rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
     error = record.result.get("totals", {}).get("energy_error")
-    statement = [] if error is None else [f"Energy error: {error:.3g} of the largest energy put in (docs/energy.md)."]
-    return [PageTable("Energies in J.", ("", "first", "last", "largest", "what it is"), rows), *statement]
+    statement = [] if error is None else [f"Energy error: {error:.3g} of the largest energy input (docs/energy.md)."]
+    return [PageTable("Energies in J.", ("", "first", "last", "largest", "meaning"), rows), *statement]
 
 
 def profile(record: RunRecord) -> Section | None:
-    """Where the wall clock went."""
+    """Wall-clock time by phase."""
     seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
     total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:
@@ -178,30 +176,30 @@ def profile(record: RunRecord) -> Section | None:
         )
         for name, number in sorted(seconds.items(), key=lambda each: -each[1])
     ]
-    return Section("Where the time went", [PageTable(f"{total:.4g} s of wall clock.", ("", "s", "share", ""), rows)])
+    return Section("Timings", [PageTable(f"Total wall-clock time: {total:.4g} s.", ("", "s", "share", ""), rows)])
 
 
 def plan(record: RunRecord) -> Section | None:
-    """Every decision with its reason, as the log has it; made again from the scene as run where it has none."""
+    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene."""
     text = explanation(record.entries)
     if not text and record.scene is not None:
         try:
             text = explain(plan_for(record.scene))
         except GranflowError as error:
-            return Section(PLAN, [f"The log does not say, and the plan cannot be made again: {error}"])
+            return Section(PLAN, [f"The log does not contain the plan, and it cannot be recomputed: {error}"])
     return Section(PLAN, [Code(text, numbered=False)]) if text else None
 
 
 def scene(record: RunRecord) -> Section:
-    """The scene as run, with every default."""
+    """The resolved scene, with all defaults."""
     if not record.text:
-        return Section("The scene as run", ["scene_as_run.yaml is not there."])
-    problem = [f"This version cannot read it: {record.scene_problem}"] if record.scene_problem else []
-    return Section("The scene as run", [*problem, Code(record.text)])
+        return Section("Resolved scene", ["scene_as_run.yaml is missing."])
+    problem = [f"This version cannot read the scene: {record.scene_problem}"] if record.scene_problem else []
+    return Section("Resolved scene", [*problem, Code(record.text)])
 
 
 def machine(record: RunRecord) -> Section | None:
-    """With what and on what it ran."""
+    """Versions, backend and machine of each session."""
     rows = [
         (
             each.started,
@@ -215,12 +213,12 @@ def machine(record: RunRecord) -> Section | None:
     ]
     if not rows:
         return None
-    heads = ("began", "on", "precision", "compiled in", "versions and system", "")
+    heads = ("start", "backend", "precision", "compilation", "versions and system", "")
     return Section("Machine and versions", [PageTable("From run.log.", heads, rows)])
 
 
 def remaining_numbers(record: RunRecord) -> Section | None:
-    """Numbers of the result that have no section of their own."""
+    """Numbers of the result without a separate section."""
     other_sections = ("run", "timings", "expect", *SECTIONS.values())
     parts: list[PagePart] = []
     for name, numbers in record.result.items():
@@ -231,7 +229,7 @@ def remaining_numbers(record: RunRecord) -> Section | None:
         else:
             rows = [(each.replace("_", " "), _shown(number), unit_of(each)) for each, number in numbers.items()]
             parts.append(PageTable(f"{name} in result.json", ("", "", ""), rows))
-    return Section("All numbers at the end", parts) if parts else None
+    return Section("Other results", parts) if parts else None
 
 
 def _shown(number: Any) -> str:

@@ -1,4 +1,4 @@
-"""`timeseries.csv` as columns with units, and which of them belong into one plot."""
+"""`timeseries.csv` as columns with units, and their grouping into plots."""
 
 import csv
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from granflow.regular_files import read_regular_text
 
 TIME, STAGE = "time", "stage"
 MOST_POINTS = 800
-"""Of a curve in a plot: more cannot be told apart on a screen."""
+"""Maximum number of points of a curve; more are not distinguishable on a screen."""
 
 
 @dataclass(frozen=True)
 class SeriesColumn:
-    """One quantity over time: `name` in the file's words, a part of it behind a dot, unit ("" for a number), values."""
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values."""
 
     name: str
     unit: str
@@ -26,14 +26,14 @@ class SeriesColumn:
 
     @property
     def text(self) -> str:
-        """The name as people say it: "flow mass, outlet"."""
+        """Name for display: "flow mass, outlet"."""
         quantity, _, part = self.name.partition(".")
         return quantity.replace("_", " ") + (f", {part}" if part else "")
 
 
 @dataclass(frozen=True)
 class TimeSeriesTable:
-    """All columns over `time` (n,) [s], and where stages begin: time [s] and name."""
+    """All columns over `time` (n,) [s], and start time [s] and name of each stage."""
 
     time: np.ndarray
     columns: tuple[SeriesColumn, ...]
@@ -42,7 +42,7 @@ class TimeSeriesTable:
 
 @dataclass(frozen=True)
 class PlotGroup:
-    """Columns of one unit that are shown together."""
+    """Columns of one unit in a common plot."""
 
     title: str
     unit: str
@@ -50,14 +50,14 @@ class PlotGroup:
 
 
 def read_series(path: Path) -> TimeSeriesTable | None:
-    """The columns of a time series, but for a last line that a killed run left unfinished; none without rows."""
+    """Columns of a time series without an incomplete last line; None if it has no rows."""
     if not path.exists():
         return None
     try:
         lines = read_regular_text(path).splitlines()
         heads, *rows = list(csv.reader(lines)) or [[]]
     except csv.Error as error:
-        raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
     rows = [row for row in rows if len(row) == len(heads)]
     labels = [_split(head) for head in heads]
     names = [name for name, _ in labels]
@@ -86,10 +86,10 @@ def _number(text: str) -> float:
 
 
 def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
-    """Columns that belong together: of one unit, and of one quantity, or with the same last or first word.
+    """Group columns of one unit by quantity, or by a common last or first word.
 
     `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
-    `overlap_mean` and `overlap_largest` the first. Nothing but the names is asked.
+    `overlap_mean` and `overlap_largest` the first. The grouping depends on names and units only.
     """
     kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
     for column in columns:
@@ -98,7 +98,7 @@ def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
 
 
 def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
-    """What a column shares with others of its unit: a quantity, a last or a first word; else its own name."""
+    """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
     quantity = column.name.partition(".")[0]
     remaining_numbers = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
     text = quantity.split("_")
@@ -110,7 +110,7 @@ def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
 
 
 def _title(members: Sequence[SeriesColumn]) -> str:
-    """The words that the quantities begin with, or else end with."""
+    """Common first words of the quantities, or else common last words."""
     if len(members) == 1:
         return members[0].text
     text = [column.name.partition(".")[0].split("_") for column in members]
@@ -120,13 +120,13 @@ def _title(members: Sequence[SeriesColumn]) -> str:
 
 
 def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
-    """The words that all lists begin with."""
+    """Common first words of all lists."""
     columns = takewhile(lambda each: len(set(each)) == 1, zip(*text, strict=False))
     return [each[0] for each in columns]
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """At most MOST_POINTS points of a curve that keep every peak: the least and the largest of each stretch."""
+    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval."""
     finite = np.flatnonzero(np.isfinite(values))
     if len(finite) > MOST_POINTS:
         parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)
