@@ -68,7 +68,7 @@ def field_frames(scene: Any, name: str, spec: Any, out_dir: Path) -> FieldFrames
         width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
     interval = spec.interval or scene.output.interval
     return FieldFrames(
-        out_dir, name, interval, grid, GaussianKernel(width, spec.cut_off), spec.quantities, spec.stages or ()
+        out_dir, name, interval, grid, GaussianKernel(width, spec.cutoff), spec.quantities, spec.stages or ()
     )
 
 

@@ -8,7 +8,7 @@ from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
 from granflow.plan.memory_estimate import estimate_memory
 
 LARGEST_STATE = 2
-"""`touching` is 0 (apart), 1 (touching) or 2 (history for another slot to take over)."""
+"""`in_contact` is 0 (apart), 1 (touching) or 2 (history for another slot to take over)."""
 
 SPARE = 1.3
 """Factor by which rows that are too short grow."""
@@ -17,26 +17,26 @@ SPARE = 1.3
 def check_contacts(contacts: Part, count: int, plan: Plan) -> None:
     """Check all rows of `count` particles. Raises CheckpointError."""
     history = plan.history
-    contacts.mapping(("row_length", "row_walls", "partner", *(["touching"] if history else []), *history))
+    contacts.mapping(("list_length", "list_walls", "partner", *(["in_contact"] if history else []), *history))
     slots = len(contacts["partner"].value) if isinstance(contacts["partner"].value, np.ndarray) else 0
-    length = contacts["row_length"].wholes(count, high=slots).astype(np.int64)
+    length = contacts["list_length"].wholes(count, high=slots).astype(np.int64)
     if length.sum() != slots:
-        raise contacts["row_length"].wrong(f"adds up to {length.sum()}, but partner has {slots} slots")
-    walls = contacts["row_walls"].wholes(count, high=slots).astype(np.int64)
+        raise contacts["list_length"].wrong(f"adds up to {length.sum()}, but partner has {slots} slots")
+    walls = contacts["list_walls"].wholes(count, high=slots).astype(np.int64)
     if np.any(walls > length):
-        raise contacts["row_walls"].wrong("is larger than row_length")
+        raise contacts["list_walls"].wrong("is larger than list_length")
     surfaces = len(plan.walls) + sum(mesh.triangle_count for mesh in plan.meshes.values())
     partner = contacts["partner"].wholes(slots, low=-surfaces, high=count - 1).astype(np.int64)
     for name, width in history.items():
         contacts[name].reals(slots, width)
     if history:
-        contacts["touching"].wholes(slots, high=LARGEST_STATE)
+        contacts["in_contact"].wholes(slots, high=LARGEST_STATE)
     owner = np.repeat(np.arange(count), length)
     place = np.arange(slots) - np.repeat(np.cumsum(length) - length, length)
     if np.any((partner < 0) != (place < walls[owner])):
         raise contacts["partner"].wrong("does not begin each row with its walls")
     _check_pairs(contacts["partner"], owner, partner, count, surfaces, plan.chunk_size)
-    _check_room(contacts["row_length"], length, plan)
+    _check_room(contacts["list_length"], length, plan)
 
 
 def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, count: int, surfaces: int, chunk: int) -> None:

@@ -13,7 +13,7 @@ ROWS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lists that grow during a run, by key, and what each of their entries holds."""
 
-LOOK = ("id", "mass", "position", "distance", "kind")
+LOOK = ("id", "mass", "position", "distance", "part")
 """Arrays of the last look of a flow meter."""
 
 
@@ -32,7 +32,7 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
     for name, template in fresh.items():
         feeds[name].mapping(template)
         due = feeds[name]["due_count"].whole(0, counts[name])
-        waiting = feeds[name]["waiting"]
+        waiting = feeds[name]["queued"]
         size = waiting.value.size if isinstance(waiting.value, np.ndarray) else 0
         waiting.distinct(size, high=due - 1)
         feeds[name]["batch_count"].whole()
@@ -86,7 +86,7 @@ def _check_look(part: Part) -> None:
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
-    part["kind"].wholes(count)
+    part["part"].wholes(count)
     for name in ("mass", "distance"):
         part[name].reals(count)
     part["position"].reals(count, 3)

@@ -17,10 +17,11 @@ LOSS_KINDS, IMPULSE_SIZE = 5, 7
 """Energies that the ledger adds up, and numbers of a wall load, as on the device."""
 
 COUNTS = ("inserted_count", "deleted_count")
-MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy")
-SECONDS = ("search", "advance", "sampled_forces", "sampled_motion")
+MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
+SECONDS = ("neighbor_list", "advance", "sampled_forces", "sampled_integration")
 TALLIES = ("rebuild_count", "step_count", "particle_steps")
-KEYS = ("course", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
+WALL_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
+KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
@@ -30,7 +31,7 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
     """
     part = Part.of(checkpoint)
     part.mapping(KEYS)
-    _check_course(part["course"], [stage.name for stage in before.schedule])
+    _check_stage_progress(part["stage_progress"], [stage.name for stage in before.schedule])
     for each in part["wall_clock"].parts(("output_seconds", "wall_clock")):
         each.number(0.0)
     for each in part["plan"].parts(decided):
@@ -53,11 +54,11 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
         engine[name].whole(0, steps)
     for wall in engine["walls_present"].items(len(plan.walls)):
         wall.flag()
-    _check_books(engine["accounting"], count, plan)
+    _check_accounting(engine["accounting"], count, plan)
     _check_timing(engine["clocks"])
     _check_particles(engine["particles"], engine["accounting"], plan, before)
-    check_contacts(engine["contacts"], count, plan)
-    _check_drive(engine["drive"], plan)
+    check_contacts(engine["neighbors"], count, plan)
+    _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_energy_budget(engine["energy_budget"], plan)
 
 
@@ -84,20 +85,20 @@ def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
             raise array.unlike(f"an array of {count} particles")
 
 
-def _check_course(course: Part, stages: list[str]) -> None:
-    course.mapping(("stage", "stage_times", "look", "target", "arrived", "changes"))
-    present = course["stage"].text(stages)
-    times = course["stage_times"]
+def _check_stage_progress(progress: Part, stages: list[str]) -> None:
+    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes"))
+    present = progress["stage"].text(stages)
+    times = progress["stage_times"]
     if list(times.mapping()) != stages[: stages.index(present) + 1]:
         raise times.wrong("has other stages than those up to the present one")
     for each in times.parts():
         began, ended = each.items(2)
         ended.number(began.number(0.0, LARGEST_REAL))
-    course["look"].number()
-    course["arrived"].flag()
-    if course["target"].value is not None:
-        course["target"].number(0.0, LARGEST_REAL)
-    for change in course["changes"].items():
+    progress["next_check"].number()
+    progress["arrived"].flag()
+    if progress["target"].value is not None:
+        progress["target"].number(0.0, LARGEST_REAL)
+    for change in progress["changes"].items():
         change.number(0.0)
 
 
@@ -111,7 +112,7 @@ def _check_clock(clock: Part, time: float) -> None:
         raise clock.wrong(f"gives the time {now:.6g} s, but the header {time:.6g} s")
 
 
-def _check_books(accounting: Part, count: int, plan: Plan) -> None:
+def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     accounting.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
     inserted = accounting["inserted_count"].whole(count, plan.particle_capacity)
     accounting["deleted_count"].whole(inserted - count, inserted - count)
@@ -162,7 +163,7 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
         known = {name: metric for metric, name in enumerate(plan.materials)}
         expected = np.array([known.get(name, 0) for name in before.materials])[number]
         if np.any(particles["material"].wholes(count, high=plan.material_count - 1) != expected):
-            raise particles["material"].wrong("differs from the materials in books")
+            raise particles["material"].wrong("differs from the materials in accounting")
     _check_places(particles, count, plan)
 
 
@@ -172,24 +173,24 @@ def _check_places(particles: Part, count: int, plan: Plan) -> None:
     there = particles["position_at_rebuild"].reals(count, 3).astype(float)
     rounding = np.abs(there).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(place - there, axis=1) > 2.0 * plan.skin + rounding):
-        raise particles["position"].wrong("is farther from position_at_search than the skin allows")
+        raise particles["position"].wrong("is farther from position_at_rebuild than the skin allows")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
     if plan.scene.domain.on_exit != "expand" and np.any((there < low) | (there > high)):
         raise particles["position_at_rebuild"].wrong("is outside the domain")
 
 
-def _check_drive(drive: Part, plan: Plan) -> None:
+def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
     """Driven walls, unless they are others: that has a message of its own."""
-    if [each.text() for each in drive["drives"].items()] != [each.key for each in plan.controlled_motions]:
+    if [each.text() for each in dynamics["controlled_motions"].items()] != [each.key for each in plan.controlled_motions]:
         return
     count = len(plan.controlled_motions)
-    names = ("offset", "offset_at_rebuild", "velocity", "given", "work", "push", "was_on") if count else ()
-    drive.mapping(("drives", *names))
+    names = WALL_FIELDS if count else ()
+    dynamics.mapping(("controlled_motions", *names))
     for name in names:
-        if name == "was_on":
-            drive[name].wholes(count, high=1)
+        if name == "was_active":
+            dynamics[name].wholes(count, high=1)
         else:
-            drive[name].reals(*((plan.chunk_capacity, count) if name == "push" else (count,)))
+            dynamics[name].reals(*((plan.chunk_capacity, count) if name == "wall_force" else (count,)))
 
 
 def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:

@@ -22,7 +22,7 @@ class _Sample:
     part: np.ndarray
 
 
-_SAMPLE_FIELDS = ("id", "mass", "position", "distance", "kind")
+_SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
 
 
 class FlowCount:

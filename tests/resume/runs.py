@@ -87,7 +87,7 @@ def state_of(path):
     """Everything in a checkpoint but wall clock, and counts that follow it launch by launch; arrays as digests."""
     saved = read_checkpoint(path).saved
     del saved["wall_clock"]
-    for clocked in ("search", "advance", "sampled_forces", "sampled_motion", "particle_steps"):
+    for clocked in ("neighbor_list", "advance", "sampled_forces", "sampled_integration", "particle_steps"):
         del saved["engine"]["clocks"][clocked]
     return _digested(saved)
 

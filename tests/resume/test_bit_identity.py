@@ -41,8 +41,8 @@ def test_in_the_rain_and_in_the_outflow(tmp_path, taichi_f64):
     written = undisturbed(scene, tmp_path / "whole")
     assert len(written) >= 11
     early, late = (read_checkpoint(written[k]) for k in (1, 7))
-    assert early.saved["course"]["stage"] == "fill" and 0 < early.saved["insertion"]["rain"]["due_count"] < 60
-    assert late.saved["course"]["stage"] == "out"
+    assert early.saved["stage_progress"]["stage"] == "fill" and 0 < early.saved["insertion"]["rain"]["due_count"] < 60
+    assert late.saved["stage_progress"]["stage"] == "out"
     for name, checkpoint in (("early", early), ("late", late)):
         resumed(scene, tmp_path / "whole", tmp_path / name, checkpoint.path)
         assert_same(tmp_path / "whole", tmp_path / name)

@@ -67,18 +67,18 @@ def put(*keys, value=None, entry=None):
     return change
 
 
-CONTACTS, PARTICLES, BOOKS = ("engine", "contacts"), ("engine", "particles"), ("engine", "accounting")
+CONTACTS, PARTICLES, BOOKS = ("engine", "neighbors"), ("engine", "particles"), ("engine", "accounting")
 CHANGES = {
     "partner that does not exist": (put(*CONTACTS, "partner", entry=1, value=10**8), "partner holds 100000000"),
     "triangle that does not exist": (put(*CONTACTS, "partner", entry=0, value=-1000), "partner holds -1000"),
     "huge count": (put("engine", "particle_count", value=10**9), "particle_count is 1000000000"),
     "negative count": (put("engine", "particle_count", value=-1), "particle_count is -1"),
     "count that is a text": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
-    "row length": (put(*CONTACTS, "row_length", entry=0, value=0), "row_length adds up to"),
-    "negative row length": (put(*CONTACTS, "row_length", entry=0, value=-5), "row_length holds -5"),
-    "walls of a row": (put(*CONTACTS, "row_walls", entry=0, value=3), "row_walls|partner"),
-    "state of a contact": (put(*CONTACTS, "touching", entry=0, value=7), "touching holds 7"),
-    "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "lateral holds inf"),
+    "row length": (put(*CONTACTS, "list_length", entry=0, value=0), "list_length adds up to"),
+    "negative row length": (put(*CONTACTS, "list_length", entry=0, value=-5), "list_length holds -5"),
+    "walls of a row": (put(*CONTACTS, "list_walls", entry=0, value=3), "list_walls|partner"),
+    "state of a contact": (put(*CONTACTS, "in_contact", entry=0, value=7), "in_contact holds 7"),
+    "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
     "id twice": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
     "id above all": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
     "position that is no number": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
@@ -89,15 +89,15 @@ CHANGES = {
     "shape": (put(*PARTICLES, "velocity", value=np.zeros((8, 2))), "must be an array .8, 3."),
     "group": (put(*BOOKS, "group", entry=0, value=5), "group holds 5"),
     "material": (put(*BOOKS, "material", entry=0, value=-1), "material holds -1"),
-    "books without an entry": (put(*BOOKS, value={}), "books has the keys none"),
+    "books without an entry": (put(*BOOKS, value={}), "accounting has the keys none"),
     "particles that are a number": (put(*PARTICLES, value=3), "must be a mapping"),
     "step count": (put("engine", "clock", "step_count", value=-5), "step_count is -5"),
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
     "time": (put("engine", "clock", "since_time", value=1e9), "gives the time"),
     "walls": (put("engine", "walls_present", value=[True] * 50), "must be a list of 1"),
     "energy_budget": (put("engine", "energy_budget", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
-    "stage": (put("course", "stage", value="\x1b[2J"), "stage is "),
-    "stage times": (put("course", "stage_times", value={}), "stage_times has other stages"),
+    "stage": (put("stage_progress", "stage", value="\x1b[2J"), "stage is "),
+    "stage times": (put("stage_progress", "stage_times", value={}), "stage_times has other stages"),
     "plan": (put("plan", value={}), "plan has the keys none"),
     "plan's value": (put("plan", "time_step", value=[]), "must be a number or a text"),
     "groups of an earlier run": (put("earlier", value=[3]), "earlier/0 is 3"),
@@ -118,8 +118,8 @@ def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
     """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
 
     def change(saved):
-        contacts = saved["engine"]["contacts"]
-        owner = np.repeat(np.arange(8), contacts["row_length"])
+        contacts = saved["engine"]["neighbors"]
+        owner = np.repeat(np.arange(8), contacts["list_length"])
         partner = contacts["partner"].copy()
         across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
         assert len(across) >= 2
@@ -162,7 +162,7 @@ def archive(path, entries, compression=zipfile.ZIP_STORED):
     return path
 
 
-HEADER = {"format": 2, "granflow": "0", "scene": "", "time": 0.0, "kept": {}}
+HEADER = {"format": 2, "granflow": "0", "scene": "", "time": 0.0, "saved": {}}
 
 
 def npy(shape, dtype="<f8", data=b""):
@@ -180,7 +180,7 @@ ARCHIVES = {
     "list as header": ([("header.json", "[]")], "not a mapping"),
     "no header": ([("x.npy", npy("()"))], "header.json"),
     "empty header": ([("header.json", "{}")], "format None"),
-    "no state": ([("header.json", json.dumps(HEADER | {"kept": None}))], "lacks the version"),
+    "no state": ([("header.json", json.dumps(HEADER | {"saved": None}))], "lacks the version"),
     "text as time": ([("header.json", json.dumps(HEADER | {"time": "x"}))], "lacks the time"),
     "array nowhere": (
         [("header.json", json.dumps(HEADER)), ("a/b.npy", npy("(1,)", data=b"12345678"))],

@@ -14,18 +14,18 @@ class GaussianKernel:
 
         g(s) = exp(-s^2 / 2 w^2) / (sqrt(2 pi) w erf(c / sqrt(2)))      |s| < c w, else 0
 
-    `width` w [m], `cut_off` c in widths. Inside the cut-off W depends on the distance alone.
+    `width` w [m], `cutoff` c in widths. Inside the cutoff W depends on the distance alone.
     """
 
-    def __init__(self, width: float, cut_off: float) -> None:
-        self.width, self.cut_off = width, cut_off
-        self.reach = cut_off * width
-        self._table = _distribution(cut_off)
+    def __init__(self, width: float, cutoff: float) -> None:
+        self.width, self.cutoff = width, cutoff
+        self.reach = cutoff * width
+        self._table = _distribution(cutoff)
 
     @property
     def variance(self) -> float:
         """Mean of s^2 under g [m2]: w^2, less what the cut-off takes."""
-        c = self.cut_off
+        c = self.cutoff
         tail = 2.0 * c * np.exp(-0.5 * c * c) / (sqrt(2.0 * np.pi) * erf(c / sqrt(2.0)))
         return float(self.width**2 * (1.0 - tail))
 
@@ -36,8 +36,8 @@ class GaussianKernel:
 
 
 @cache
-def _distribution(cut_off: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes in widths from -cut_off to cut_off, and the share of the kernel below them, from 0 to 1."""
-    nodes = np.linspace(-cut_off, cut_off, NODES)
-    full = erf(cut_off / sqrt(2.0))
+def _distribution(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes in widths from -cutoff to cutoff, and the share of the kernel below them, from 0 to 1."""
+    nodes = np.linspace(-cutoff, cutoff, NODES)
+    full = erf(cutoff / sqrt(2.0))
     return nodes, np.array([0.5 + 0.5 * erf(node / sqrt(2.0)) / full for node in nodes])
