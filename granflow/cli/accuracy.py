@@ -60,11 +60,21 @@ def add_accuracy(verbs: Any) -> None:
     """Add `granflow accuracy` and its arguments."""
     summary = "measure error against run time for every contact model, precision and time step"
     parser = verbs.add_parser("accuracy", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/accuracy or out/accuracy_SCENE)")
-    parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)")
-    parser.add_argument("--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference")
-    parser.add_argument("--all-particles", action="store_true", help="run the scene with all its particles, which may take hours")
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="output directory (default: out/accuracy or out/accuracy_SCENE)"
+    )
+    parser.add_argument(
+        "--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)"
+    )
+    parser.add_argument(
+        "--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference"
+    )
+    parser.add_argument(
+        "--all-particles", action="store_true", help="run the scene with all its particles, which may take hours"
+    )
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
     parser.add_argument(
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],

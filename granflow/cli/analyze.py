@@ -12,7 +12,7 @@ MAX_ROWS = 20
 
 
 def analyze(options: argparse.Namespace) -> int:
-    """`granflow analyze`: compute metrics (mixing, angle of repose, coordination, fabric) and fields from the frames."""
+    """`granflow analyze`: compute metrics and fields of a completed run from its frames."""
     from granflow.scene import load
     from granflow.study.analyze import analyze as analyze_run
 

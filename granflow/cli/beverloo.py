@@ -9,7 +9,7 @@ from granflow.cli.messages import say, show_table
 
 
 def beverloo(options: argparse.Namespace) -> int:
-    """`granflow beverloo`: print C and k of Beverloo's law, with the exponent 5/2 and, from four orifices, a free one."""
+    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent."""
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
@@ -38,5 +38,7 @@ def add_beverloo(verbs: Any) -> None:
     parser.add_argument(
         "--bulk-density", required=True, type=quantity("density"), help="bulk density of the bed, such as '1500 kg/m3'"
     )
-    parser.add_argument("--gravity", type=quantity("acceleration"), default=9.81, help="gravitational acceleration (default: 9.81 m/s2)")
+    parser.add_argument(
+        "--gravity", type=quantity("acceleration"), default=9.81, help="gravitational acceleration (default: 9.81 m/s2)"
+    )
     parser.set_defaults(verb=beverloo)

@@ -181,7 +181,9 @@ def _check_places(particles: Part, count: int, plan: Plan) -> None:
 
 def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
     """Driven walls, unless they are others: that has a message of its own."""
-    if [each.text() for each in dynamics["controlled_motions"].items()] != [each.key for each in plan.controlled_motions]:
+    if [each.text() for each in dynamics["controlled_motions"].items()] != [
+        each.key for each in plan.controlled_motions
+    ]:
         return
     count = len(plan.controlled_motions)
     names = WALL_FIELDS if count else ()

@@ -39,8 +39,8 @@ WRONG = [
     line("verb", "bake beads.yaml", "invalid choice: 'bake'"),
     line("run_none", "run", "required: SCENE"),
     line("run_two", "run beads.yaml other.yaml", "unrecognized arguments: other.yaml"),
-    line("run_threads", "run beads.yaml --threads 0", "whole number from 1"),
-    line("run_threads_text", "run beads.yaml --threads many", "whole number from 1"),
+    line("run_threads", "run beads.yaml --threads 0", "whole number of at least 1"),
+    line("run_threads_text", "run beads.yaml --threads many", "whole number of at least 1"),
     line("run_until_unit", "run beads.yaml --until 4mm", "--until: 4mm"),
     line("run_until_nan", "run beads.yaml --until nan", "finite"),
     line(

@@ -194,7 +194,7 @@ def test_told_to_stop(home, reference, sent, code):
     _, message = running.communicate(timeout=60)
     assert running.returncode == code
     assert message.splitlines()[-1].endswith(
-        f"granflow resume {out.name} goes on. {out.name} holds the run up to there."
+        f"granflow resume {out.name} continues. {out.name} contains the run up to this time."
     )
     assert len(list(out.glob("checkpoint_*.npz"))) == 1
     resumed(home, out)

@@ -200,7 +200,7 @@ def test_beginning_from_the_start_over_results_takes_a_flag(stopped, capsys):
     for path in stopped.glob("checkpoint_*.npz"):
         path.write_bytes(b"nonsense")
     message = refused_resume(stopped, capsys)
-    assert "is damaged" in message and "holds no checkpoint that can be used, but 3 files of results" in message
+    assert "is damaged" in message and "contains no usable checkpoint, but 3 result files" in message
     assert f"granflow resume {stopped} --from-start.\n" in message
 
 
