@@ -49,13 +49,13 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
         refuse_inputs_inside(scene, out)
         if not overwrite:
             raise GranflowError(
-                f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or continue it: "
-                f"granflow resume {out}."
+                f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or "
+                f"continue it with granflow resume {out}."
             )
 
 
 def check(options: argparse.Namespace) -> int:
-    """`granflow check`: report all errors of a scene without running it, including the time step, packing and memory."""
+    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run."""
     scene = load(options)
     from granflow.observe import particles_from_run
     from granflow.plan import plan_for

@@ -25,7 +25,7 @@ def collide(options: argparse.Namespace) -> int:
 
 
 def restitution(options: argparse.Namespace) -> int:
-    """`granflow restitution`: requested and simulated restitution of each pair of materials at the scene's time step."""
+    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step."""
     from granflow.study.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
