@@ -122,7 +122,7 @@ def remove_old_checkpoints(directory: Path, count: int) -> None:
 
 
 def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
-    """Return the checkpoint with its arrays inserted. Raises ArchiveError if the header has unexpected keys or types."""
+    """Return the checkpoint with its arrays. Raises ArchiveError if the header has unexpected keys or types."""
     version, scene, time = header.get("granflow"), header.get("scene"), header.get("time")
     if header.get("format") != FORMAT:
         raise CheckpointError(

@@ -232,7 +232,7 @@ def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
         "particles.beads.insert.file": empty_scene(tmp_path, particles={"beads": beads}),
     }[inside]
-    with pytest.raises(GranflowError, match=rf"^{inside} is .*, which lies in the output directory .*--out\.$"):
+    with pytest.raises(GranflowError, match=rf"^{inside} is .*, which is in the output directory .*--out\.$"):
         prepare_output(out, given, overwrite=True)
     prepare_output(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), overwrite=True)
 

@@ -147,7 +147,7 @@ def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(
 def test_a_simulation_that_would_delete_its_own_start_is_refused(tmp_path):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
     write(tmp_path, OLD)
-    with pytest.raises(GranflowError, match="start_from is .*, which lies in the output directory"):
+    with pytest.raises(GranflowError, match="start_from is .*, which is in the output directory"):
         Simulation(scene, out=tmp_path)
     assert contents(tmp_path) == as_bytes(OLD)
 
