@@ -133,9 +133,9 @@ class ContactFrames(Frames):
 class WallFrames(Frames):
     """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
 
-    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall` is
-    the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an infinite
-    wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values.
+    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall`
+    is the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an
+    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values.
     """
 
     stem = "walls"

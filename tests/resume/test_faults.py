@@ -112,7 +112,7 @@ def test_a_directory_that_vanishes(home, reference):
     os.rename(out, home / "moved")
     _, message = running.communicate(timeout=120)
     assert running.returncode == 4, message
-    assert "No such file or directory" in message and "granflow resume vanishing goes on from" in message
+    assert "No such file or directory" in message and "granflow resume vanishing continues from" in message
     assert "Traceback" not in message
     refused = granflow(home, "resume", out.name)
     assert refused.returncode == 2 and "timeseries.csv lacks rows" in refused.stderr

@@ -95,7 +95,7 @@ class CoarseGrid:
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
-    """The grid that a scene asks for in its domain."""
+    """Return the grid that the scene specifies; the default region is the domain."""
     box = spec.region or domain
     x, y, z = (axis in domain.periodic for axis in AXES)
     return CoarseGrid(box.min, box.max, spec.cell_counts(domain), (x, y, z))
@@ -114,7 +114,7 @@ class _Padded:
         self.total = np.zeros((*(reached_cells + grid.counts + self.window)[::-1], width))
 
     def add(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray, first: np.ndarray) -> None:
-        """Add points (n, 3) [m] with values (n, k); `first` (n, 3): first cell that the kernel of each point reaches."""
+        """Add points (n, 3) [m] with values (n, k); `first` (n, 3): first cell within the kernel of each point."""
         base = first + self.reached_cells
         base[:, 0] -= base[:, 0] % BLOCK
         order = np.lexsort(base.T)

@@ -39,6 +39,6 @@ def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def anisotropy(fabric: np.ndarray) -> float:
-    """Return the anisotropy of a fabric tensor, sqrt(3/2 D:D) with D = F - 1/3: 0 isotropic, 1 all contacts parallel."""
+    """Return the anisotropy of a fabric tensor, sqrt(3/2 D:D), D = F - 1/3: 0 isotropic, 1 all contacts parallel."""
     deviator = fabric - np.eye(3) / 3.0
     return float(np.sqrt(1.5 * (deviator**2).sum()))
