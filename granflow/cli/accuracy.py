@@ -13,10 +13,10 @@ def accuracy(options: argparse.Namespace) -> int:
     """`granflow accuracy`: measure error against run time, for binary collisions or for a scene."""
     if not 0.0 < options.target < 1.0:
         raise GranflowError(f"--target is {options.target:g}, but must be between 0 and 1, such as 0.01.")
-    return _two_bodies(options) if options.scene is None else _scene(options)
+    return _binary_collisions(options) if options.scene is None else _scene(options)
 
 
-def _two_bodies(options: argparse.Namespace) -> int:
+def _binary_collisions(options: argparse.Namespace) -> int:
     for given, name in (
         (options.overrides, "--set"),
         (options.until, "--until"),

@@ -29,8 +29,8 @@ def compare(options: argparse.Namespace) -> int:
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for words in (stage_note(found), size_note(found), *stop_notes(found)):
         say(words)
-    for judged in found.assessments:
-        say(f"{judged.part}: {judged.verdict}. {judged.why}")
+    for assessment in found.assessments:
+        say(f"{assessment.part}: {assessment.verdict}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 

@@ -92,16 +92,16 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:
     """Print the simulated numbers of a collision beside the requested or closed-form ones."""
-    promises = ("_asked", "_theory")
+    references = ("_asked", "_theory")
     rows = []
-    for name in (name for name in numbers if not name.endswith(promises)):
-        promised = [as_text(numbers[name + end]) for end in promises if name + end in numbers]
+    for name in (name for name in numbers if not name.endswith(references)):
+        reference = [as_text(numbers[name + end]) for end in references if name + end in numbers]
         unit = COLLIDE_UNITS.get(name, "")
         rows.append(
             (
                 name.replace("_", " ").replace("equation19", "of Eq. 19"),
                 as_text(numbers[name]),
-                *(promised or [""]),
+                *(reference or [""]),
                 unit,
             )
         )

@@ -17,9 +17,9 @@ class StageProgress:
     """Started and completed stages, and pending events of the current stage.
 
     stage: name of the current stage.  changes [s]: future times at which walls appear or vanish.
-    stage_times [s]: start and end of the stages that have begun; the end is infinite during a stage.  next_check [s]:
-    time of the next check for rest.  target [s]: time to which the current steps lead, None between targets.  arrived: whether insertion and
-    wall changes at the target are done, so that only observers are pending.
+    stage_times [s]: start and end of the stages that have begun; the end is infinite during a stage.
+    next_check [s]: time of the next check for rest.  target [s]: time to which the current steps lead, None between
+    targets.  arrived: whether insertion and wall changes at the target are done, so that only observers are pending.
     """
 
     stage: str
