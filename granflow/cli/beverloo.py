@@ -13,7 +13,7 @@ def beverloo(options: argparse.Namespace) -> int:
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
-    given = (data, options.particle_diameter, options.bulk_density, options.gravity)
+    given = (data, options.diameter, options.bulk_density, options.gravity)
     fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
     if len(set(data.orifice)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))
@@ -31,10 +31,7 @@ def add_beverloo(verbs: Any) -> None:
         "paths", metavar="OUT|FILE.csv", type=Path, nargs="+",
         help="runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow",
     )  # fmt: skip
-    parser.add_argument(
-        "--diameter", required=True, type=quantity("length"), dest="particle_diameter", metavar="DIAMETER",
-        help="particle diameter, such as 5mm",
-    )  # fmt: skip
+    parser.add_argument("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
     parser.add_argument(
         "--bulk-density", required=True, type=quantity("density"), help="bulk density of the bed, such as '1500 kg/m3'"
     )

@@ -91,8 +91,8 @@ def cache(options: argparse.Namespace) -> int:
     """`granflow cache`: print the directory of compiled kernels and their number; --clear deletes them."""
     from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
-    cached = clear_cache() if options.clear_cache else cache_contents()
-    done = "deleted" if options.clear_cache else "cached"
+    cached = clear_cache() if options.clear else cache_contents()
+    done = "deleted" if options.clear else "cached"
     say(f"{cache_folder()}: {cached.kernel_count} compiled kernels, {cached.size / 1e6:.1f} MB {done}.")
     say(f"The environment variable {VARIABLE} selects another directory.")
     return 0

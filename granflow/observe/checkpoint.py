@@ -23,7 +23,7 @@ from granflow.observe.files import replacing
 from granflow.observe.log import version_of
 from granflow.regular_files import open_regular
 
-FORMAT = 2
+FORMAT = 3
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"

@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 
 from granflow.observe.checkpoint import Checkpoint
-from granflow.observe.checkpoint_contacts import check_contacts
+from granflow.observe.checkpoint_neighbors import check_neighbors
 from granflow.observe.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
 from granflow.plan import Plan
 from granflow.scene import Scene
@@ -57,7 +57,7 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     _check_accounting(engine["accounting"], count, plan)
     _check_timing(engine["clocks"])
     _check_particles(engine["particles"], engine["accounting"], plan, before)
-    check_contacts(engine["neighbors"], count, plan)
+    check_neighbors(engine["neighbors"], count, plan)
     _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_energy_budget(engine["energy_budget"], plan)
 

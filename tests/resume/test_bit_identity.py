@@ -50,7 +50,7 @@ def test_in_the_rain_and_in_the_outflow(tmp_path, taichi_f64):
     assert last["accounting"]["deleted_count"] > early.saved["engine"]["accounting"]["deleted_count"]
     plastic, friction, rolling, _, wall_work = last["energy_budget"]["losses"].sum(axis=0)
     assert plastic and friction and rolling and wall_work
-    assert len(last["contacts"]["partner"]) > 50
+    assert len(last["neighbors"]["partner"]) > 50
 
 
 def test_a_step_that_follows_the_scene(tmp_path, taichi_f64):

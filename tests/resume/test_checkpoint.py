@@ -82,7 +82,7 @@ def test_another_format_is_refused_by_number(tmp_path, monkeypatch):
     monkeypatch.setattr(format_of, "FORMAT", 99)
     path = written(tmp_path)
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="is in format 99, written by granflow .* reads format 2"):
+    with pytest.raises(CheckpointError, match="is in format 99, written by granflow .* reads format 3"):
         read_checkpoint(path)
 
 
@@ -147,4 +147,4 @@ def test_when_one_is_due(tmp_path, monkeypatch):
 def test_the_header_is_plain_json(tmp_path):
     with zipfile.ZipFile(written(tmp_path)) as archive:
         header = json.loads(archive.read("header.json"))
-    assert header["format"] == 2 and header["scene"] == "title: A scene\n"
+    assert header["format"] == 3 and header["scene"] == "title: A scene\n"

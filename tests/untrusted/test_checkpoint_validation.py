@@ -11,7 +11,7 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
 from granflow.observe import CheckpointError, accepted_change, newest_checkpoint, read_checkpoint, write_checkpoint
-from granflow.observe.checkpoint import CHECKSUM_PLACEHOLDER
+from granflow.observe.checkpoint import CHECKSUM_PLACEHOLDER, FORMAT
 from granflow.observe.checkpoint_validation import particle_arrays
 from granflow.plan import plan_for
 
@@ -67,18 +67,18 @@ def put(*keys, value=None, entry=None):
     return change
 
 
-CONTACTS, PARTICLES, BOOKS = ("engine", "neighbors"), ("engine", "particles"), ("engine", "accounting")
+NEIGHBORS, PARTICLES, ACCOUNTING = ("engine", "neighbors"), ("engine", "particles"), ("engine", "accounting")
 CHANGES = {
-    "partner that does not exist": (put(*CONTACTS, "partner", entry=1, value=10**8), "partner holds 100000000"),
-    "triangle that does not exist": (put(*CONTACTS, "partner", entry=0, value=-1000), "partner holds -1000"),
+    "partner that does not exist": (put(*NEIGHBORS, "partner", entry=1, value=10**8), "partner holds 100000000"),
+    "triangle that does not exist": (put(*NEIGHBORS, "partner", entry=0, value=-1000), "partner holds -1000"),
     "huge count": (put("engine", "particle_count", value=10**9), "particle_count is 1000000000"),
     "negative count": (put("engine", "particle_count", value=-1), "particle_count is -1"),
     "count that is a text": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
-    "row length": (put(*CONTACTS, "list_length", entry=0, value=0), "list_length adds up to"),
-    "negative row length": (put(*CONTACTS, "list_length", entry=0, value=-5), "list_length holds -5"),
-    "walls of a row": (put(*CONTACTS, "list_walls", entry=0, value=3), "list_walls|partner"),
-    "state of a contact": (put(*CONTACTS, "in_contact", entry=0, value=7), "in_contact holds 7"),
-    "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
+    "row length": (put(*NEIGHBORS, "list_length", entry=0, value=0), "list_length adds up to"),
+    "negative row length": (put(*NEIGHBORS, "list_length", entry=0, value=-5), "list_length holds -5"),
+    "walls of a row": (put(*NEIGHBORS, "list_walls", entry=0, value=3), "list_walls|partner"),
+    "state of a contact": (put(*NEIGHBORS, "in_contact", entry=0, value=7), "in_contact holds 7"),
+    "infinite displacement": (put(*NEIGHBORS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
     "id twice": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
     "id above all": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
     "position that is no number": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
@@ -87,9 +87,9 @@ CHANGES = {
     "mass": (put(*PARTICLES, "mass", entry=0, value=1.0), "mass differs from density"),
     "whole numbers as reals": (put(*PARTICLES, "id", value=np.zeros(8)), "must be an array .8,. of whole numbers"),
     "shape": (put(*PARTICLES, "velocity", value=np.zeros((8, 2))), "must be an array .8, 3."),
-    "group": (put(*BOOKS, "group", entry=0, value=5), "group holds 5"),
-    "material": (put(*BOOKS, "material", entry=0, value=-1), "material holds -1"),
-    "books without an entry": (put(*BOOKS, value={}), "accounting has the keys none"),
+    "group": (put(*ACCOUNTING, "group", entry=0, value=5), "group holds 5"),
+    "material": (put(*ACCOUNTING, "material", entry=0, value=-1), "material holds -1"),
+    "accounting without an entry": (put(*ACCOUNTING, value={}), "accounting has the keys none"),
     "particles that are a number": (put(*PARTICLES, value=3), "must be a mapping"),
     "step count": (put("engine", "clock", "step_count", value=-5), "step_count is -5"),
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
@@ -118,15 +118,15 @@ def test_a_pair_across_chunks_must_be_in_both_lists(original, tmp_path):
     """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
 
     def change(saved):
-        contacts = saved["engine"]["neighbors"]
-        owner = np.repeat(np.arange(8), contacts["list_length"])
-        partner = contacts["partner"].copy()
+        neighbors = saved["engine"]["neighbors"]
+        owner = np.repeat(np.arange(8), neighbors["list_length"])
+        partner = neighbors["partner"].copy()
         across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
         assert len(across) >= 2
         slot = across[0]
         row = set(partner[owner == owner[slot]].tolist()) | {int(owner[slot])}
         partner[slot] = next(k for k in range(8) if k // 4 != owner[slot] // 4 and k not in row)
-        contacts["partner"] = partner
+        neighbors["partner"] = partner
 
     with pytest.raises(CheckpointError, match="lists a pair across two chunks only once"):
         crafted(original, tmp_path, change)
@@ -162,7 +162,7 @@ def archive(path, entries, compression=zipfile.ZIP_STORED):
     return path
 
 
-HEADER = {"format": 2, "granflow": "0", "scene": "", "time": 0.0, "saved": {}}
+HEADER = {"format": FORMAT, "granflow": "0", "scene": "", "time": 0.0, "saved": {}}
 
 
 def npy(shape, dtype="<f8", data=b""):

@@ -14,7 +14,7 @@ GROWTH_FACTOR = 1.3
 """Factor by which a neighbor list that is too short grows."""
 
 
-def check_contacts(neighbors: Part, count: int, plan: Plan) -> None:
+def check_neighbors(neighbors: Part, count: int, plan: Plan) -> None:
     """Check the neighbor lists of `count` particles. Raises CheckpointError."""
     history = plan.history
     neighbors.mapping(("list_length", "list_walls", "partner", *(["in_contact"] if history else []), *history))
