@@ -1,6 +1,6 @@
 """granflow: discrete element simulation of granular flow, from a YAML scene to ParaView.
 
-Names are loaded when they are first used: reading a scene does not start Taichi.
+Names are imported at first use: reading a scene does not start Taichi.
 """
 
 import os
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from granflow.scene import load as load_scene
     from granflow.simulation import Simulation
 
-# Taichi would print a banner into our output and send its version to its makers once a day.
+# Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 __all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
 
-_HOMES = {
+_LOCATIONS = {
     "GranflowError": "granflow.errors:GranflowError",
     "RunError": "granflow.errors:RunError",
     "SceneError": "granflow.errors:SceneError",
@@ -29,8 +29,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _LOCATIONS:
         raise AttributeError(f"module 'granflow' has no attribute '{name}'")
-    home, _, attribute = _HOMES[name].partition(":")
-    value = getattr(import_module(home), attribute)
+    module, _, attribute = _LOCATIONS[name].partition(":")
+    value = getattr(import_module(module), attribute)
     return value("granflow") if name == "__version__" else value

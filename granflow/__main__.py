@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> int:
-    """Run the command line; Ctrl-C while it is still being imported ends without a traceback."""
+    """Run the command line and return its exit code; Ctrl-C during the imports ends it without a traceback."""
     try:
         from granflow.cli import main as run
     except KeyboardInterrupt:

@@ -1,19 +1,19 @@
-"""What granflow raises: every message is one clear sentence, shown by the command line without a traceback."""
+"""Exceptions of granflow; the command line shows their messages without a traceback."""
 
 from collections.abc import Iterable
 
 
 class GranflowError(Exception):
-    """Something the user can put right. The command line prints the message and exits with `exit_code`."""
+    """An error that the user can correct. The command line prints the message and exits with `exit_code`."""
 
     exit_code = 2
 
 
 class FileError(GranflowError):
-    """A file that cannot be used.
+    """An invalid file.
 
-    `problems` holds every problem found, in the order of the file, each as `file:line: sentence`; the message is
-    all of them, one per line.
+    `problems`: all problems in the order of the file, each as `file:line: sentence`. The message consists of all
+    problems, one per line.
     """
 
     def __init__(self, problems: Iterable[str] | str) -> None:
@@ -22,16 +22,16 @@ class FileError(GranflowError):
 
 
 class SceneError(FileError):
-    """A scene that cannot be run; its problems stand as `file:line:column: sentence`."""
+    """An invalid scene; its problems have the form `file:line:column: sentence`."""
 
 
 class OutputError(GranflowError):
-    """A run's files could not be written: the message says which, why, and from where it can go on."""
+    """Files of a run could not be written; the message gives the file, the reason and the last checkpoint."""
 
     exit_code = 4
 
 
 class RunError(GranflowError):
-    """A guard stopped a run: the message says where, when, the likely cause and what to change."""
+    """A run was aborted; the message gives position, time, probable cause and remedy."""
 
     exit_code = 3

@@ -1,4 +1,4 @@
-"""Opens files that come from elsewhere: regular files only, never a pipe or a device that would block or never end."""
+"""Reads input files, regular files only: a pipe or a device could block or never end."""
 
 import errno
 import os
@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """The file, opened for reading. Raises OSError with a reason in words; a named pipe does not block."""
+    """Open a file for reading. Raises OSError with the reason for other than regular files; never blocks."""
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError as error:  # a NUL in the name
@@ -22,14 +22,14 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 PIECE = 2**20
-"""Bytes that are read at a time."""
+"""Bytes read at a time."""
 
 LARGEST_FILE = 2**30
-"""Bytes of a text that is read at once."""
+"""Largest size of a file that is read into memory [bytes]."""
 
 
 def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """All bytes of the file. Raises OSError as `open_regular` does, and for more than `largest` bytes."""
+    """Return all bytes of the file. Raises OSError as `open_regular` does, and for more than `largest` bytes."""
     raw = bytearray()
     with open_regular(path) as file:
         long = os.fstat(file.fileno()).st_size > largest
@@ -42,12 +42,12 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
-    """The file as UTF-8, a byte order mark left out and wrong bytes replaced. Raises OSError."""
+    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced. Raises OSError."""
     return read_regular(path, largest).decode("utf-8-sig", errors="replace")
 
 
 def resolved(path: Path) -> Path:
-    """The path without symbolic links. Raises OSError for links that lead in a circle, whatever the Python version."""
+    """Return the path without symbolic links. Raises OSError for circular links, on all Python versions."""
     try:
         return Path(path).resolve()
     except RuntimeError:

@@ -1,4 +1,4 @@
-"""What a simulation shows to the outside: read-only numpy arrays of one moment, in SI."""
+"""Snapshots: the state of a simulation at one time as read-only numpy arrays in SI units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:
-    # A view, so that the array of whoever made the snapshot stays writable for its maker.
+    # A view, so that the original array stays writable.
     view = np.asarray(values).view()
     view.flags.writeable = False
     return view
@@ -21,10 +21,10 @@ def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class WallPose:
-    """Where a wall is: a rest point p stands at `rotation @ (p - pivot) + pivot + offset`.
+    """Pose of a wall: a point p at rest moves to `rotation @ (p - pivot) + pivot + offset`.
 
-    `offset` (3,) [m], `rotation` (3, 3), `pivot` (3,) [m]; `present` is False before a wall appears and after
-    it vanishes.
+    `offset` (3,) [m], `rotation` (3, 3), `pivot` (3,) [m]; `present` is False before a wall appears and after it
+    vanishes.
     """
 
     present: bool
@@ -38,24 +38,23 @@ class WallPose:
 
     @classmethod
     def at_rest(cls, present: bool = True) -> "WallPose":
-        """Make the pose of a wall that has not moved."""
+        """Return the pose of a wall that has not moved."""
         return cls(present, np.zeros(3), np.eye(3), np.zeros(3))
 
     def moved(self, points: np.ndarray) -> np.ndarray:
-        """Rest points (n, 3) [m] moved to where the wall stands now."""
+        """Return the current positions (n, 3) [m] of points at rest (n, 3) [m]."""
         return (points - self.pivot) @ self.rotation.T + self.pivot + self.offset
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One moment of a simulation. Keys and units are in `granflow.quantities`.
+    """State of a simulation at one time. `granflow.quantities` defines keys and units.
 
-    `time` [s]; `step`: steps done; `stage`: name of the stage. `particles`: arrays ordered by id, as many of
-    `PARTICLE_QUANTITIES` as were wanted, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, each
-    contact once, or None if not wanted. `walls`: pose by name, in the order of the scene. `totals`: numbers
-    of `TOTAL_QUANTITIES`. `impulses`: what the grains have given to every wall whose loads are measured, since the
-    start (7,): force over time [N s], torque over time [N m s], normal forces over time [N s].
-    All arrays and mappings are read-only.
+    `time` [s]; `step`: number of completed steps; `stage`: name of the stage. `particles`: requested arrays of
+    `PARTICLE_QUANTITIES`, ordered by id, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, one entry per
+    contact, or None if not requested. `walls`: pose by name, in the order of the scene. `totals`: numbers of
+    `TOTAL_QUANTITIES`. `impulses`: time integrals since the start for each measured wall (7,): force [N s], torque
+    [N m s] and normal force [N s] of the particles on the wall. All arrays and mappings are read-only.
     """
 
     time: float
@@ -77,12 +76,12 @@ class Snapshot:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; those of an aborted run may not be."""
+        """Whether all numbers are finite; in an aborted run they may not be."""
         arrays = [*self.particles.values(), *(self.contacts or {}).values(), *self.impulses.values()]
         return all(np.isfinite(each).all() for each in [*arrays, np.array(list(self.totals.values()))])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Read-only mappings cannot be pickled; child processes hand snapshots back as plain ones.
+        # Read-only mappings cannot be pickled; worker processes return snapshots with plain dictionaries.
         contacts = None if self.contacts is None else dict(self.contacts)
         plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), dict(self.impulses))
         return Snapshot, (self.time, self.step, self.stage, *plain)

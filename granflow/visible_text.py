@@ -1,8 +1,8 @@
 r"""Text for terminals, logs and pages: control, bidirectional and zero-width characters become visible escapes.
 
-Titles, headers and names of files come from elsewhere. As they are, ESC would control the terminal, and a
-right-to-left override would show another text than the file holds. `visible` turns each such character into \x1b or
-\u202e; line feeds and tabs stay.
+Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a right-to-left
+override would display another text than the file contains. `visible` replaces each such character by \x1b or \u202e;
+line feeds and tabs remain.
 """
 
 import logging
@@ -15,7 +15,7 @@ HIDDEN = re.compile(
 
 
 def visible(text: object) -> str:
-    """The text with every character that could not be seen, or would act on the display, as an escape."""
+    """Return the text with each invisible or control character replaced by an escape."""
     return HIDDEN.sub(lambda found: _escape(ord(found[0])), str(text))
 
 
@@ -27,5 +27,5 @@ class VisibleFormatter(logging.Formatter):
     """Formats log records as visible text."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The record as one text."""
+        """Return the text of the record."""
         return visible(super().format(record))

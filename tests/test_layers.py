@@ -146,7 +146,7 @@ def test_module_names_say_something():
 def test_package_inits_only_re_export(name):
     def is_re_export(node):
         if isinstance(node, ast.Assign):
-            return all(isinstance(t, ast.Name) and t.id in {"__all__", "_HOMES"} for t in node.targets)
+            return all(isinstance(t, ast.Name) and t.id in {"__all__", "_LOCATIONS"} for t in node.targets)
         if isinstance(node, ast.FunctionDef):
             return node.name == "__getattr__"
         if isinstance(node, ast.If):

@@ -10,20 +10,20 @@ from granflow.errors import GranflowError
 
 
 def accuracy(options: argparse.Namespace) -> int:
-    """`granflow accuracy`: what accuracy costs, in collisions of two bodies or in a scene."""
+    """`granflow accuracy`: measure error against run time, for binary collisions or for a scene."""
     if not 0.0 < options.target < 1.0:
-        raise GranflowError(f"--target is {options.target:g}, but an error between 0 and 1 is asked, such as 0.01.")
-    return _two_bodies(options) if options.scene is None else _scene(options)
+        raise GranflowError(f"--target is {options.target:g}, but must be between 0 and 1, such as 0.01.")
+    return _binary_collisions(options) if options.scene is None else _scene(options)
 
 
-def _two_bodies(options: argparse.Namespace) -> int:
+def _binary_collisions(options: argparse.Namespace) -> int:
     for given, name in (
         (options.overrides, "--set"),
         (options.until, "--until"),
         (options.all_particles, "--all-particles"),
     ):
         if given:
-            raise GranflowError(f"{name} goes with a SCENE, which is not given.")
+            raise GranflowError(f"{name} requires a SCENE, which is missing.")
     from granflow.study.accuracy import measure_two_bodies, write_two_bodies
     from granflow.study.accuracy.recommend import default_sentence, table_heads, table_rows
 
@@ -43,7 +43,7 @@ def _scene(options: argparse.Namespace) -> int:
     task = SceneTask(options.scene, tuple(options.overrides), options.until)
     reductions = [] if options.all_particles else reduced_counts(task.scene())
     if reductions:
-        say(f"A smaller scene, to be done in minutes: {', '.join(reductions)}; --all-particles runs it as it is.")
+        say(f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene.")
     study = measure_scene(task.with_overrides(*reductions), options.target, options.full, _report_progress)
     show_table(study.title, scene_heads(study), scene_rows(study))
     say(noise_sentence(study))
@@ -57,17 +57,27 @@ def _report_progress(message: str) -> None:
 
 
 def add_accuracy(verbs: Any) -> None:
-    """`granflow accuracy` and its arguments."""
-    summary = "show what accuracy costs: error against run time for every law, precision and time step"
+    """Add `granflow accuracy` and its arguments."""
+    summary = "measure error against run time for every contact model, precision and time step"
     parser = verbs.add_parser("accuracy", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("scene", metavar="SCENE", nargs="?", type=Path, help="study this scene, not two bodies")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where files go (out/accuracy, or out/accuracy_SCENE)")
-    parser.add_argument("--target", metavar="ERROR", type=float, default=0.01, help="relative error aimed at (0.01)")
-    parser.add_argument("--full", action="store_true", help="more steps, more repeats, more seeds, a finer reference")
-    parser.add_argument("--all-particles", action="store_true", help="all particles of the scene, which may take hours")
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="output directory (default: out/accuracy or out/accuracy_SCENE)"
+    )
+    parser.add_argument(
+        "--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)"
+    )
+    parser.add_argument(
+        "--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference"
+    )
+    parser.add_argument(
+        "--all-particles", action="store_true", help="run the scene with all its particles, which may take hours"
+    )
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
     parser.add_argument(
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
-        help="put a value in place of the scene's; may be repeated",
+        help="override a value of the scene; repeatable",
     )  # fmt: skip
     parser.set_defaults(verb=accuracy)

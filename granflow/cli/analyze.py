@@ -1,4 +1,4 @@
-"""`granflow analyze`: indices and fields of a run that is over."""
+"""`granflow analyze`: computes metrics and fields of a completed run."""
 
 import argparse
 from pathlib import Path
@@ -8,21 +8,21 @@ from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
 MAX_ROWS = 20
-"""Rows of the table on the screen; the file has them all."""
+"""Largest number of rows printed; the file contains all rows."""
 
 
 def analyze(options: argparse.Namespace) -> int:
-    """`granflow analyze`: mixing, angle of repose, fabric, fields from the frames of a run."""
+    """`granflow analyze`: compute metrics and fields of a completed run from its frames."""
     from granflow.scene import load
     from granflow.study.analyze import analyze as analyze_run
 
     scene_path = options.directory / "scene_as_run.yaml"
     if not scene_path.is_file():
-        raise GranflowError(f"{options.directory} is no directory of a run: it has no scene_as_run.yaml.")
+        raise GranflowError(f"{options.directory} is not the directory of a run: it contains no scene_as_run.yaml.")
     out = options.out or options.directory / "analysis"
     if out.resolve() == options.directory.resolve():
         raise GranflowError(
-            f"--out {out} is the directory of the run, whose fields would be overwritten: name another."
+            f"--out {out} is the directory of the run, whose fields would be overwritten: give another directory."
         )
     rows = analyze_run(options.directory, load(scene_path, options.overrides), out)
     if rows and len(rows[0]) > len(("time", "stage")):
@@ -34,13 +34,13 @@ def analyze(options: argparse.Namespace) -> int:
 
 
 def add_analyze(verbs: Any) -> None:
-    """`granflow analyze` and its arguments."""
-    summary = "measure indices and fields of a run that is over, from its frames"
-    parser = verbs.add_parser("measure", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("directory", metavar="OUT", type=Path, help="directory that granflow run has written")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where the results go (OUT/analysis)")
+    """Add `granflow analyze` and its arguments."""
+    summary = "compute metrics (mixing, angle of repose, coordination, fabric) or fields of a completed run"
+    parser = verbs.add_parser("analyze", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("directory", metavar="OUT", type=Path, help="directory of the run")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: OUT/analysis)")
     parser.add_argument(
         "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
-        help="what to measure, such as --set 'output.metrics.heap={kind: repose, surface: cone}'; may be repeated",
+        help="metric or field to compute, such as 'output.metrics.heap={kind: repose, surface: cone}'; repeatable",
     )  # fmt: skip
     parser.set_defaults(verb=analyze)

@@ -1,4 +1,4 @@
-"""Arguments that several verbs share, and readers of their values."""
+"""Arguments shared by several verbs, and converters of their values."""
 
 import argparse
 import math
@@ -14,34 +14,34 @@ PRECISIONS = ("f64", "f32", "mixed")
 
 
 def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    """A verb that reads a scene: SCENE and --set."""
+    """Add a verb that reads a scene, with the arguments SCENE and --set; return its parser."""
     parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="the YAML file of the scene")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
     parser.add_argument(
         "--set",
         dest="overrides",
         metavar="KEY.PATH=VALUE",
         action="append",
         default=[],
-        help="put a value in place of the scene's, such as --set particles.beads.count=500; may be repeated",
+        help="override a value of the scene, such as --set particles.beads.count=500; repeatable",
     )
     parser.set_defaults(verb=verb)
     return parser
 
 
 def add_machine(parser: argparse.ArgumentParser) -> None:
-    """--arch and --precision."""
-    parser.add_argument("--arch", choices=ARCHITECTURES, default="cpu", help="where to compute (cpu)")
-    parser.add_argument("--precision", choices=PRECISIONS, help="width of the numbers (as the scene says)")
+    """Add --arch and --precision."""
+    parser.add_argument("--arch", choices=ARCHITECTURES, default="cpu", help="device that computes (default: cpu)")
+    parser.add_argument("--precision", choices=PRECISIONS, help="floating-point precision (default: that of the scene)")
 
 
 def add_allow_long(parser: argparse.ArgumentParser) -> None:
-    """--allow-long."""
+    """Add --allow-long."""
     parser.add_argument("--allow-long", action="store_true", help="accept a run estimated to take more than a year")
 
 
 def quantity(dimension: str) -> Callable[[str], float]:
-    """A reader of arguments such as 25.4mm, for argparse: to SI, with the reader's own message if it is not one."""
+    """Return a converter for argparse from text such as 25.4mm to SI; it reports errors of the unit parser."""
 
     def read(text: str) -> float:
         from granflow.scene.units import UnitError, to_si
@@ -49,31 +49,31 @@ def quantity(dimension: str) -> Callable[[str], float]:
         try:
             value = to_si(text, dimension)
         except UnitError as error:
-            raise argparse.ArgumentTypeError(f"{text} is given, but {error}") from None
+            raise argparse.ArgumentTypeError(f"{text}: {error}") from None
         if not math.isfinite(value):
-            raise argparse.ArgumentTypeError(f"{text} is given, but a finite value is asked here")
+            raise argparse.ArgumentTypeError(f"{text} is not finite; give a finite value")
         return value
 
     return read
 
 
 def simulated_time(text: str) -> float:
-    """A reader of --until, for argparse: a simulated time [s], at least 0."""
+    """Convert --until for argparse: a simulated time [s], at least 0."""
     value = quantity("time")(text)
     if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is given, but a time must be at least 0, such as 0.2s")
+        raise argparse.ArgumentTypeError(f"{text} is negative; give a time of at least 0, such as 0.2s")
     return value
 
 
 def thread_count(text: str) -> int:
-    """A reader of --threads, for argparse."""
+    """Convert --threads for argparse: a whole number, at least 1."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} is given, but a whole number from 1 is asked here")
+        raise argparse.ArgumentTypeError(f"{text} is not a number of threads; give a whole number of at least 1")
     return int(text)
 
 
 def load(options: argparse.Namespace) -> "Scene":
-    """Read the scene with the overrides of the command line; --precision is one of them."""
+    """Read the scene with the overrides of the command line, --precision included."""
     from granflow.scene import load as load_scene
 
     precision = getattr(options, "precision", None)

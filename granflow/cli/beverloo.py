@@ -1,4 +1,4 @@
-"""`granflow beverloo`: the law of discharge from runs or from a table."""
+"""`granflow beverloo`: fits Beverloo's law of discharge to runs or tables."""
 
 import argparse
 from pathlib import Path
@@ -9,33 +9,33 @@ from granflow.cli.messages import say, show_table
 
 
 def beverloo(options: argparse.Namespace) -> int:
-    """`granflow beverloo`: C and k of Beverloo's law, with the exponent 5/2 and with a free one."""
+    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent."""
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
     given = (data, options.diameter, options.bulk_density, options.gravity)
     fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
-    if len(set(data.opening)) > len(("C", "k", "exponent")):
+    if len(set(data.orifice)) > len(("C", "k", "exponent")):
         fits.append(fit_beverloo(*given, exponent=None))
         heads.append("exponent free")
     say("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
-    show_table(f"{len(data.opening)} flows", ("", *heads), beverloo_rows(fits))
+    show_table(f"{len(data.orifice)} flows", ("", *heads), beverloo_rows(fits))
     return 0
 
 
 def add_beverloo(verbs: Any) -> None:
-    """`granflow beverloo` and its arguments."""
-    summary = "fit Beverloo's law of discharge to runs with several openings, or to a table"
+    """Add `granflow beverloo` and its arguments."""
+    summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
     parser = verbs.add_parser("beverloo", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(
         "paths", metavar="OUT|FILE.csv", type=Path, nargs="+",
-        help="runs whose flow meter has the radius of the opening, or tables with the columns opening and mass_flow",
+        help="runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow",
     )  # fmt: skip
+    parser.add_argument("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
     parser.add_argument(
-        "--diameter", required=True, type=quantity("length"), help="diameter of the particles, such as 5mm"
+        "--bulk-density", required=True, type=quantity("density"), help="bulk density of the bed, such as '1500 kg/m3'"
     )
     parser.add_argument(
-        "--bulk-density", required=True, type=quantity("density"), help="of the bed, such as '1500 kg/m3'"
+        "--gravity", type=quantity("acceleration"), default=9.81, help="gravitational acceleration (default: 9.81 m/s2)"
     )
-    parser.add_argument("--gravity", type=quantity("acceleration"), default=9.81, help="(9.81 m/s2)")
     parser.set_defaults(verb=beverloo)

@@ -1,4 +1,4 @@
-"""`granflow compare`: one scene under several normal laws, side by side."""
+"""`granflow compare`: one scene with several normal contact models, side by side."""
 
 import argparse
 from pathlib import Path
@@ -10,7 +10,7 @@ from granflow.cli.scenes import prepare_output
 
 
 def compare(options: argparse.Namespace) -> int:
-    """`granflow compare`: run the scene under each law, then show the table and what it says of linear springs."""
+    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs."""
     from granflow.study.compare import law_names
     from granflow.study.compare.variants import variant_keys
 
@@ -29,26 +29,30 @@ def compare(options: argparse.Namespace) -> int:
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for words in (stage_note(found), size_note(found), *stop_notes(found)):
         say(words)
-    for judged in found.assessments:
-        say(f"{judged.part}: {judged.verdict}. {judged.why}")
+    for assessment in found.assessments:
+        say(f"{assessment.part}: {assessment.verdict}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 
 
 def add_compare(verbs: Any) -> None:
-    """`granflow compare` and its arguments."""
-    parser = add_scene_verb(verbs, compare, "run a scene under several laws and show what differs, on one page")
-    parser.add_argument(
-        "--laws", default="zhou,linear,hertz", help="laws with commas; linear runs twice (zhou,linear,hertz)"
+    """Add `granflow compare` and its arguments."""
+    parser = add_scene_verb(
+        verbs, compare, "run the same scene with several contact models and compare the results on one page"
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where it goes (out/, the scene's name and _compare)")
+    parser.add_argument(
+        "--laws",
+        default="zhou,linear,hertz",
+        help="contact models, separated by commas; linear runs twice (default: zhou,linear,hertz)",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE_compare)")
     parser.add_argument(
         "--reference-velocity",
         metavar="V",
         type=quantity("velocity"),
-        help="approach velocity of the one linear spring (a tenth of the fastest expected)",
+        help="impact velocity that calibrates the single linear spring (default: a tenth of the largest expected)",
     )
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
-    parser.add_argument("--full", action="store_true", help="all particles, even if they are more than 4000")
+    parser.add_argument("--full", action="store_true", help="run all particles, even more than 4000")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

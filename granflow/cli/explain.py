@@ -1,4 +1,4 @@
-"""The verb explain: what will be run and why, and with --measure what each part of it costs."""
+"""`granflow explain`: prints what is computed and why, and with --measure the cost of each feature."""
 
 import argparse
 import atexit
@@ -13,30 +13,30 @@ from granflow.errors import GranflowError
 
 
 def explain(options: argparse.Namespace) -> int:
-    """`granflow explain`: features, defaults, time step, memory, run time; or time and memory of every feature."""
+    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature."""
     scene = load(options)
     if options.measure:
         return measure(options, scene)
     given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
     if given:
-        raise GranflowError(f"--{given[0]} goes only with --measure: give both or neither.")
+        raise GranflowError(f"--{given[0]} requires --measure: give both or neither.")
     from granflow.plan import explain as explain_plan
     from granflow.plan import plan_for
 
     say(explain_plan(plan_for(scene, on_gpu=options.arch != "cpu")))
-    say(f"\nWhat each feature costs: granflow explain --measure {options.scene}")
+    say(f"\nCost of each feature: granflow explain --measure {options.scene}")
     return 0
 
 
 def measure(options: argparse.Namespace, scene: Any) -> int:
-    """Time the scene with every feature on and off, and show the table."""
+    """Time the scene with each feature on and off, and print the table."""
     use_fresh_kernel_cache()
     from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
 
     found = feature_costs(
         scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True)
     )
-    show_table(f"{scene.title}: a step as it stands, and with one feature off or on", HEADS, cost_rows(found))
+    show_table(f"{scene.title}: cost of a step, as in the scene and with one feature switched", HEADS, cost_rows(found))
     say(*remarks(found), sep="\n")
     if options.out is not None:
         write_feature_costs(options.out, found, scene.title)
@@ -45,24 +45,32 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
 
 
 def use_fresh_kernel_cache() -> None:
-    """Keep kernels of this process in a folder of its own, so that compiling takes as long as the first time."""
+    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time."""
     from granflow.device.kernel_cache import VARIABLE
 
     folder = TemporaryDirectory()
-    atexit.register(folder.cleanup)  # before Taichi registers its own end, which writes into the folder
+    atexit.register(folder.cleanup)  # before Taichi registers its exit handler, which writes into the folder
     os.environ[VARIABLE] = folder.name
 
 
 def add_explain(verbs: Any) -> None:
-    """`granflow explain` and its arguments."""
-    parser = add_scene_verb(verbs, explain, "show what would be run and why: features, defaults, time step, memory")
-    parser.add_argument("--measure", action="store_true", help="time a step with every feature on and off instead")
-    parser.add_argument("--until", metavar="T", type=simulated_time, help="with --measure: run to this time before")
+    """Add `granflow explain` and its arguments."""
+    parser = add_scene_verb(
+        verbs, explain, "print what is computed and why: features, defaults, time step and its limit, memory"
+    )
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="measure the cost of each feature instead: time of a step with the feature on and off",
+    )
+    parser.add_argument(
+        "--until", metavar="T", type=simulated_time, help="with --measure: simulated time to run before the measurement"
+    )
     parser.add_argument(
         "--threads",
         metavar="N",
         type=thread_count,
-        help="with --measure: CPU threads (cores that this process may use)",
+        help="with --measure: CPU threads (default: cores available to this process)",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="with --measure: write the table as CSV and Markdown")
     add_machine(parser)

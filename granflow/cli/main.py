@@ -1,6 +1,6 @@
-"""The command line: every verb and the way out of it.
+"""The command line: dispatches the verbs and returns exit codes.
 
-Only what a verb needs is imported, inside it: `--help` starts at once and `schema` never loads Taichi.
+Each verb imports its modules inside its function: `--help` starts at once and `schema` never loads Taichi.
 """
 
 import argparse
@@ -28,9 +28,10 @@ from granflow.visible_text import visible
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 done; 1 done, but an expectation of the scene is not met; 2 refused (scene, command line, files); 3 stopped
-    by a guard; 4 stopped as files could not be written; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM);
-    141 the reader of stdout closed the pipe, as `head` does. `run` and `resume` continue without it.
+    0 completed; 1 completed, but an expectation of the scene is not satisfied; 2 input error (scene, command line,
+    files); 3 aborted, with a diagnosis; 4 stopped because files could not be written; 130 interrupted (Ctrl-C);
+    143 terminated (SIGTERM); 141 the reader of stdout closed the pipe, as `head` does. After a closed pipe, `run` and
+    `resume` continue.
     """
     try:
         with standard_streams() as output:
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             output.needed = options.verb not in (run, resume)
             return _verb(options)
     except OSError as error:
-        return _complain_of_file(error)
+        return _print_file_error(error)
 
 
 def _verb(options: argparse.Namespace) -> int:
@@ -48,28 +49,28 @@ def _verb(options: argparse.Namespace) -> int:
     except GranflowError as error:
         return print_refusal(error)
     except OSError as error:
-        return _complain_of_file(error)
+        return _print_file_error(error)
     except KeyboardInterrupt as stop:
         return print_error("interrupted.", exit_code_of(stop))
 
 
-def _complain_of_file(error: OSError) -> int:
+def _print_file_error(error: OSError) -> int:
     if error.filename is None:
         raise error
     return print_error(f"{error.filename}: {_reason_of(error)}.")
 
 
 def _reason_of(error: OSError) -> str:
-    """Why a path cannot be used."""
+    """Return why a path cannot be used."""
     if isinstance(error, FileExistsError):
-        return "this is a file, but a directory is needed; name another path"
+        return "this is a file, but a directory is needed; give another path"
     return error.strerror or str(error)
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """All verbs and their arguments."""
+    """Build the parser of all verbs and their arguments."""
     parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
-    parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and leave")
+    parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     add_run(verbs)
     add_resume(verbs)
@@ -92,14 +93,14 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser, and those of the verbs, whose messages may quote any text of the command line."""
+    """An argument parser whose messages show control characters of quoted text as visible escapes."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         super()._print_message(visible(message), file)
 
 
 class ShowVersion(argparse.Action):
-    """Looks the version up only when asked, as that reads files."""
+    """Prints the version; reads it only then, because that takes file access."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import granflow

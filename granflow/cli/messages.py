@@ -1,4 +1,4 @@
-"""What a verb says: one sentence on stderr, an exit code, a table."""
+"""Output of the verbs: messages on stderr, exit codes, tables."""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,22 +21,22 @@ COLLIDE_UNITS = {
     "velocity": "m/s",
 }
 WIDE = 160
-"""Columns of a table that goes to a file: wide enough that no number is cut."""
+"""Width of a table that is written to a file [characters]: wide enough for complete numbers."""
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came: ends a run in the same orderly way as Ctrl-C."""
+    """Raised on SIGTERM: ends a run in the same way as Ctrl-C."""
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
-    """Print text that may hold titles, names or headers of files from elsewhere; the only `print` of the commands."""
+    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI."""
     print(visible(sep.join(map(str, parts))), file=file, flush=flush)
 
 
 def print_refusal(error: GranflowError) -> int:
-    """Show an error of ours without a traceback and give its exit code; problems of a file are counted."""
+    """Print an error without a traceback and return its exit code; the problems of a file are counted."""
     problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return print_error(str(error), error.exit_code)
@@ -47,24 +47,24 @@ def print_refusal(error: GranflowError) -> int:
 
 
 def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
-    """Say one sentence on stderr and give the exit code."""
+    """Print one sentence to stderr and return the exit code."""
     say(f"granflow: {sentence}", file=sys.stderr)
     return exit_code
 
 
 def warn(sentences: Iterable[str]) -> None:
-    """Say on stderr what does not keep a scene from running but should be known."""
+    """Print warnings to stderr."""
     for sentence in sentences:
         say(f"granflow: warning: {sentence}", file=sys.stderr)
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:
-    """The exit code that shells give to a process ended by that signal."""
+    """Return the exit code that shells report for a process ended by that signal."""
     return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
 
 
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
-    """Write the files of a study; without matplotlib those that need none, and say so."""
+    """Write the files of a study; without matplotlib, write only those that do not need it, with a message."""
     try:
         write(out, *numbers)
     except GranflowError as error:
@@ -73,7 +73,7 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
 
 
 def show_result(title: str, result: "Result", out: Path) -> None:
-    """Print the closing table, the expectations, and what to open."""
+    """Print the table of results, the expectations, and the files to open."""
     from rich.console import Console
 
     from granflow.observe import closing_table
@@ -83,7 +83,7 @@ def show_result(title: str, result: "Result", out: Path) -> None:
         say(sentence if met else f"NOT AS EXPECTED: {sentence}")
     for group, numbers in result.insertion.items():
         if numbers["not_inserted_count"]:
-            say(f"{numbers['not_inserted_count']:.0f} {group} have not come: {out / 'run.log'} says why.")
+            say(f"{numbers['not_inserted_count']:.0f} {group} were not inserted; reason: {out / 'run.log'}.")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         say(f"For ParaView: {', '.join(series)}")
@@ -91,25 +91,25 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:
-    """Print what a collision reached beside what was asked of it or what theory promises."""
-    promises = ("_asked", "_theory")
+    """Print the simulated numbers of a collision beside the requested or closed-form ones."""
+    references = ("_asked", "_theory")
     rows = []
-    for name in (name for name in numbers if not name.endswith(promises)):
-        promised = [as_text(numbers[name + end]) for end in promises if name + end in numbers]
+    for name in (name for name in numbers if not name.endswith(references)):
+        reference = [as_text(numbers[name + end]) for end in references if name + end in numbers]
         unit = COLLIDE_UNITS.get(name, "")
         rows.append(
             (
                 name.replace("_", " ").replace("equation19", "of Eq. 19"),
                 as_text(numbers[name]),
-                *(promised or [""]),
+                *(reference or [""]),
                 unit,
             )
         )
-    show_table("head-on collision", ("", "reached", "asked or closed form", "unit"), rows)
+    show_table("head-on collision", ("", "simulated", "requested or closed form", "unit"), rows)
 
 
 def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table with right-aligned figures to the terminal, or plain to a file."""
+    """Print a table with right-aligned numbers to the terminal, or as plain text to a file."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -123,5 +123,5 @@ def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 
 def as_text(value: Any) -> str:
-    """A number with seven digits, anything else as it is."""
+    """Return a number with seven digits, and the text of any other value."""
     return f"{value:.7g}" if isinstance(value, float) else str(value)

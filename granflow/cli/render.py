@@ -1,4 +1,4 @@
-"""The verb render: pictures and films of a run."""
+"""`granflow render`: images and films of a run."""
 
 import argparse
 from pathlib import Path
@@ -14,7 +14,7 @@ FITS = ("all", "particles", "domain")
 
 
 def render(options: argparse.Namespace) -> int:
-    """`granflow render`: PNG of frames of a run, or an MP4 of all of them."""
+    """`granflow render`: write frames of a run as PNG images, or all frames as an MP4 film."""
     from granflow.study.render import PictureStyle, frames_of, selected_frames, write_pictures
 
     frames = frames_of(options.directory)
@@ -25,14 +25,14 @@ def render(options: argparse.Namespace) -> int:
         return film(options, frames, style)
     wanted = selected_frames(frames, options.frame)
     if options.out is not None and len(wanted) > 1:
-        raise GranflowError(f"--out names one file, but --frame {options.frame} asks for {len(wanted)} pictures.")
+        raise GranflowError(f"--out is one file, but --frame {options.frame} selects {len(wanted)} images.")
     for path in write_pictures(options.directory, wanted, style, options.out):
         say(path)
     return 0
 
 
 def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyle") -> int:
-    """Write the film, or, where what it needs is not installed, its pictures."""
+    """Write the film; if a required package is not installed, write its images and return an error code."""
     from granflow.study.render import pictures, write_film, write_pictures
     from granflow.study.render.film import missing_for_film
     from granflow.study.render.render import name_of
@@ -40,8 +40,8 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
     missing = missing_for_film()
     if missing:
         paths = write_pictures(options.directory, frames, style)
-        say(f"{len(paths)} pictures from {paths[0]} to {paths[-1]}")
-        return print_error(f"A film needs {missing}, which is not installed: pip install granflow[plot]")
+        say(f"{len(paths)} images from {paths[0]} to {paths[-1]}")
+        return print_error(f"A film requires {missing}, which is not installed: pip install granflow[plot]")
     path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_film(path, pictures(options.directory, frames, style), options.fps)
@@ -50,75 +50,88 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
 
 
 def pixel_size(text: str) -> tuple[int, int]:
-    """A reader of --size 1600x1200, for argparse: two even numbers."""
+    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even numbers."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()) or min(int(width), int(height)) < SMALLEST:
-        raise argparse.ArgumentTypeError(
-            f"{text} is given, but width and height in pixels are asked, such as 1600x1200"
-        )
+        raise argparse.ArgumentTypeError(f"{text} is not a size; give width and height in pixels, such as 1600x1200")
     return int(width) // 2 * 2, int(height) // 2 * 2
 
 
 SMALLEST = 200
-"""Pixels of a side below which nothing can be read."""
+"""Smallest width and height of an image [pixels]."""
 
 
 def number_pair(text: str) -> tuple[float, float]:
-    """A reader of --range 0,1.5, for argparse."""
+    """Convert --range, such as 0,1.5, for argparse: two increasing numbers."""
     try:
         low, high = (float(word) for word in text.split(","))
     except ValueError:
         low, high = 0.0, 0.0
     if not low < high:
-        raise argparse.ArgumentTypeError(f"{text} is given, but two numbers in SI, the smaller one first, are asked")
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a range; give two numbers in SI units, the smaller one first, such as 0,1.5"
+        )
     return low, high
 
 
 def positive(text: str) -> float:
-    """A reader of a number above 0, for argparse."""
+    """Convert a positive number for argparse."""
     try:
         number = float(text)
     except ValueError:
         number = 0.0
     if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is given, but a number above 0 is asked here")
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
     return number
 
 
 def add_render(verbs: Any) -> None:
-    """`granflow render` and its arguments."""
-    summary = "draw frames of a run as PNG, or all of them as a film"
+    """Add `granflow render` and its arguments."""
+    summary = "write images (PNG) of frames of a run, or a film of all frames"
     parser = verbs.add_parser("render", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("directory", metavar="DIR", type=Path, help="the directory of the run, such as out/hopper")
+    parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
     parser.add_argument(
         "--frame",
         default="last",
         metavar="F",
-        help="last, first, a number, a time as 0.4s, several with commas, or all (last)",
+        help="last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)",
     )
     parser.add_argument("--film", action="store_true", help="write an MP4 of all frames instead")
-    parser.add_argument("--fps", type=positive, default=25.0, metavar="N", help="frames a second of the film (25)")
+    parser.add_argument(
+        "--fps", type=positive, default=25.0, metavar="N", help="frames per second of the film (default: 25)"
+    )
     parser.add_argument(
         "--color", default="velocity", metavar="NAME",
-        help="array of the grains, as velocity, velocity.z, force, radius, material, coordination_number (velocity)",
+        help="particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)",
     )  # fmt: skip
     parser.add_argument(
-        "--range", type=number_pair, metavar="LOW,HIGH", help="ends of the color scale in SI (from the frames)"
+        "--range",
+        type=number_pair,
+        metavar="LOW,HIGH",
+        help="limits of the color scale in SI units (default: from the frames)",
     )
-    parser.add_argument("--chains", action="store_true", help="contacts as tubes, thicker and redder with normal force")
+    parser.add_argument(
+        "--chains", action="store_true", help="draw contacts as tubes whose thickness and color show the normal force"
+    )
     parser.add_argument(
         "--view",
         default="iso",
         metavar="V",
-        help="iso, front, side, top, or where the viewer stands, as --view=1,-2,0.8 (iso)",
+        help="iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)",
     )
-    parser.add_argument("--zoom", type=positive, default=1.0, metavar="X", help="larger is nearer (1)")
+    parser.add_argument("--zoom", type=positive, default=1.0, metavar="X", help="magnification (default: 1)")
     parser.add_argument(
-        "--fit", choices=FITS, default="all", help="what is in sight: grains and walls, grains, or domain (all)"
+        "--fit",
+        choices=FITS,
+        default="all",
+        help="visible part: particles and walls (all), particles, or domain (default: all)",
     )
-    parser.add_argument("--cut", action="store_true", help="leave out the half in front")
-    parser.add_argument("--size", type=pixel_size, metavar="WxH", help="pixels (1200 high, as wide as fits)")
+    parser.add_argument("--cut", action="store_true", help="omit the front half")
     parser.add_argument(
-        "--out", metavar="FILE", type=Path, help="where it goes (pictures/ in the directory of the run)"
+        "--size",
+        type=pixel_size,
+        metavar="WxH",
+        help="width and height in pixels (default: 1200 high, width from the view)",
     )
+    parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")
     parser.set_defaults(verb=render)

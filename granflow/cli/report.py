@@ -1,4 +1,4 @@
-"""The verb report: one page about one run."""
+"""`granflow report`: one HTML page about one run."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from granflow.cli.messages import say
 
 
 def report(options: argparse.Namespace) -> int:
-    """`granflow report`: everything about a run on one page, with plots to hover over and pictures."""
+    """`granflow report`: write one self-contained page about a run, with interactive plots and images."""
     from granflow.study.report import write_report
 
     path = write_report(options.directory, options.out, not options.no_pictures)
@@ -17,10 +17,10 @@ def report(options: argparse.Namespace) -> int:
 
 
 def add_report(verbs: Any) -> None:
-    """`granflow report` and its arguments."""
-    summary = "put all about a run on one page: plots, flow, energies, plan, pictures"
+    """Add `granflow report` and its arguments."""
+    summary = "write one self-contained page about a run: interactive plots, flow, energies, plan, timings, images"
     parser = verbs.add_parser("report", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("directory", metavar="DIR", type=Path, help="the directory of the run, such as out/hopper")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="where the page goes (report.html in that directory)")
-    parser.add_argument("--no-pictures", action="store_true", help="leave pictures out")
+    parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: DIR/report.html)")
+    parser.add_argument("--no-pictures", action="store_true", help="omit images")
     parser.set_defaults(verb=report)

@@ -1,4 +1,4 @@
-"""Verbs for a scene: run, check, schema; and cache, for what is kept between runs."""
+"""The verbs run, check, schema, and cache (compiled kernels)."""
 
 import argparse
 import json
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """`granflow run`: simulate a scene into a directory, then show the numbers and the expectations."""
+    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations."""
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
     prepare_output(out, scene, options.overwrite)
@@ -28,14 +28,15 @@ def run(options: argparse.Namespace) -> int:
     )
     warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
     with locked(out):
-        prepare_output(out, scene, options.overwrite)  # another run may have used the directory in the meantime
+        prepare_output(out, scene, options.overwrite)  # another process may have used the directory in the meantime
         return run_to_end(simulation, scene, out, options.until)
 
 
 def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
-    """Refuse a directory that holds an earlier run, unless `overwrite` is set and the scene takes nothing from it.
+    """Check the output directory of a new run.
 
-    The new run replaces the earlier one itself, once it has begun.
+    Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file from it.
+    The new run replaces the earlier one after its first frame.
     """
     from granflow.observe import locked, refuse_inputs_inside, restore_previous_run, results_in
 
@@ -48,13 +49,13 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
         refuse_inputs_inside(scene, out)
         if not overwrite:
             raise GranflowError(
-                f"{out} holds an earlier run: name another with --out, replace it with --overwrite, or go on with it: "
-                f"granflow resume {out}."
+                f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or "
+                f"continue it with granflow resume {out}."
             )
 
 
 def check(options: argparse.Namespace) -> int:
-    """`granflow check`: find every problem of a scene without running it: also too large a step, too little room."""
+    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run."""
     scene = load(options)
     from granflow.observe import particles_from_run
     from granflow.plan import plan_for
@@ -70,7 +71,7 @@ def check(options: argparse.Namespace) -> int:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
-        say(f"{options.scene}: no problems found, but placing the particles was not tried.")
+        say(f"{options.scene}: no problems found, but the packing of the particles was not checked.")
         return 0
     initial_particles(scene, particles_from_run(scene))
     inserters(scene)
@@ -79,7 +80,7 @@ def check(options: argparse.Namespace) -> int:
 
 
 def schema(options: argparse.Namespace) -> int:
-    """`granflow schema`: the JSON Schema of scene files, for editors."""
+    """`granflow schema`: print the JSON Schema of scene files, for editors."""
     from granflow.scene import json_schema
 
     say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
@@ -87,41 +88,41 @@ def schema(options: argparse.Namespace) -> int:
 
 
 def cache(options: argparse.Namespace) -> int:
-    """`granflow cache`: where compiled kernels are kept between runs, and how many; --clear deletes them."""
+    """`granflow cache`: print the directory of compiled kernels and their number; --clear deletes them."""
     from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
     cached = clear_cache() if options.clear else cache_contents()
-    done = "deleted" if options.clear else "kept"
+    done = "deleted" if options.clear else "cached"
     say(f"{cache_folder()}: {cached.kernel_count} compiled kernels, {cached.size / 1e6:.1f} MB {done}.")
-    say(f"{VARIABLE} names another folder.")
+    say(f"The environment variable {VARIABLE} selects another directory.")
     return 0
 
 
 def add_check(verbs: Any) -> None:
-    """`granflow check` and its arguments."""
-    add_allow_long(add_scene_verb(verbs, check, "find every problem of a scene without running it"))
+    """Add `granflow check` and its arguments."""
+    add_allow_long(add_scene_verb(verbs, check, "report all errors of a scene without running it"))
 
 
 def add_run(verbs: Any) -> None:
-    """`granflow run` and its arguments."""
-    parser = add_scene_verb(verbs, run, "simulate a scene and write what ParaView opens")
+    """Add `granflow run` and its arguments."""
+    parser = add_scene_verb(verbs, run, "run a simulation and write its results, which ParaView opens")
     add_allow_long(parser)
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where results go (out/ and the scene's name)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE)")
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
     parser.add_argument(
-        "--threads", metavar="N", type=thread_count, help="CPU threads (cores that this process may use)"
+        "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace an earlier run in the same directory, once the new run has begun",
+        help="replace an earlier run in the same directory after the first frame of the new run",
     )
     add_machine(parser)
 
 
 def add_cache(verbs: Any) -> None:
-    """`granflow cache` and its argument."""
-    summary = "show where compiled kernels are kept between runs"
+    """Add `granflow cache` and its argument."""
+    summary = "print the directory of compiled kernels, which makes later starts fast"
     parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("--clear", action="store_true", help="delete them; the next run compiles anew")
+    parser.add_argument("--clear", action="store_true", help="delete the compiled kernels; the next run compiles again")
     parser.set_defaults(verb=cache)

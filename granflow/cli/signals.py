@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM take effect within a second, in every verb and at any time.
+"""SIGINT (Ctrl-C) and SIGTERM: handlers that take effect within a second, in every verb and at any time.
 
 Before a run has begun, the handler raises an exception at once. During a run it requests a stop: the run completes the
 launch in progress (LAUNCH_SECONDS, or one step if that is longer), writes a checkpoint and ends. While C++ code
@@ -16,18 +16,18 @@ from typing import Any
 from granflow.cli.messages import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, say
 
 GRACE = 0.7
-"""Seconds after a signal until the process ends without an orderly stop, or reports what the stop waits for."""
+"""Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 DEFERRED = (
     "granflow: stopping: the step or file in progress is completed and a checkpoint written; "
     "a second signal ends the run at once."
 )
-AT_ONCE = "granflow: ended at once, without a checkpoint of this moment."
+AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
 
 
 class StopSignals:
-    """Handles stop signals while a verb runs. `request`: asks a run to stop; without it the handler raises."""
+    """Handles stop signals while a verb runs. `request`: requests that a run stops; without it the handler raises."""
 
     def __init__(self) -> None:
         self.request: Callable[[BaseException], None] | None = None
@@ -36,22 +36,22 @@ class StopSignals:
         self._before: dict[int, Any] = {}
 
     def install(self) -> None:
-        """Handle the signals that the process does not ignore."""
+        """Install handlers for the signals that the process does not ignore."""
         for each in STOPS:
             if signal.getsignal(each) != signal.SIG_IGN:
                 self._before[each] = signal.signal(each, self._handle)
 
     def restore(self) -> None:
-        """Give the signals back to their handlers before."""
+        """Restore the previous handlers."""
         self._cancel_timer()
         for each, handler in self._before.items():
             signal.signal(each, handler)
 
     @contextmanager
     def default_action(self) -> Iterator[None]:
-        """Signals end the process without Python; a stop that some code has swallowed is raised again.
+        """Let signals end the process without Python; a stop that other code has suppressed is raised again.
 
-        A run that stops in order goes on: its checkpoint may need a kernel that is not compiled yet.
+        A run that is already stopping continues: its checkpoint may need a kernel that is not compiled yet.
         """
         if self._stop is not None and self.request is None:
             raise self._stop
@@ -77,7 +77,7 @@ class StopSignals:
             raise self._stop
 
     def _overdue(self, number: int, deferred: bool) -> None:
-        """In a thread of its own, GRACE after a signal: the main thread has not ended the verb yet."""
+        """Runs in a separate thread, GRACE after a signal, if the main thread has not yet ended the verb."""
         say(DEFERRED if deferred else AT_ONCE, file=sys.stderr, flush=True)
         if not deferred:
             os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)
@@ -92,7 +92,7 @@ _current: StopSignals | None = None
 
 @contextmanager
 def stop_signals() -> Iterator[None]:
-    """Handle stop signals inside, in the main thread of the command line."""
+    """Handle stop signals in the block, if called in the main thread."""
     global _current
     if threading.current_thread() is not threading.main_thread() or _current is not None:
         yield
@@ -111,7 +111,7 @@ def stop_signals() -> Iterator[None]:
 
 @contextmanager
 def deferred_to(request: Callable[[BaseException], None]) -> Iterator[None]:
-    """The first stop signal inside calls `request` with the exception to raise later; the second one raises."""
+    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises."""
     if _current is not None:
         _current.request = request
     try:

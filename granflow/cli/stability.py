@@ -1,4 +1,4 @@
-"""`granflow stability`: stiff and extreme cases with a verdict each."""
+"""`granflow stability`: stiff and extreme cases, each with an assessment."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from granflow.cli.messages import say, show_table
 
 
 def stability(options: argparse.Namespace) -> int:
-    """`granflow stability`: run every case to its end; 1 where any of them is a defect."""
+    """`granflow stability`: run all cases; return 1 if any of them is a defect."""
     from granflow.study.stability.report import HEADS, PAGE, defects, headline, summary_rows
     from granflow.study.stability.report import stability as study
 
@@ -21,16 +21,22 @@ def stability(options: argparse.Namespace) -> int:
     for line in (*defects_found, missing):
         if line:
             say(line)
-    say(f"Open {options.out / PAGE} in a browser; every case is a row of stability.csv beside it.")
+    say(f"Open {options.out / PAGE} in a browser; each case is a row of stability.csv in the same directory.")
     return 1 if defects_found else 0
 
 
 def add_stability(verbs: Any) -> None:
-    """`granflow stability` and its arguments."""
-    summary = "run stiff and extreme cases, give each a verdict, and find the real bound of the time step"
+    """Add `granflow stability` and its arguments."""
+    summary = "run stiff and extreme cases, assess each, and measure the stability limit of the time step"
     parser = verbs.add_parser("stability", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("out/stability"), help="where it goes (out/stability)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("out/stability"),
+        help="output directory (default: out/stability)",
     )
-    parser.add_argument("--full", action="store_true", help="all moduli, sizes and ratios, not every other one")
+    parser.add_argument(
+        "--full", action="store_true", help="run all moduli, sizes and ratios instead of every second one"
+    )
     parser.set_defaults(verb=stability)

@@ -1,4 +1,4 @@
-"""stdout and stderr whose reader may leave: `granflow explain SCENE | head`."""
+"""stdout and stderr whose reader may close the pipe: `granflow explain SCENE | head`."""
 
 import errno
 import io
@@ -12,16 +12,16 @@ EXIT_PIPE = 141
 
 
 class Output:
-    """What happens when a standard stream of this process cannot be written.
+    """Reaction to a failed write to a standard stream.
 
-    With `needed` the command ends: quietly with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
-    Without, the command continues and its output is dropped: a simulation is worth more than its progress lines.
+    If `needed`, the command ends: silently with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
+    If not, the command continues and its output is dropped: a simulation is worth more than its progress lines.
     """
 
     needed = True
 
     def failed(self, error: OSError, name: str) -> None:
-        """React to the first write to the stream `name` that failed."""
+        """Handle the first failed write to the stream `name`."""
         if not self.needed:
             return
         if error.errno == errno.EPIPE:
@@ -31,14 +31,14 @@ class Output:
 
 
 class _Stream(io.FileIO):
-    """A standard stream that drops what is written after a write has failed."""
+    """A standard stream that drops all output after a failed write."""
 
     def __init__(self, stream: TextIO, output: Output) -> None:
         super().__init__(stream.fileno(), "w", closefd=False)
         self._shown_name, self._output, self._lost = stream.name, output, False
 
     def write(self, data: Any, /) -> int:
-        """Write to the stream, or drop `data` once the stream is lost."""
+        """Write `data` to the stream, or drop it after a failed write; return the number of bytes."""
         if not self._lost:
             try:
                 return super().write(data)
@@ -50,9 +50,9 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def standard_streams() -> Iterator[Output]:
-    """Let failed writes to stdout and stderr end in `Output.failed`; inside, its `needed` may be set."""
+    """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`."""
     output = Output()
-    names = [name for name in ("stdout", "stderr") if _is_ours(name)]
+    names = [name for name in ("stdout", "stderr") if _is_process_stream(name)]
     before = {name: getattr(sys, name) for name in names}
     for name, stream in before.items():
         _replace(name, _wrapped(stream, output))
@@ -69,8 +69,8 @@ def standard_streams() -> Iterator[Output]:
             _replace(name, stream)
 
 
-def _is_ours(name: str) -> bool:
-    """Whether a stream is that of the process: not one of a notebook or test, nor the console of Windows."""
+def _is_process_stream(name: str) -> bool:
+    """Return whether a stream is that of the process: not of a notebook or test, nor the console of Windows."""
     stream = getattr(sys, name)
     console = sys.platform == "win32" and stream is not None and stream.isatty()
     return stream is not None and stream is getattr(sys, f"__{name}__") and not console
@@ -86,7 +86,7 @@ def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
 
 
 def _replace(name: str, stream: TextIO) -> None:
-    """Set both names of a stream: Taichi takes a process in which they differ for a notebook."""
+    """Set both names of a stream: if they differ, Taichi assumes a notebook."""
     setattr(sys, name, stream)
     setattr(sys, f"__{name}__", stream)
 

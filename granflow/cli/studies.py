@@ -1,4 +1,4 @@
-"""Verbs that study contact laws: collide, restitution, fit, paper."""
+"""Verbs that study contact models: collide, restitution, fit, paper."""
 
 import argparse
 import json
@@ -11,7 +11,7 @@ from granflow.errors import GranflowError
 
 
 def collide(options: argparse.Namespace) -> int:
-    """`granflow collide`: one head-on collision against its closed forms."""
+    """`granflow collide`: simulate one head-on collision and compare it with closed-form results."""
     from granflow.study.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
@@ -25,27 +25,27 @@ def collide(options: argparse.Namespace) -> int:
 
 
 def restitution(options: argparse.Namespace) -> int:
-    """`granflow restitution`: what every pair of materials is asked and reaches at the scene's own time step."""
+    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step."""
     from granflow.study.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
     found, step = measure(scene, options.arch)
-    heads = ("pair of materials", "velocity m/s", "asked", "reached", "difference %")
+    heads = ("pair of materials", "velocity m/s", "requested", "simulated", "difference %")
     show_table(scene.title, heads, restitution_rows(found))
-    say(f"With steps of {step:.4g} s in {scene.run.precision}; * differs by more than 1 %.")
+    say(f"Time step {step:.4g} s, precision {scene.run.precision}; * marks a difference of more than 1 %.")
     write_study(options.out or Path("out") / scene.path.stem, write_restitution, found, scene.title)
     return 0
 
 
 def fit(options: argparse.Namespace) -> int:
-    """`granflow fit`: sigma and psi of Eq. 12 from measured velocities and restitutions."""
+    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions."""
     from granflow.study.fit import fit as fitted
     from granflow.study.fit import fit_rows, limit_from_materials, write_fit
     from granflow.study.measurements import read_measurements
 
     out = options.out or Path("out") / options.data.stem
     if options.data.resolve() == (out / "fit.csv").resolve():
-        raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: name another --out.")
+        raise GranflowError(f"{options.data} would be overwritten by the result fit.csv: give another --out.")
     data = read_measurements(options.data)
     limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
     found = fitted(data, limit)
@@ -56,67 +56,88 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def paper(options: argparse.Namespace) -> int:
-    """`granflow paper`: the figures and tables of Zhou (2011) from simulated collisions, and all laws compared."""
+    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models."""
     from granflow.study.paper import write_paper
 
     page = write_paper(options.out, lambda words: say(f"{words} ...", flush=True))
-    say(f"Open {page} in a browser; the figures lie beside it as PNG and CSV.")
+    say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
     return 0
 
 
 def add_collide(verbs: Any) -> None:
-    """`granflow collide` and its arguments."""
-    summary = "run one head-on collision and compare it with the closed forms"
+    """Add `granflow collide` and its arguments."""
+    summary = "simulate one head-on collision and compare it with closed-form results"
     parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("--law", default="zhou", help="contact law (zhou)")
+    parser.add_argument("--law", default="zhou", help="normal contact model (default: zhou)")
     parser.add_argument(
         "--set",
         dest="settings",
         metavar="KEY=VALUE",
         action="append",
         default=[],
-        help="a setting of the law, such as --law thornton --set yield_ratio=2.8; may be repeated",
+        help="option of the contact model, such as --law thornton --set yield_ratio=2.8; repeatable",
     )
     parser.add_argument("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
-    parser.add_argument("--diameter", required=True, type=quantity("length"), help="of the sphere, such as 25.4mm")
-    parser.add_argument("--velocity", required=True, type=quantity("velocity"), help="of approach, such as 0.5")
-    parser.add_argument("--material2", metavar="PRESET", help="of the other sphere or the wall (the same)")
+    parser.add_argument(
+        "--diameter", required=True, type=quantity("length"), help="diameter of the sphere, such as 25.4mm"
+    )
+    parser.add_argument(
+        "--velocity", required=True, type=quantity("velocity"), help="impact velocity, such as 0.5 (m/s)"
+    )
+    parser.add_argument(
+        "--material2", metavar="PRESET", help="material of the other sphere or of the wall (default: the same)"
+    )
     partner = parser.add_mutually_exclusive_group()
-    partner.add_argument("--diameter2", type=quantity("length"), help="of the other sphere (the same)")
+    partner.add_argument(
+        "--diameter2", type=quantity("length"), help="diameter of the other sphere (default: the same)"
+    )
     partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
-    parser.add_argument("--restitution", type=quantity("number"), help="asked for, 0 to 1 (from the material)")
-    parser.add_argument("--steps-per-contact", metavar="N", type=float, help="duration over time step")
+    parser.add_argument(
+        "--restitution", type=quantity("number"), help="requested restitution, 0 to 1 (default: from the material)"
+    )
+    parser.add_argument("--steps-per-contact", metavar="N", type=float, help="contact duration over time step")
     parser.add_argument("--json", action="store_true", help="print JSON in SI units")
     add_machine(parser)
     parser.set_defaults(verb=collide)
 
 
 def add_restitution(verbs: Any) -> None:
-    """`granflow restitution` and its arguments."""
-    parser = add_scene_verb(verbs, restitution, "show the restitution that a scene asks for and that it reaches")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the scene's name)")
+    """Add `granflow restitution` and its arguments."""
+    parser = add_scene_verb(
+        verbs,
+        restitution,
+        "print requested and simulated restitution for each pair of materials at the time step of the scene",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory for CSV and PNG (default: out/SCENE)")
     add_machine(parser)
 
 
 def add_fit(verbs: Any) -> None:
-    """`granflow fit` and its arguments."""
-    summary = "fit sigma and psi of Eq. 12 to measured restitutions"
+    """Add `granflow fit` and its arguments."""
+    summary = "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
     parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(
-        "data", metavar="DATA.csv", type=Path, help="columns velocity [m/s] and restitution, maybe deviation or weight"
+        "data",
+        metavar="DATA.csv",
+        type=Path,
+        help="table with the columns velocity [m/s] and restitution, optionally deviation or weight",
     )
     known = parser.add_mutually_exclusive_group(required=True)
     known.add_argument("--material", metavar="PRESET", help="limit velocity from Eq. 11 for this material")
     known.add_argument("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
-    known.add_argument("--fit-limit", action="store_true", help="fit the limit velocity, too")
-    parser.add_argument("--material2", metavar="PRESET", help="of the partner, with --material (the same)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where CSV and PNG go (out/ and the data's name)")
+    known.add_argument("--fit-limit", action="store_true", help="also fit the limit velocity")
+    parser.add_argument(
+        "--material2", metavar="PRESET", help="material of the partner, with --material (default: the same)"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory for CSV and PNG (default: out/DATA)")
     parser.set_defaults(verb=fit)
 
 
 def add_paper(verbs: Any) -> None:
-    """`granflow paper` and its arguments."""
-    summary = "reproduce the figures and tables of Zhou (2011), and compare all laws, on one page"
+    """Add `granflow paper` and its arguments."""
+    summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
     parser = verbs.add_parser("paper", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("out/paper"), help="where it goes (out/paper)")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("out/paper"), help="output directory (default: out/paper)"
+    )
     parser.set_defaults(verb=paper)

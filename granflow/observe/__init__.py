@@ -1,4 +1,4 @@
-"""Observers: they read snapshots and write files, never touch the state of a simulation."""
+"""Observers read snapshots and write files; they do not modify the state of a simulation."""
 
 from granflow.observe.build import observers_for, progress_for, time_series_for
 from granflow.observe.checkpoint import (

@@ -1,4 +1,4 @@
-"""From a scene's `output:` block to its observers."""
+"""Builds the observers that the `output:` block of a scene specifies."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,10 +22,9 @@ from granflow.scene.periodic_box import PeriodicBox
 def observers_for(
     scene: Any, out_dir: Path, wall_triangles: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> list[Observer]:
-    """Make the observers that the scene asks for, writing into `out_dir`; the time series is always the first.
+    """Return the observers that the scene specifies, which write into `out_dir`; the time series is the first.
 
-    `wall_triangles`: name -> (rest points (m, 3) [m], corners (k, 3)) of every wall, in the order of the
-    scene.
+    `wall_triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)) of each wall, in the order of the scene.
     """
     output = scene.output
     interval = output.interval
@@ -41,7 +40,7 @@ def observers_for(
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
-    """Make the time series of the scene with its flow meters and wall loads."""
+    """Return the time series of the scene with its flow meters, wall forces and metrics; without `out_dir`, no file."""
     periodic_box = PeriodicBox.of(scene.domain)
     flow_meters = {
         name: FlowMeter(
@@ -61,24 +60,24 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
 
 
 def field_frames(scene: Any, name: str, spec: Any, out_dir: Path) -> FieldFrames:
-    """Make the frames of the fields `name` that the scene asks for."""
+    """Return the frames of the coarse-grained fields `name`; the default kernel width is the largest radius."""
     grid = grid_for(scene.domain, spec)
     width = spec.width
     if width == "auto":
         width = 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
     interval = spec.interval or scene.output.interval
     return FieldFrames(
-        out_dir, name, interval, grid, GaussianKernel(width, spec.cut_off), spec.quantities, spec.stages or ()
+        out_dir, name, interval, grid, GaussianKernel(width, spec.cutoff), spec.quantities, spec.stages or ()
     )
 
 
 def progress_for(scene: Any) -> ProgressDisplay:
-    """Make the progress display for the stages of the scene."""
+    """Return the progress display for the stages of the scene."""
     return ProgressDisplay(stage_durations(scene))
 
 
 def stage_durations(scene: Any) -> list[tuple[str, float]]:
-    """Name and longest duration [s] of every stage; without stages, one named "run"."""
+    """Return the name and maximum duration [s] of each stage; without stages, one stage named "run"."""
     if not scene.stages:
         return [("run", scene.run.duration)]
     return [
@@ -87,7 +86,7 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
 
 
 def _max_coordinate(scene: Any) -> float | None:
-    """Largest coordinate that occurs [m]; None where the domain grows."""
+    """Return the largest absolute coordinate [m], or None if the domain expands."""
     if scene.domain.on_exit == "expand":
         return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

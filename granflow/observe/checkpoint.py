@@ -1,10 +1,10 @@
-"""Checkpoints: one file each with everything from which a run goes on, whole or not there, the last few kept.
+"""Checkpoints: one file with the complete state of a run, written atomically; the newest few are kept.
 
-The format is npz without pickle: numpy reads it on every machine, it needs no further package, it is written in one
-go, and nothing in it can be made to run. (h5py is a large dependency, and a file that is damaged when the process is
-killed while it writes; zarr is many files, which cannot be renamed together.) A text in JSON stands beside the arrays:
-versions, scene, and all that is no array. The archive's comment, its last bytes, is the SHA-256 of all bytes before
-it, so that a file cut short or with a flipped bit is known before anything of it is believed.
+The format is npz without pickle: numpy reads it on every machine, it requires no further package, it is written in one
+pass, and it cannot execute code. (h5py is a large dependency, and its file is damaged if the process is killed during
+a write; zarr consists of many files, which cannot be renamed together.) A JSON header accompanies the arrays: versions,
+scene, and all values that are not arrays. The comment of the archive, its last bytes, is the SHA-256 of all preceding
+bytes: a truncated file or a flipped bit is detected before the content is used.
 """
 
 import hashlib
@@ -24,12 +24,12 @@ from granflow.observe.log import version_of
 from granflow.regular_files import open_regular
 
 FORMAT = 3
-"""Version of what a checkpoint holds. Another one is refused: nothing is guessed."""
+"""Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"
 CHECKSUM_PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
 READ_SIZE = 2**20
-"""Bytes that are read at a time to take the checksum."""
+"""Bytes read at a time for the checksum."""
 
 
 class CheckpointError(GranflowError):
@@ -37,14 +37,15 @@ class CheckpointError(GranflowError):
 
 
 class DamagedCheckpoint(CheckpointError):
-    """A checkpoint whose bytes are not those that were written: the one before takes its place."""
+    """A checkpoint whose bytes differ from those written; the previous checkpoint replaces it."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that was read: its file, the version of granflow and the scene it was written with, and the rest.
+    """A checkpoint read from a file.
 
-    `saved`: numbers, texts and numpy arrays in dictionaries within dictionaries.
+    `path`: file; `version`: of granflow that wrote it; `scene`: YAML text; `time`: simulated time [s]; `saved`: state,
+    as nested dictionaries of numbers, texts and numpy arrays.
     """
 
     path: Path
@@ -55,7 +56,7 @@ class Checkpoint:
 
 
 def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved: dict[str, Any]) -> Path:
-    """Write `checkpoint_STEP.npz`, whole or not at all, and onto the disk before it gets its name."""
+    """Write `checkpoint_STEP.npz` atomically: the file is on the disk before it gets its name. Return its path."""
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
     plain, arrays = _split_arrays(saved)
     header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "saved": plain}
@@ -64,7 +65,7 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved:
             archive.comment = CHECKSUM_PLACEHOLDER
             archive.writestr(zipfile.ZipInfo(HEADER), json.dumps(header))
             for name, array in arrays.items():
-                # Given a bare name, zipfile asks for the date, and fails where the computer's clock stands before 1980.
+                # With a bare name, zipfile uses the current date and fails if the system clock is before 1980.
                 with archive.open(zipfile.ZipInfo(name + ARRAYS), "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
         with open(temporary, "r+b") as file:
@@ -74,11 +75,11 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Read one. Raises DamagedCheckpoint, or CheckpointError for another format and where the system cannot read it."""
+    """Read a checkpoint. Raises DamagedCheckpoint, or CheckpointError for another format or an unreadable file."""
     try:
         with open_regular(path) as file:
             if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):
-                raise DamagedCheckpoint(f"{path} is damaged: it is cut short, or bits of it have changed.")
+                raise DamagedCheckpoint(f"{path} is damaged: it is truncated, or its bytes have changed.")
             return _from_archive(path, *read_archive(file))
     except ArchiveError as error:
         raise DamagedCheckpoint(f"{path} {error}. Remove it to use the checkpoint before it.") from None
@@ -89,14 +90,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def checkpoints(directory: Path) -> list[Path]:
-    """The checkpoints in a directory, the newest first."""
+    """Return the checkpoint files in a directory, the newest first."""
     return sorted(Path(directory).glob(PATTERN), reverse=True)
 
 
 def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
-    """The newest that is whole, if there is one, and a sentence for each damaged one after it.
+    """Return the newest intact checkpoint, or None, and a sentence for each newer damaged one.
 
-    Raises CheckpointError for an intact one that this version or this user cannot read: older ones are no substitute.
+    Raises CheckpointError for an intact one that this version or this user cannot read: an older one is no substitute.
     """
     skipped: list[str] = []
     for path in checkpoints(directory):
@@ -108,20 +109,20 @@ def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
 
 
 def remove_after(directory: Path, path: Path | None) -> None:
-    """Remove the checkpoints after this one, which could not be read, or all: what comes now must be the newest."""
+    """Remove the checkpoints after `path`, or all if None, so that the next one written is the newest."""
     for other in checkpoints(directory):
         if path is None or other.name > path.name:
             other.unlink()
 
 
 def remove_old_checkpoints(directory: Path, count: int) -> None:
-    """Remove all checkpoints but the newest `count`."""
+    """Remove all checkpoints except the newest `count`."""
     for path in checkpoints(directory)[count:]:
         path.unlink(missing_ok=True)
 
 
 def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
-    """The checkpoint, its arrays back in their places. Raises ArchiveError where the header has other keys or types."""
+    """Return the checkpoint with its arrays. Raises ArchiveError if the header has unexpected keys or types."""
     version, scene, time = header.get("granflow"), header.get("scene"), header.get("time")
     if header.get("format") != FORMAT:
         raise CheckpointError(
@@ -139,7 +140,7 @@ def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarr
 
 
 def _checksum(file: BinaryIO) -> bytes:
-    """Checksum of all but the room for it at the end, to whose beginning the file is moved."""
+    """Return the checksum of all bytes before the placeholder at the end; leave the file position there."""
     end = max(file.seek(0, 2) - len(CHECKSUM_PLACEHOLDER), 0)
     file.seek(0)
     digest = hashlib.sha256()
@@ -149,7 +150,7 @@ def _checksum(file: BinaryIO) -> bytes:
 
 
 def _split_arrays(saved: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The same dictionaries without arrays, and the arrays by their path of keys."""
+    """Return the nested dictionaries without arrays, and the arrays by their key paths."""
     plain: dict[str, Any] = {}
     arrays: dict[str, np.ndarray] = {}
     for key, value in saved.items():
@@ -164,6 +165,7 @@ def _split_arrays(saved: dict[str, Any], path: str = "") -> tuple[dict[str, Any]
 
 
 def _insert_array(saved: dict[str, Any], path: str, array: np.ndarray) -> None:
+    """Insert the array at the key path. Raises ArchiveError for a path that does not exist or is taken."""
     *parents, key = path.split("/")
     for name in parents:
         saved = saved.get(name)  # type: ignore[assignment]

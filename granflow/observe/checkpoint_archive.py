@@ -1,7 +1,7 @@
-"""Reads the zip archive of a checkpoint. No size, count or name written in the file is trusted.
+"""Reads the zip archive of a checkpoint without trusting any size, count or name in the file.
 
-granflow stores the entries without compression, so all of them together are never longer than the file: a reader that
-refuses compressed entries allocates no more memory than the file has bytes.
+granflow stores the entries without compression, so their total size never exceeds that of the file: because the reader
+refuses compressed entries, it allocates no more memory than the file has bytes.
 """
 
 import json
@@ -18,19 +18,19 @@ HEADER, ARRAYS = "header.json", ".npy"
 
 MOST_ENTRIES = 100_000
 LARGEST_HEADER = 2**28
-"""Bytes of the JSON header: the histories of all flow meters, one line for each row of the time series."""
+"""Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV row."""
 
 MOST_AXES = 3
 LARGEST_ITEM = 8
-"""Bytes of one number."""
+"""Largest size of one number [bytes]."""
 
 
 class ArchiveError(Exception):
-    """An archive that granflow has not written; the message follows the name of the file."""
+    """An archive that granflow did not write; the message is a predicate that follows the file name."""
 
 
 def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The JSON header and the arrays by name. Raises ArchiveError, or OSError where the file cannot be read."""
+    """Return the JSON header and the arrays by name. Raises ArchiveError, or OSError if the file is unreadable."""
     try:
         with zipfile.ZipFile(file) as archive:
             entries = _entries(archive, file.seek(0, 2))
@@ -50,7 +50,7 @@ def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
 def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipInfo]:
-    """The entries by name, ".npy" left out."""
+    """Return the entries by name, without ".npy"."""
     found: dict[str, zipfile.ZipInfo] = {}
     for problem in _problems(archive.infolist(), file_size):
         raise ArchiveError(problem)
@@ -76,7 +76,7 @@ def _problems(entries: list[zipfile.ZipInfo], file_size: int) -> Iterator[str]:
 
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """One array of plain numbers, whose entry must be exactly as long as its type and shape need."""
+    """Return one numeric array; the size of its entry must match its type and shape exactly."""
     with archive.open(entry) as member:
         version = np.lib.format.read_magic(member)
         if version != (1, 0):
@@ -87,5 +87,5 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
             raise ArchiveError(f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}")
         size = math.prod(shape) * dtype.itemsize
         if size != entry.file_size - member.tell():
-            raise ArchiveError(f"has the entry {entry.filename[:80]} of another length than its shape {shape} needs")
+            raise ArchiveError(f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}")
         return np.frombuffer(bytearray(member.read()), dtype).reshape(shape)

@@ -1,4 +1,4 @@
-"""Checks the contact rows of a checkpoint: existing partners, walls first, each pair as the search lists it."""
+"""Checks the neighbor lists of a checkpoint: valid partners, walls first, each pair as in a rebuild."""
 
 import numpy as np
 
@@ -8,64 +8,64 @@ from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
 from granflow.plan.memory_estimate import estimate_memory
 
 LARGEST_STATE = 2
-"""`in_contact` is 0 (apart), 1 (touching) or 2 (history for another slot to take over)."""
+"""`in_contact` is 0 (no contact), 1 (in contact) or 2 (history that another list entry takes over)."""
 
-SPARE = 1.3
-"""Factor by which rows that are too short grow."""
+GROWTH_FACTOR = 1.3
+"""Factor by which a neighbor list that is too short grows."""
 
 
 def check_neighbors(neighbors: Part, count: int, plan: Plan) -> None:
-    """Check all rows of `count` particles. Raises CheckpointError."""
+    """Check the neighbor lists of `count` particles. Raises CheckpointError."""
     history = plan.history
     neighbors.mapping(("list_length", "list_walls", "partner", *(["in_contact"] if history else []), *history))
-    slots = len(neighbors["partner"].value) if isinstance(neighbors["partner"].value, np.ndarray) else 0
-    length = neighbors["list_length"].wholes(count, high=slots).astype(np.int64)
-    if length.sum() != slots:
-        raise neighbors["list_length"].wrong(f"adds up to {length.sum()}, but partner has {slots} slots")
-    walls = neighbors["list_walls"].wholes(count, high=slots).astype(np.int64)
+    entries = len(neighbors["partner"].value) if isinstance(neighbors["partner"].value, np.ndarray) else 0
+    length = neighbors["list_length"].wholes(count, high=entries).astype(np.int64)
+    if length.sum() != entries:
+        raise neighbors["list_length"].wrong(f"adds up to {length.sum()}, but partner has {entries} entries")
+    walls = neighbors["list_walls"].wholes(count, high=entries).astype(np.int64)
     if np.any(walls > length):
         raise neighbors["list_walls"].wrong("is larger than list_length")
     surfaces = len(plan.walls) + sum(mesh.triangle_count for mesh in plan.meshes.values())
-    partner = neighbors["partner"].wholes(slots, low=-surfaces, high=count - 1).astype(np.int64)
+    partner = neighbors["partner"].wholes(entries, low=-surfaces, high=count - 1).astype(np.int64)
     for name, width in history.items():
-        neighbors[name].reals(slots, width)
+        neighbors[name].reals(entries, width)
     if history:
-        neighbors["in_contact"].wholes(slots, high=LARGEST_STATE)
+        neighbors["in_contact"].wholes(entries, high=LARGEST_STATE)
     owner = np.repeat(np.arange(count), length)
-    place = np.arange(slots) - np.repeat(np.cumsum(length) - length, length)
-    if np.any((partner < 0) != (place < walls[owner])):
-        raise neighbors["partner"].wrong("does not begin each row with its walls")
+    position_in_list = np.arange(entries) - np.repeat(np.cumsum(length) - length, length)
+    if np.any((partner < 0) != (position_in_list < walls[owner])):
+        raise neighbors["partner"].wrong("does not begin each list with its walls")
     _check_pairs(neighbors["partner"], owner, partner, count, surfaces, plan.chunk_size)
-    _check_room(neighbors["list_length"], length, plan)
+    _check_memory(neighbors["list_length"], length, plan)
 
 
 def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, count: int, surfaces: int, chunk: int) -> None:
-    """A wall or triangle is listed once, a pair within a chunk in one row, a pair across two chunks in both."""
+    """Check that each wall or triangle is listed once, a pair within a chunk in one list, across chunks in both."""
     if np.any(owner == partner):
-        raise part.wrong("names a particle as its own partner")
+        raise part.wrong("lists a particle as its own neighbor")
     if _repeats(owner * (count + surfaces) + partner + surfaces):
-        raise part.wrong("names a partner twice in one row")
+        raise part.wrong("lists a neighbor twice for one particle")
     particles = partner >= 0
     owner, partner = owner[particles], partner[particles]
     within = owner // chunk == partner // chunk
     if _repeats(np.minimum(owner, partner)[within] * count + np.maximum(owner, partner)[within]):
-        raise part.wrong("lists a pair of one chunk in two rows")
+        raise part.wrong("lists a pair within one chunk twice")
     forward, back = (owner * count + partner)[~within], (partner * count + owner)[~within]
     if not np.array_equal(np.sort(forward), np.sort(back)):
-        raise part.wrong("lists a pair of two chunks in one row only")
+        raise part.wrong("lists a pair across two chunks only once")
 
 
 def _repeats(numbers: np.ndarray) -> bool:
     return len(np.unique(numbers)) < len(numbers)
 
 
-def _check_room(part: Part, length: np.ndarray, plan: Plan) -> None:
-    """Every chunk gets as many slots as the longest needs: that must fit into the memory."""
+def _check_memory(part: Part, length: np.ndarray, plan: Plan) -> None:
+    """Check the memory: all chunks get the capacity of the longest one."""
     chunk = np.arange(len(length)) // plan.chunk_size
-    need = int(np.bincount(chunk, weights=length, minlength=1).max())
-    if need <= plan.list_capacity_per_chunk:
+    largest = int(np.bincount(chunk, weights=length, minlength=1).max())
+    if largest <= plan.list_capacity_per_chunk:
         return
-    slots = int(plan.chunk_capacity * SPARE * need)
-    needed, free = slots * estimate_memory(plan, plan.scene.run.precision).per_neighbor, available_memory()
-    if slots > MAX_LIST_ENTRIES or (free is not None and needed > free):
-        raise part.wrong(f"needs room for {slots} contacts, {needed / 1e9:.3g} GB")
+    entries = int(plan.chunk_capacity * GROWTH_FACTOR * largest)
+    needed, free = entries * estimate_memory(plan, plan.scene.run.precision).per_neighbor, available_memory()
+    if entries > MAX_LIST_ENTRIES or (free is not None and needed > free):
+        raise part.wrong(f"requires {needed / 1e9:.3g} GB for {entries} list entries")

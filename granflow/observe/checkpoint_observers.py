@@ -1,4 +1,4 @@
-"""Checks what observers and particle streams get back from a checkpoint against the state that new ones would keep."""
+"""Checks the saved state of observers and inserters against the structure of the state of new ones."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,17 +8,17 @@ import numpy as np
 from granflow.observe.checkpoint import Checkpoint
 from granflow.observe.checkpoint_parts import LARGEST_REAL, Part
 
-ROWS: dict[str, tuple[str, ...]] = {
+LIST_TYPES: dict[str, tuple[str, ...]] = {
     "frames": ("number", "text"), "history": ("number", "text", "number"), "columns": ("text",),
 }  # fmt: skip
-"""Lists that grow during a run, by key, and what each of their entries holds."""
+"""Lists that grow during a run, by key, with the types of the values of each entry."""
 
-LOOK = ("id", "mass", "position", "distance", "part")
-"""Arrays of the last look of a flow meter."""
+SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "part")
+"""Arrays of the previous sample of a flow meter."""
 
 
 def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
-    """Check the state of every observer that is there; `fresh`: states of new ones by name. Raises CheckpointError."""
+    """Check the state of each saved observer; `fresh`: states of new ones by name. Raises CheckpointError."""
     observers = Part.of(checkpoint)["observers"]
     for name, template in fresh.items():
         if name in observers.mapping():
@@ -26,24 +26,24 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
 
 
 def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
-    """Check the state of every stream by group; `counts`: particles of each group. Raises CheckpointError."""
-    inserters = Part.of(checkpoint)["insertion"]
-    inserters.mapping(fresh)
+    """Check the state of each inserter by group; `counts`: particles of each group. Raises CheckpointError."""
+    insertion = Part.of(checkpoint)["insertion"]
+    insertion.mapping(fresh)
     for name, template in fresh.items():
-        inserters[name].mapping(template)
-        due = inserters[name]["due_count"].whole(0, counts[name])
-        queued = inserters[name]["queued"]
+        insertion[name].mapping(template)
+        due = insertion[name]["due_count"].whole(0, counts[name])
+        queued = insertion[name]["queued"]
         size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
         queued.distinct(size, high=due - 1)
-        inserters[name]["batch_count"].whole()
-        inserters[name]["next_time"].number(0.0)
+        insertion[name]["batch_count"].whole()
+        insertion[name]["next_time"].number(0.0)
 
 
 def _check_like(part: Part, template: Any) -> None:
-    """The same keys and types as in `template`; what is empty or None there may have grown."""
+    """Check for the keys and types of `template`; values that are empty or None there may have grown."""
     key = part.key.rsplit("/", 1)[-1]
-    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in LOOK):
-        _check_look(part)
+    if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in SAMPLE_ARRAYS):
+        _check_sample(part)
     elif key == "total":
         _check_sums(part)
     elif isinstance(template, dict) and template:
@@ -54,7 +54,7 @@ def _check_like(part: Part, template: Any) -> None:
             each.plain()
     elif isinstance(template, list):
         for row in part.items():
-            _check_row(row, ROWS.get(key, ()))
+            _check_row(row, LIST_TYPES.get(key, ()))
     elif isinstance(template, np.ndarray):
         part.reals(*template.shape)
     elif template is None:
@@ -81,8 +81,8 @@ def _check_plain(part: Part, template: Any) -> None:
         part.text()
 
 
-def _check_look(part: Part) -> None:
-    part.mapping(LOOK)
+def _check_sample(part: Part) -> None:
+    part.mapping(SAMPLE_ARRAYS)
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
@@ -93,7 +93,7 @@ def _check_look(part: Part) -> None:
 
 
 def _check_sums(part: Part) -> None:
-    """Sums of fields: one row for each cell of one grid."""
+    """Check the accumulated fields: arrays (cells, numbers) for the cells of one grid."""
     lengths = {
         len(each.value) if isinstance(each.value, np.ndarray) and each.value.ndim else -1 for each in part.parts()
     }

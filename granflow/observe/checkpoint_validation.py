@@ -1,4 +1,4 @@
-"""Checks a checkpoint against the plan of the run before the device gets any of it; see `checkpoint_parts`."""
+"""Checks a checkpoint against the plan of the run before it is copied to the device; see `checkpoint_parts`."""
 
 from math import pi
 
@@ -11,22 +11,23 @@ from granflow.plan import Plan
 from granflow.scene import Scene
 
 ROUNDING = 1e-5
-"""Relative tolerance of radii and masses: single precision, and the sizes of an earlier run."""
+"""Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
 
 LOSS_KINDS, IMPULSE_SIZE = 5, 7
-"""Energies that the ledger adds up, and numbers of a wall load, as on the device."""
+"""Number of dissipated energies in the energy budget, and of impulse components per wall, as on the device."""
 
 COUNTS = ("inserted_count", "deleted_count")
 MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
 SECONDS = ("neighbor_list", "advance", "sampled_forces", "sampled_integration")
 TALLIES = ("rebuild_count", "step_count", "particle_steps")
+WALL_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
 KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
-    """Check what does not depend on the present scene: stages, clocks, the names in the plan's numbers.
+    """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan fingerprint.
 
-    `before`: the scene of the checkpoint. `decided`: the present plan's numbers. Raises CheckpointError.
+    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan. Raises CheckpointError.
     """
     part = Part.of(checkpoint)
     part.mapping(KEYS)
@@ -45,7 +46,7 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
 
 
 def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
-    """Check everything that goes to the device: counts, types, shapes, ranges, indices. Raises CheckpointError."""
+    """Check all values for the device: counts, types, shapes, ranges, indices. Raises CheckpointError."""
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].whole()
@@ -62,7 +63,7 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
 
 
 def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
-    """Check what another run takes over with `start_from`: particles and their groups. Raises CheckpointError."""
+    """Check the state that `start_from` reads: particles and their groups. Raises CheckpointError."""
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, 2**31 - 1)
     inserted = len(group) if isinstance(group := engine["accounting"]["group"].value, np.ndarray) else 0
@@ -105,8 +106,8 @@ def _check_clock(clock: Part, time: float) -> None:
     clock.mapping(("time_step", "step_count", "since_step", "since_time"))
     step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
     count = clock["step_count"].whole()
-    since = clock["since_step"].whole(0, count)
-    now = clock["since_time"].number(0.0, LARGEST_REAL) + (count - since) * step
+    since_step = clock["since_step"].whole(0, count)
+    now = clock["since_time"].number(0.0, LARGEST_REAL) + (count - since_step) * step
     if not abs(now - time) <= 0.5 * step:
         raise clock.wrong(f"gives the time {now:.6g} s, but the header {time:.6g} s")
 
@@ -133,7 +134,7 @@ def _check_timing(clocks: Part) -> None:
 
 
 def particle_arrays(plan: Plan) -> dict[str, int]:
-    """Names of the arrays of particles in a checkpoint of this plan, each with the numbers for one particle."""
+    """Return the names of the particle arrays in a checkpoint of this plan, with the components per particle."""
     features = plan.features
     vectors = ["position", "velocity", "force", "position_at_rebuild"]
     vectors += ["angular_velocity", "torque"] * features.rotation + ["velocity_synchronized"] * features.rate_dependent
@@ -163,33 +164,29 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
         expected = np.array([known.get(name, 0) for name in before.materials])[number]
         if np.any(particles["material"].wholes(count, high=plan.material_count - 1) != expected):
             raise particles["material"].wrong("differs from the materials in accounting")
-    _check_places(particles, count, plan)
+    _check_positions(particles, count, plan)
 
 
-def _check_places(particles: Part, count: int, plan: Plan) -> None:
-    """Particles were inside the domain at the last search, and have gone no farther than the skin since."""
-    place = particles["position"].reals(count, 3).astype(float)
-    there = particles["position_at_rebuild"].reals(count, 3).astype(float)
-    rounding = np.abs(there).max(initial=0.0) * float(np.finfo(np.float32).eps)
-    if np.any(np.linalg.norm(place - there, axis=1) > 2.0 * plan.skin + rounding):
+def _check_positions(particles: Part, count: int, plan: Plan) -> None:
+    """Check that particles were inside the domain at the last rebuild and have moved less than the skin since."""
+    position = particles["position"].reals(count, 3).astype(float)
+    at_rebuild = particles["position_at_rebuild"].reals(count, 3).astype(float)
+    rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
+    if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.skin + rounding):
         raise particles["position"].wrong("is farther from position_at_rebuild than the skin allows")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
-    if plan.scene.domain.on_exit != "expand" and np.any((there < low) | (there > high)):
+    if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].wrong("is outside the domain")
 
 
 def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
-    """Force-controlled walls; other walls than those of the plan have a message of their own."""
+    """Check the controlled walls; if they differ from those of the plan, another check reports it."""
     if [each.text() for each in dynamics["controlled_motions"].items()] != [
         each.key for each in plan.controlled_motions
     ]:
         return
     count = len(plan.controlled_motions)
-    names = (
-        ("offset", "offset_at_rebuild", "velocity", "work_on_particles", "work", "wall_force", "was_active")
-        if count
-        else ()
-    )
+    names = WALL_FIELDS if count else ()
     dynamics.mapping(("controlled_motions", *names))
     for name in names:
         if name == "was_active":
@@ -199,14 +196,14 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 
 def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
-    features, chunks, loaded = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
+    features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
     shapes: dict[str, tuple[int, ...]] = {}
     if features.energy_budget:
         shapes["losses"] = (chunks, LOSS_KINDS)
     if features.energy_budget and features.periodic != "none":
         shapes["boundary_work"] = (chunks,)
-    if loaded:
-        shapes["impulses"] = (chunks, loaded, IMPULSE_SIZE)
+    if measured:
+        shapes["impulses"] = (chunks, measured, IMPULSE_SIZE)
     energy_budget.mapping(shapes)
     for name, shape in shapes.items():
         energy_budget[name].reals(*shape)

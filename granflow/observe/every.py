@@ -1,4 +1,4 @@
-"""A plain Python function as an observer."""
+"""Observers that call a Python function at a regular interval."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -9,7 +9,7 @@ from granflow.snapshot import Snapshot
 
 
 class PeriodicObserver:
-    """Shows a snapshot to a function at a regular interval; see `every`."""
+    """Calls a function with a snapshot at a regular interval; see `every`."""
 
     def __init__(self, schedule: Schedule, function: Callable[[Snapshot], None], wants: frozenset[str]) -> None:
         self.wants = wants
@@ -17,27 +17,27 @@ class PeriodicObserver:
         self._function = function
 
     def next_time(self) -> float:
-        """Time [s] of the next due moment."""
+        """Return the next due time [s]."""
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Call the function."""
+        """Call the function with the snapshot, once per time."""
         if self._schedule.mark_done(snapshot.time):
             self._function(snapshot)
 
     def state_dict(self) -> dict[str, Any]:
-        """When the function was called last."""
+        """Return the time of the last call [s]."""
         return {"last_time": self._schedule.last_time}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on after that."""
+        """Continue after the saved time."""
         self._schedule.resume_after(saved["last_time"])
 
     def truncate(self) -> None:
-        """It has no files."""
+        """Do nothing: this observer has no files."""
 
     def finish(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
 
 def every(
@@ -46,9 +46,9 @@ def every(
     wants: Iterable[str] = (PARTICLES, WALLS, TOTALS),
     start: float = 0.0,
 ) -> PeriodicObserver:
-    """Call `function(snapshot)` every `interval` [s] of simulated time from `start` [s] on, and at the end.
+    """Return an observer that calls `function(snapshot)` every `interval` [s] from `start` [s], and at the end.
 
-    `wants` names the parts that must be in the snapshot; add "contacts" to see contacts. Raises ValueError for an
-    interval that is not positive.
+    `wants`: parts of the snapshot that the function reads; "contacts" must be added explicitly. Raises ValueError for
+    an interval that is not positive.
     """
     return PeriodicObserver(Schedule(interval, start), function, frozenset(wants))

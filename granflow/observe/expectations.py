@@ -1,4 +1,4 @@
-"""What a scene promises about its finished run, held against the numbers."""
+"""Evaluates the `expect:` block of a scene with the numbers of the completed run."""
 
 import difflib
 from collections.abc import Iterable, Mapping
@@ -8,30 +8,30 @@ from granflow.quantities import unit_of
 
 
 class Expectation(Protocol):
-    """One entry of a scene's `expect:` block; one of the four bounds is set, the others are None.
+    """One entry of the `expect:` block of a scene; exactly one of the four bounds is not None.
 
-    `tolerance`: relative, for `equals`; None asks for the very number.
+    `tolerance`: relative, for `equals`; None requires equality.
     """
 
     @property
     def quantity(self) -> str:
-        """Name of the number, as in `Result.numbers`."""
+        """Name of the quantity, as in `Result.numbers`."""
 
     @property
     def between(self) -> tuple[float, float] | None:
-        """Smallest and largest allowed number."""
+        """Smallest and largest permitted value."""
 
     @property
     def below(self) -> float | None:
-        """Number to stay under."""
+        """Strict upper bound."""
 
     @property
     def above(self) -> float | None:
-        """Number to exceed."""
+        """Strict lower bound."""
 
     @property
     def equals(self) -> float | None:
-        """Number to reach, within the tolerance."""
+        """Target value, within the tolerance."""
 
     @property
     def tolerance(self) -> float | None:
@@ -39,17 +39,16 @@ class Expectation(Protocol):
 
 
 class ExpectationResult(NamedTuple):
-    """One expectation after the run: a sentence for people, and whether it was met."""
+    """Result of one expectation: a sentence, and whether the expectation is satisfied."""
 
     sentence: str
     met: bool
 
 
 def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
-    """Hold every expectation against the numbers of the finished run (`Result.numbers`).
+    """Evaluate all expectations with the numbers of the completed run (`Result.numbers`).
 
-    A quantity that the run does not have is not met, with the nearest names in the sentence; so is one that
-    is not a number (nan).
+    An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists similar names.
     """
     return [_evaluate_one(expectation, numbers) for expectation in expectations]
 

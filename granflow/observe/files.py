@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written under a temporary name beside the target, then renamed."""
+"""Atomic file writes: under a temporary name in the directory of the target, then renamed."""
 
 import os
 import sys
@@ -11,11 +11,10 @@ PART = ".part"
 
 @contextmanager
 def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
-    """Give a temporary path in the same directory and rename it to `path` when the block ends well.
+    """Yield a temporary path in the same directory and rename it to `path` when the block completes.
 
-    With `durable` what was written is on the disk before the name changes, so that even a machine without power finds
-    the one file or the other. If the block raises, the temporary file goes and an older file under `path` stays as it
-    was.
+    With `durable`, the data are on the disk before the rename, so that either the old or the new file is intact after a
+    power failure. If the block raises, the temporary file is deleted and an older file at `path` stays unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
@@ -30,7 +29,7 @@ def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` to `path` as UTF-8, whole or not at all."""
+    """Write `text` to `path` as UTF-8, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -42,7 +41,7 @@ def remove_parts(directory: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have a file, or the names in a directory, on the disk; Windows has no such call for directories."""
+    """Flush a file, or the entries of a directory, to the disk; Windows has no such call for directories."""
     if sys.platform == "win32" and path.is_dir():
         return
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)

@@ -1,4 +1,4 @@
-"""Flow meters: the mass that passes a plane, followed particle by particle."""
+"""Flow meters: the mass that passes a plane, tracked for each particle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from granflow.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class _Sample:
-    """What a meter remembers of its last look; `distance` [m] beyond the plane, `part`: number of the part."""
+    """Particles at the previous sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
 
     id: np.ndarray
     mass: np.ndarray
@@ -26,57 +26,56 @@ _SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
 
 
 class FlowCount:
-    """Net mass [kg] and number of particles so far, and how the mass came to be: (time [s], stage, mass [kg])."""
+    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg])."""
 
     def __init__(self) -> None:
         self.mass, self.count = 0.0, 0
         self.history: list[tuple[float, str, float]] = []
 
     def add(self, mass: np.ndarray, direction: np.ndarray) -> None:
-        """Count particles of masses (n,), each 1 forward or -1 back (n,)."""
+        """Count particles of masses (n,) [kg] with directions (n,): 1 forward, -1 backward."""
         self.mass += float((mass * direction).sum())
         self.count += int(direction.sum())
 
     def mass_flow(self) -> float:
-        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        """Return the mass flow [kg/s] between the last two samples; 0 after the first."""
         if len(self.history) < 2:
             return 0.0
         (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
         return (mass_now - mass_before) / (time_now - time_before)
 
     def readings(self) -> list[float]:
-        """Mass, number, and mass flow since the look before, in the order of METER_QUANTITIES."""
+        """Return mass, number, and mass flow since the previous sample, in the order of FLOW_METER_QUANTITIES."""
         return [self.mass, self.count, self.mass_flow()]
 
     def result(self) -> dict[str, float]:
-        """Numbers at the end: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] of `steady_flow`."""
+        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`."""
         return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
 
     def state_dict(self) -> dict[str, Any]:
-        """All of it."""
+        """Return mass, number and history."""
         return {"mass": self.mass, "count": self.count, "history": self.history}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on counting from there."""
+        """Restore the state of `state_dict`."""
         self.mass, self.count = saved["mass"], saved["count"]
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
 
 
 class FlowMeter:
-    """Net mass and number of particles through a plane, or through a disc or a rectangle in it.
+    """Net mass and number of particles through a plane, or through a disc or rectangle in it.
 
-    `point` (3,) [m] on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
-    `sides` (2, 3) [m]; `normal` (3,) the direction that counts as forward; `periodic_box` of a periodic box;
-    `group_by`:
-    "material" or "group", each of which, by the names `parts`, gets a tally of its own. Particles are followed by id
-    from look to look:
+    `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
+    `sides` (2, 3) [m]; `normal` (3,): forward direction; `periodic_box`: None without periodic axes; `group_by`:
+    "material" or "group" for additional separate counts, with the names `parts`. Particles are tracked by id between
+    successive samples:
 
-    - a center that changed sides crossed where the straight line between the two looks cuts the plane; it
-      counts if that is within the disc or rectangle, forward as plus and back as minus;
-    - a particle deleted since the last look counts as crossed if it was then on the near side and straight
-      before the disc or rectangle: it left the domain too fast to be seen on the far side;
-    - in a periodic box the line goes to the nearest image: who comes in again on the other side has not gone back;
-    - what stood on the far side at the first look, or was put in there, never counts.
+    - A center that changes sides crosses where the straight line between its two positions intersects the plane. It
+      counts if that point is within the disc or rectangle: forward as plus, backward as minus.
+    - A particle deleted since the last sample counts as crossed if it was on the near side with its projection within
+      the disc or rectangle: it left the domain before it could be sampled on the far side.
+    - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as backward.
+    - A particle that is first sampled on the far side does not count.
     """
 
     def __init__(
@@ -100,7 +99,7 @@ class FlowMeter:
 
     @property
     def mass(self) -> float:
-        """Net mass [kg] so far."""
+        """Net mass so far [kg]."""
         return self.total.mass
 
     @property
@@ -110,15 +109,15 @@ class FlowMeter:
 
     @property
     def history(self) -> list[tuple[float, str, float]]:
-        """Time [s], stage and mass [kg] at every look."""
+        """Time [s], stage and mass [kg] at each sample."""
         return self.total.history
 
     def flow_counts(self) -> dict[str, FlowCount]:
-        """The tally of everything under "", and those of the parts by name."""
+        """Return the total count under "", and the counts of the parts by name."""
         return {"": self.total, **self.parts}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Count what passed since the last look; needs id, mass and position of the particles, and `group_by`."""
+        """Count the particles that passed since the last sample; reads id, mass, position and the array `group_by`."""
         now = self._sample(snapshot)
         if self._last is not None:
             self._count_crossed(self._last, now)
@@ -128,15 +127,15 @@ class FlowMeter:
             flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
 
     def mass_flow(self) -> float:
-        """Mass flow [kg/s] between the last two looks, 0 after the first."""
+        """Return the mass flow [kg/s] between the last two samples; 0 after the first."""
         return self.total.mass_flow()
 
     def result(self) -> dict[str, float]:
-        """Numbers of everything at the end, see Tally."""
+        """Return the final numbers of the total count, as in FlowCount."""
         return self.total.result()
 
     def state_dict(self) -> dict[str, Any]:
-        """Counts, histories and the last look."""
+        """Return counts, histories and the last sample."""
         last = {} if self._last is None else {name: getattr(self._last, name) for name in _SAMPLE_FIELDS}
         return {
             "tallies": {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()},
@@ -144,7 +143,7 @@ class FlowMeter:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on counting from there."""
+        """Restore the state of `state_dict`."""
         for name, flow_count in self.flow_counts().items():
             flow_count.load_state_dict(saved["tallies"][name])
         self._last = _Sample(**saved["last"]) if saved["last"] else None
@@ -168,7 +167,7 @@ class FlowMeter:
         self._add(now.mass[after][crossed], direction[crossed], now.part[after][crossed])
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """1, -1 or 0 (n,) for ways (n, 3) [m] through the meter forward, back or not at all."""
+        """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or not."""
         first, last = ((points - self.point) @ self.normal for points in (start, end))
         direction = (last > 0).astype(int) - (first > 0).astype(int)
         fraction = first / np.where(direction == 0, 1.0, first - last)
@@ -176,7 +175,7 @@ class FlowMeter:
         return np.where(self._within(point), direction, 0)
 
     def _within(self, point: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3) of the plane lie in the disc or rectangle."""
+        """Return whether points (n, 3) [m] of the plane lie in the disc or rectangle."""
         offset = point - self.point
         if self.sides is None:
             return np.asarray(np.linalg.norm(offset, axis=1) <= self.radius)
@@ -196,14 +195,14 @@ class FlowMeter:
 
 
 def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
-    """Mass flow [kg/s] while the middle half of the mass of the last flowing stage passed.
+    """Return the mass flow [kg/s] of the middle half of the mass in the last stage with flow.
 
         0.5 M / (t(3/4 M) - t(1/4 M))
 
-    `history`: (time [s], stage, cumulative mass [kg]) in the order of time. M is the mass that passed in
-    the last stage that ends with another mass than it began; the stage begins with the last moment of the
-    one before. t(m) is when m had passed for the first time, linear between moments. The start of the flow
-    and the last stragglers have no say. 0 if nothing flowed.
+    `history`: (time [s], stage, cumulative mass [kg]) in order of time. M is the mass that passed in the last stage
+    whose final mass differs from its initial mass; a stage begins at the last sample of the previous one. t(m) is the
+    first time at which the mass reaches m, interpolated linearly. The start and the end of the flow have no influence.
+    Returns 0 without flow.
     """
     times = np.array([time for time, _, _ in history])
     masses = np.array([mass for _, _, mass in history])
@@ -217,13 +216,14 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
 
 
 def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
-    """First and last index of every stage, the first being the last of the stage before."""
+    """Return the first and last index of each stage; the first one is the last index of the previous stage."""
     names = [stage for _, stage, _ in history]
     ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
     return list(pairwise([0, *ends]))
 
 
 def _first_reached(times: np.ndarray, share: np.ndarray, share_reached: float) -> float:
+    """Return the first time [s] at which `share` reaches a value, interpolated linearly."""
     after = int(np.argmax(share >= share_reached))
     fraction = (share_reached - share[after - 1]) / (share[after] - share[after - 1])
     return float(times[after - 1] + fraction * (times[after] - times[after - 1]))

@@ -18,8 +18,7 @@ TAIL = b"  </Collection>\n</VTKFile>\n"
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    Frames of an earlier run that still lie in the directory go when the first frame is written, so that the
-    files on disk and those in the PVD file are the same.
+    The first frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on disk.
     """
 
     def __init__(self, directory: Path, stem: str) -> None:
@@ -31,7 +30,7 @@ class FrameSeries:
         self._unsynced: list[Path] = []
 
     def write(self, mesh: meshio.Mesh, time: float) -> Path:
-        """Write the mesh as the next frame, at `time` [s]; return its path."""
+        """Write the mesh as the next frame, at `time` [s]. Return its path."""
         if not self.frame_count:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.truncate()
@@ -44,11 +43,11 @@ class FrameSeries:
 
     @property
     def listing(self) -> Path:
-        """The PVD file."""
+        """Path of the PVD file."""
         return self.directory / f"{self.stem}.pvd"
 
     def _list(self, frame: tuple[float, str]) -> None:
-        """Add a frame to the PVD file in place; write all of it where it is not the file that was written last."""
+        """Add a frame to the PVD file in place, or rewrite the file if it has changed since the last write."""
         entry = _entry(*frame)
         size = self.listing.stat().st_size if self.listing.exists() else 0
         if size and size == self._listing_size:
@@ -65,14 +64,14 @@ class FrameSeries:
         self._listing_size = len(listing)
 
     def sync(self) -> None:
-        """Have all frames on the disk; those that somebody has taken away are left out."""
+        """Flush all frames to the disk; skip files that no longer exist."""
         for path in self._unsynced:
             with suppress(FileNotFoundError):
                 sync(path)
         self._unsynced = []
 
     def truncate(self) -> None:
-        """Make the files those of the frames written so far: list those that exist, then remove all others."""
+        """Restore the files of the listed frames: list those that exist, then delete all others."""
         own_pattern = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
         there = {path.name for path in self.directory.iterdir() if own_pattern.fullmatch(path.name)}
         self.frames = [frame for frame in self.frames if frame[1] in there]
@@ -85,22 +84,21 @@ class FrameSeries:
 
 
 def write_vtu(path: Path, mesh: meshio.Mesh) -> None:
-    """Write the mesh to a VTU file, binary and zlib-compressed, whole or not at all."""
-    # meshio's header for an empty compressed array announces a block that is not there; uncompressed is
-    # valid.
+    """Write the mesh to a VTU file, binary and zlib-compressed, atomically."""
+    # For an empty compressed array, the header that meshio writes declares a block that does not exist.
     compression = "zlib" if len(mesh.points) else None
     with replacing(path) as temporary:
         meshio.write(temporary, mesh, file_format="vtu", binary=True, compression=compression)
 
 
 def mesh_of_points(points: np.ndarray, point_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Mesh of one vertex cell per point (n, 3): without cells ParaView shows nothing but glyphs."""
+    """Return a mesh with one vertex cell per point (n, 3) [m]; without cells, ParaView shows glyphs only."""
     vertices = np.arange(len(points), dtype=np.int64).reshape(-1, 1)
     return meshio.Mesh(points, [("vertex", vertices)], point_data=point_data)
 
 
 def mesh_of_cells(kind: str, points: np.ndarray, cells: np.ndarray, cell_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Mesh of cells of one kind, "line" (k, 2) or "triangle" (k, 3), over points (n, 3)."""
+    """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m]."""
     per_block = {name: [values] for name, values in cell_data.items()}
     return meshio.Mesh(points, [(kind, cells.astype(np.int64))], cell_data=per_block)
 
@@ -113,7 +111,7 @@ def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
     """Overwrite the closing tags of a PVD file of `size` bytes with `entry` and the closing tags, in one write.
 
     The work per frame does not depend on the number of frames, and the file is complete before and after the write.
-    If the disk is full, the file gets its old closing tags back.
+    If the disk is full, the previous closing tags are restored.
     """
     start = size - len(TAIL)
     with FileIO(path, "r+") as file:
@@ -126,7 +124,7 @@ def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
 
 
 def _write_at(file: FileIO, offset: int, data: bytes) -> None:
-    """Write all of `data` from `offset`; the system may take part of it at a time."""
+    """Write all of `data` at `offset`; one system call may write only part of it."""
     file.seek(offset)
     while data:
         data = data[file.write(data) :]

@@ -1,4 +1,4 @@
-"""Particles for a new run from the last state of an earlier one: a scene's `start_from:`."""
+"""Initial particles of a new run from the last state of an earlier run: `start_from:` of a scene."""
 
 from pathlib import Path
 from typing import Any
@@ -14,30 +14,30 @@ from granflow.scene.generate import ParticleData
 from granflow.scene.reader import scene_of
 
 ROUNDING = 1e-6
-"""Relative room around a group's diameters for those of an earlier run, which may have been computed in float32."""
+"""Relative tolerance of the diameters from an earlier run, which may be rounded to single precision."""
 
 
 def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
-    """The particles of every group that the earlier run has too, as they were in its newest checkpoint, by group.
+    """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
 
-    Positions, velocities, spins and sizes are those of the run; materials those of the scene. What contacts
-    remembered is not taken over. Empty without `start_from`. Raises SceneError where there is no such run, or its
-    particles are more, or of other sizes, than the scene says of their group.
+    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene. The contact
+    history is not transferred. Empty without `start_from`. Raises SceneError if the run does not exist, or if the count
+    or the sizes of its particles exceed those of the group in the scene.
     """
     if scene.start_from is None:
         return {}
     location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
     checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
     if checkpoint is None:
-        reason = f": {skipped[0]}" if skipped else "; name the directory of a run that has ended."
-        raise SceneError(f"{location} it holds no checkpoint that can be used{reason}")
+        reason = f": {skipped[0]}" if skipped else "; give the directory of a completed run."
+        raise SceneError(f"{location} it contains no usable checkpoint{reason}")
     before = scene_of(checkpoint.scene, str(checkpoint.path))
     check_particles_alone(checkpoint, before)
     names = list(before.particles)
     shared = [name for name in scene.particles if name in names]
     if not shared:
         raise SceneError(
-            f"{location} its groups are {', '.join(names)}; name those to go on with alike under particles."
+            f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
         )
     found = {name: _particles_of_group(scene, name, checkpoint, names.index(name)) for name in shared}
     problems = [problem for name in shared for problem in _inconsistencies(scene, name, found[name])]
@@ -47,7 +47,7 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
 
 
 def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number: int) -> ParticleData:
-    """Grains of the group with that number in the earlier scene, ordered by id."""
+    """Return the particles of group `number` of the earlier scene, ordered by id."""
     saved = checkpoint.saved["engine"]
     particles = saved["particles"]
     order = np.argsort(particles["id"], kind="stable")
@@ -68,7 +68,7 @@ def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number:
 
 
 def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities and spins (n, 3), which a checkpoint holds half a step earlier."""
+    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step earlier."""
     mass, radius, half = arrays["mass"][:, None], arrays["radius"][:, None], 0.5 * time_step
     velocity = arrays["velocity"] + half * arrays["force"] / mass
     if "angular_velocity" not in arrays:
@@ -77,12 +77,12 @@ def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple
 
 
 def _inconsistencies(scene: Scene, name: str, particles: ParticleData) -> list[str]:
-    """What the scene says of a group and the earlier run does not keep to."""
+    """Return a sentence for each contradiction between a group of the scene and the particles of the earlier run."""
     group, found = scene.particles[name], []
     if len(particles) > group.count:
         location = scene.locate("particles", name, "count")
         found.append(
-            f"{location}: particles.{name}.count is {group.count}, but start_from has {len(particles)} of them."
+            f"{location}: particles.{name}.count is {group.count}, but start_from has {len(particles)} particles."
         )
     smallest, largest = diameter_range(group)
     sizes = 2.0 * particles.radius

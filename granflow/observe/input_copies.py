@@ -1,4 +1,4 @@
-"""Copies of files that a scene names, beside the results: the scene as run finds them, and a run can go on anywhere."""
+"""Copies the input files of a scene to the output directory, so that a run can be continued on any machine."""
 
 import re
 import shutil
@@ -13,13 +13,13 @@ from granflow.scene import Scene
 from granflow.scene.schema import FileInsertion, MeshWall
 
 RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
-"""Names of results: a file of particles so named is not copied, since the run writes its own there."""
+"""Names of result files: a particle file with such a name is not copied, because the run writes its own."""
 
 
 def copy_inputs(directory: Path, scene: Scene) -> None:
-    """Put mesh files, and files of particles, where the scene as run, in that directory, names them.
+    """Copy mesh files and particle files to the paths that the resolved scene in the directory contains.
 
-    Another file of that name is not lost: it goes aside with `.before` added to its name.
+    A different file at that path is not overwritten: `.before` is appended to its name.
     """
     for source, name in _inputs(scene):
         target = Path(directory) / name
@@ -33,7 +33,7 @@ def copy_inputs(directory: Path, scene: Scene) -> None:
 
 
 def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
-    """Key in the scene and path of every file that the scene names: meshes and tables of particles."""
+    """Yield the key and the path of each input file of the scene: meshes and particle tables."""
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
             yield f"walls.{name}.file", scene.folder / wall.file
@@ -43,7 +43,7 @@ def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
 
 
 def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
-    """Files, and the names that the scene gives them; those that a run going on no longer has are left out."""
+    """Yield the files and their names in the scene, except particle files that a continued run no longer has."""
     for wall in scene.walls.values():
         if isinstance(wall, MeshWall):
             yield mesh_path(scene, wall), wall.file

@@ -1,4 +1,4 @@
-"""One run at a time in a directory: a lock that the operating system takes back when its process ends, however."""
+"""Directory lock for one run at a time; the operating system releases it when the process ends for any reason."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ from granflow.errors import GranflowError
 
 LOCK = ".lock"
 _HELD: ContextVar[frozenset[Path]] = ContextVar("_HELD", default=frozenset())
-"""Directories that this thread has locked: a verb keeps the lock while it calls what locks the directory itself."""
+"""Directories that this thread has locked: a verb holds the lock while it calls functions that also lock."""
 if sys.platform == "win32":
     import msvcrt
 
@@ -29,10 +29,10 @@ else:
 
 @contextmanager
 def locked(directory: Path) -> Iterator[None]:
-    """Hold the directory, made if need be, against other runs. Raises GranflowError where one is at work in it.
+    """Create the directory if necessary and lock it. Raises GranflowError if another run has locked it.
 
-    Inside, the same thread may lock it again. The file `.lock` stays when the lock is gone: removing it could take it
-    from a run that has just locked it.
+    In the block, the same thread may lock it again. The file `.lock` remains after the release, because its deletion
+    could remove the lock of a run that has just acquired it.
     """
     directory.mkdir(parents=True, exist_ok=True)
     path = directory.resolve()
@@ -45,7 +45,7 @@ def locked(directory: Path) -> Iterator[None]:
             _take(descriptor)
         except BlockingIOError:
             raise GranflowError(
-                f"Another run is writing into {directory}: wait for it, stop it, or name another directory with --out."
+                f"Another run is writing into {directory}: wait for it, stop it, or give another directory with --out."
             ) from None
         token = _HELD.set(_HELD.get() | {path})
         try:

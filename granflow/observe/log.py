@@ -1,4 +1,4 @@
-"""The record of a run beside its output: `run.log` and `scene_as_run.yaml`."""
+"""The record of a run in its output directory: `run.log` and `scene_as_run.yaml`."""
 
 import logging
 import platform
@@ -13,17 +13,17 @@ from granflow.visible_text import VisibleFormatter
 
 
 class HasYamlText(Protocol):
-    """Something that can be written as YAML: a scene."""
+    """Protocol of objects with a YAML text, such as a scene."""
 
     def text(self) -> str:
-        """The whole as YAML, all defaults filled in."""
+        """Return the YAML text with all defaults."""
 
 
 @contextmanager
 def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
-    """Write what the logger `granflow` says at INFO and above to `run.log` in the directory, while inside.
+    """In the block, write the records of the logger `granflow` from level INFO to `run.log` in the directory.
 
-    An older log is replaced, or gone on with. The exception that ends the block, if any, is the last entry.
+    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level
@@ -43,13 +43,13 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
 
 
 def versions() -> str:
-    """What computes here: granflow, Taichi, numpy, Python, and the system."""
+    """Return the versions of granflow, Taichi, numpy and Python, and the platform."""
     packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", "taichi", "numpy"))
     return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
 
 
 def version_of(package: str) -> str:
-    """Version of an installed package."""
+    """Return the version of an installed package."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -57,7 +57,7 @@ def version_of(package: str) -> str:
 
 
 def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
-    """Write `scene_as_run.yaml`, the scene with all its defaults; loading it gives the same scene again."""
+    """Write the resolved scene as `scene_as_run.yaml`, which loads as the same scene. Return its path."""
     path = Path(directory) / "scene_as_run.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, scene.text())
@@ -65,10 +65,10 @@ def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
 
 
 class _LogFile(logging.FileHandler):
-    """A log that cannot be written must not keep a run from saying what else cannot be, and ending in order."""
+    """A log file whose write errors do not stop a run: it must still report other errors and end properly."""
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Leave the record out."""
+        """Drop the record."""
 
 
 def _file_handler(directory: Path, mode: str) -> logging.FileHandler:

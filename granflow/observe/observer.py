@@ -1,4 +1,4 @@
-"""What everything that watches a simulation has in common."""
+"""Protocols of observers."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -8,32 +8,32 @@ PARTICLES, CONTACTS, WALLS, TOTALS = "particles", "contacts", "walls", "totals"
 
 
 class Observer(Protocol):
-    """Says when it is due and what it wants, and does something with the snapshot it is shown.
+    """Receives snapshots of a simulation at its due times.
 
-    `wants`: those of "particles", "contacts", "walls", "totals" that must be in the snapshot.
+    `wants`: required parts of the snapshot, out of "particles", "contacts", "walls", "totals".
     """
 
     wants: frozenset[str]
 
     def next_time(self) -> float:
-        """Simulated time [s] at which it next wants a snapshot; infinity: only at the end."""
+        """Return the simulated time of the next snapshot [s]; infinity: only at the end."""
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Take in one snapshot. The same moment shown twice counts once."""
+        """Process a snapshot. A second snapshot of the same time has no effect."""
 
     def finish(self) -> None:
-        """Close what is open; called once, after the last snapshot."""
+        """Close files; called once, after the last snapshot."""
 
 
 @runtime_checkable
 class Checkpointable(Protocol):
-    """An observer whose state goes into checkpoints, so that a run can go on where it was."""
+    """An observer whose state is part of checkpoints."""
 
     def state_dict(self) -> dict[str, Any]:
-        """What it must know to go on: numbers, texts, numpy arrays, and dictionaries of them."""
+        """Return the state: nested dictionaries of numbers, texts and numpy arrays."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from what was kept; files are not touched yet."""
+        """Restore the state; files are not modified yet."""
 
     def truncate(self) -> None:
-        """Bring its files back to what they held when that was kept."""
+        """Restore the files to their content at the time of the restored state."""

@@ -1,4 +1,4 @@
-"""Some of the particles of a snapshot."""
+"""Subsets of the particles of a snapshot."""
 
 from collections.abc import Mapping
 
@@ -6,10 +6,10 @@ import numpy as np
 
 
 def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """All but fixed grains, which are walls."""
+    """Return the arrays without fixed particles, which count as walls."""
     return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
 
 
 def selected(arrays: Mapping[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
-    """The entries of all arrays for which `mask` (n,) is True."""
+    """Return the entries of all arrays (n, ...) for which `mask` (n,) is True."""
     return {name: values[mask] for name, values in arrays.items()}

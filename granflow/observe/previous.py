@@ -1,8 +1,8 @@
 """The previous run in an output directory: a new run replaces it only once the new run has begun.
 
-The results move to `previous_run/` inside the directory (the same file system, whatever is mounted there) and are
-deleted after the first frame of the new run. An error before that moves them back. A killed process leaves one of the
-states below, each of which `restore_previous_run` recognizes:
+The results move to `previous_run/` in the directory (on the same file system) and are deleted after the first frame of
+the new run. An earlier error moves them back. A killed process leaves one of the following states, which
+`restore_previous_run` recognizes:
 
     .previous_run.part/   some results moved, the others in place; no new file exists
     previous_run/         all results moved; new files may exist
@@ -25,20 +25,20 @@ RESULT_FILES = (
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz"),
     *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),
 )
-"""What a run writes into its directory, as patterns: tells an earlier run from other files."""
+"""Patterns of the result files of a run, which distinguish an earlier run from other files."""
 
 PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
 
 
 def results_in(directory: Path) -> list[Path]:
-    """The files of a run in its directory."""
+    """Return the result files of a run in the directory."""
     return [path for pattern in RESULT_FILES for path in directory.glob(pattern)]
 
 
 def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = False) -> None:
-    """Raise GranflowError if `start_from` or an input file of the scene lies in the directory.
+    """Raise GranflowError if `start_from` or an input file of the scene is in the directory.
 
-    With `only_results`, only if the new run would delete it: results of a run, and the directory itself.
+    With `only_results`, only if the new run would delete it: result files, or the directory itself.
     """
     folder = directory.resolve()
     lost = {folder, *(path.resolve() for path in results_in(directory))}
@@ -46,15 +46,15 @@ def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = Fal
     for key, path in ((key, path.resolve()) for key, path in [*start, *input_files(scene)]):
         if path in lost or (path.is_relative_to(folder) and not only_results):
             raise GranflowError(
-                f"{key} is {path}, which lies in the output directory {directory} of the run to be replaced: "
-                "name another directory with --out."
+                f"{key} is {path}, which is in the output directory {directory} of the run to be replaced: "
+                "give another directory with --out."
             )
 
 
 def restore_previous_run(directory: Path) -> list[str]:
-    """Move the results of a replaced run back if the run that was to replace it has not begun; a sentence if so.
+    """Move the results of the previous run back if the new run did not begin; return a sentence in that case.
 
-    Call it with the directory locked. It may be interrupted at any point and called again.
+    The caller must have locked the directory. The function may be interrupted at any point and called again.
     """
     previous, moving = directory / PREVIOUS, directory / MOVING
     shutil.rmtree(directory / DISCARDED, ignore_errors=True)
@@ -67,15 +67,14 @@ def restore_previous_run(directory: Path) -> list[str]:
     for path in [path for path in moving.rglob("*") if not path.is_dir()]:
         _move(path, directory / path.relative_to(moving))
     shutil.rmtree(moving)
-    return [f"{directory} holds the previous run again: the run that was to replace it was killed before it began."]
+    return [f"{directory} holds the previous run again: the run that was to replace it ended before its first frame."]
 
 
 @contextmanager
 def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
-    """Move the results in the directory aside; yields the function to call when the new run has begun.
+    """Move the results in the directory away; yield a function that deletes them, to be called after the first frame.
 
-    That function deletes them. If the block raises before it was called, the results move back and those of the new
-    run are deleted.
+    If the block raises before that call, the results move back and those of the new run are deleted.
     """
     restore_previous_run(directory)
     results = results_in(directory)
@@ -84,18 +83,18 @@ def replaced_run(directory: Path) -> Iterator[Callable[[], None]]:
     if results:
         os.replace(directory / MOVING, directory / PREVIOUS)
 
-    def prepared_simulation() -> None:
+    def delete_previous() -> None:
         if (directory / PREVIOUS).is_dir():
             os.replace(directory / PREVIOUS, directory / DISCARDED)
             shutil.rmtree(directory / DISCARDED, ignore_errors=True)
 
     try:
-        yield prepared_simulation
+        yield delete_previous
     except BaseException:
         with suppress(OSError):
             restore_previous_run(directory)
         raise
-    prepared_simulation()
+    delete_previous()
 
 
 def _move(path: Path, target: Path) -> None:

@@ -1,4 +1,4 @@
-"""How far a run is: a live bar on a terminal, now and then a line elsewhere."""
+"""Progress of a run: a live bar on a terminal, lines at intervals elsewhere."""
 
 import math
 import time as clock
@@ -12,18 +12,18 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from granflow.observe.schedule import Schedule
 from granflow.snapshot import Snapshot
 
-# Looks per run: fixed in simulated time and not by the clock, so that watching never changes a run.
+# Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not affect a run.
 UPDATE_COUNT = 500
 SECONDS_BETWEEN_LINES = 10.0
-# Rates are taken over this many looks: long enough to be steady, short enough to follow a filling scene.
+# Number of updates over which rates are averaged: large enough for a steady value, small enough to follow insertion.
 RATE_SAMPLES = 25
 
 
 class ProgressDisplay:
     """Shows simulated time, stage, steps per second, particle-steps per second and time left.
 
-    `stages`: (name, longest duration [s]) in order. A stage that ends early shortens the whole. Off a
-    terminal it prints a line at the start of each stage, every ten seconds of wall clock, and at the end.
+    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. Without a terminal, a
+    line is printed at the start of each stage, every ten seconds of wall clock, and at the end.
     """
 
     wants: frozenset[str] = frozenset()
@@ -36,35 +36,35 @@ class ProgressDisplay:
         self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
 
     def next_time(self) -> float:
-        """Time [s] of the next look."""
+        """Return the time of the next update [s]."""
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Show how far the run is."""
+        """Update the display."""
         self._schedule.mark_done(snapshot.time)
         self._stage_plan.enter(snapshot.stage, snapshot.time)
         self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
         self._display.show(snapshot, self._stage_plan.end, self._rates)
 
     def state_dict(self) -> dict[str, Any]:
-        """Looks are part of a run: when the last one was; and when the run will be over."""
+        """Return the time of the last update, the stage, and the latest end of the run; updates affect the steps."""
         return {"last_time": self._schedule.last_time, "stage": self._stage_plan.stage, "end": self._stage_plan.end}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on after that; the end is worked out anew where the stages have changed."""
+        """Continue after the saved time; changed stages may extend the end."""
         self._schedule.resume_after(saved["last_time"])
         self._stage_plan.resume_in(saved["stage"], saved["end"])
 
     def truncate(self) -> None:
-        """It has no files."""
+        """Do nothing: this observer has no files."""
 
     def finish(self) -> None:
-        """Leave the terminal as it was."""
+        """Close the display and restore the terminal."""
         self._display.close()
 
 
 class StagePlan:
-    """When a run will be over at the latest, given when its stages really began."""
+    """Latest end of a run, from the actual start times of its stages."""
 
     def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
         self._stages = list(stages)
@@ -72,7 +72,7 @@ class StagePlan:
         self.end = sum(duration for _, duration in self._stages)
 
     def enter(self, stage: str, time: float) -> None:
-        """Note that at `time` [s] the run is in this stage; its beginning moves the end."""
+        """Record the stage at `time` [s]; a new stage updates the end."""
         names = [name for name, _ in self._stages]
         if stage == self.stage or stage not in names:
             return
@@ -80,22 +80,22 @@ class StagePlan:
         self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
 
     def resume_in(self, stage: str, end: float) -> None:
-        """Go on in a stage of a run that was to be over at `end` [s]."""
+        """Restore the stage and the latest end [s] of the run."""
         self.stage, self.end = stage, max(end, self.end)
 
 
 class StepRates:
-    """Steps and particle-steps per second of wall clock over the latest looks."""
+    """Steps and particle-steps per second of wall clock over the latest updates."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, int, float]] = deque(maxlen=RATE_SAMPLES)
 
     def add(self, seconds: float, step: int, particle_count: float) -> None:
-        """Note a look at the wall clock `seconds` [s]."""
+        """Record an update at the wall clock time `seconds` [s]."""
         self._samples.append((seconds, step, particle_count))
 
     def steps_per_second(self) -> float:
-        """Steps per second, 0 while unknown."""
+        """Return the steps per second, 0 while unknown."""
         if len(self._samples) < 2:
             return 0.0
         (first_seconds, first_step, _), (last_seconds, last_step, _) = self._samples[0], self._samples[-1]
@@ -103,7 +103,7 @@ class StepRates:
         return (last_step - first_step) / elapsed if elapsed > 0 else 0.0
 
     def particle_steps_per_second(self) -> float:
-        """Particle-steps per second with the present number of particles, 0 while unknown."""
+        """Return the particle-steps per second for the current number of particles, 0 while unknown."""
         return self.steps_per_second() * self._samples[-1][2] if self._samples else 0.0
 
 
@@ -139,7 +139,7 @@ class _Bar:
 
 
 class _Lines:
-    """A line now and then."""
+    """Lines at intervals."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -165,7 +165,7 @@ class _Lines:
 
 
 def _time_text(time: float, end: float) -> str:
-    """The time with as many decimals as tell thousandths of the whole apart, so that the text does not jump about."""
+    """Return the time with a fixed number of decimals that resolves a thousandth of the end."""
     decimals = max(0, 3 - math.floor(math.log10(end)))
     return f"{time:.{decimals}f} of {end:.4g} s"
 

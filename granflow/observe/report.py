@@ -1,4 +1,4 @@
-"""The numbers of a finished run: `result.json`, and the table that closes the run."""
+"""The numbers of a completed run: `result.json`, and the table printed at the end."""
 
 import json
 import math
@@ -21,13 +21,13 @@ _WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_
 
 @dataclass(frozen=True)
 class Result:
-    """Numbers of a finished run, all SI.
+    """Numbers of a completed run, in SI units.
 
-    `run`: e.g. simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second.
-    `timings`: wall clock by part [s], in the order to be shown: neighbor_list, forces, integration, output, compile.
-    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by the name of the
-    meter. `wall_forces`: wall_force_x and so on by the name of the wall. `metrics`: likewise by the name of the index.
-    `insertion`: inserted_count, inserted_mass and not_inserted_count by the name of a group that comes in.
+    `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
+    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, output, compile.
+    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
+    `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
+    inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
     """
 
     run: Mapping[str, float]
@@ -40,16 +40,15 @@ class Result:
     expectations: tuple[ExpectationResult, ...] = ()
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
-        """Give the same result with the expectations of the scene judged."""
+        """Return this result with the evaluated expectations of the scene."""
         return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All numbers by the names that a scene's `expect:` block uses.
+        """All numbers by their names in the `expect:` block of a scene.
 
-        Totals and `run` bare (`kinetic_energy`, `simulated_time`), wall clock as `timings.neighbor_list`; of meters,
-        walls and
-        groups that come in as `mass_flow.outlet`, `wall_force.floor`, `inserted_mass.beads`.
+        Totals and `run` without prefix (`kinetic_energy`, `simulated_time`), wall clock as `timings.neighbor_list`;
+        flow meters, walls and inserted groups as `mass_flow.outlet`, `wall_force.floor`, `inserted_mass.beads`.
         """
         named = {**self.run, **self.totals}
         named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
@@ -60,7 +59,7 @@ class Result:
 
 
 def write_result(directory: Path, result: Result) -> Path:
-    """Write `result.json`, whole or not at all; a number that is not finite becomes null. Return its path."""
+    """Write `result.json` atomically; a number that is not finite becomes null. Return its path."""
     sections = {
         "run": _finite(result.run),
         "timings": _finite(result.timings),
@@ -77,7 +76,7 @@ def write_result(directory: Path, result: Result) -> Path:
 
 
 def closing_table(result: Result, title: str = "Result") -> Table:
-    """Make the table that closes a run: where the time went, counts, energy, meters, loads of walls, feeds."""
+    """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces, insertion."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")
@@ -98,7 +97,7 @@ def closing_table(result: Result, title: str = "Result") -> Table:
 
 
 def readable(number: float) -> str:
-    """A number as people read it: counts in groups of three digits, others to four digits."""
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits."""
     if float(number).is_integer() and abs(number) < 1e15:
         return f"{int(number):,}".replace(",", " ")
     if 1e4 <= abs(number) < 1e12:
@@ -129,7 +128,7 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
-    """Rows of meters or walls by name."""
+    """Return the rows of meters, metrics or walls by name."""
     return [
         (f"{_label(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
         for part, readings in parts.items()
@@ -138,7 +137,7 @@ def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str,
 
 
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
-    """Magnitudes alone; components stand in result.json."""
+    """Return the rows of force magnitudes and pressures; result.json also contains the components."""
     shown = {
         wall: {name: number for name, number in readings.items() if name in _WALL_FORCE_NAMES}
         for wall, readings in result.wall_forces.items()
@@ -151,7 +150,7 @@ def _label(name: str) -> str:
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    # json writes NaN as a word that is not JSON; numpy numbers it does not write at all.
+    # The module json writes NaN as invalid JSON and does not accept numpy numbers.
     return {name: _json_number(number) for name, number in numbers.items()}
 
 

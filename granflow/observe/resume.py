@@ -1,4 +1,4 @@
-"""Whether a run may go on from a checkpoint with the scene at hand, and when its own checkpoints are due."""
+"""Checks whether a run can continue from a checkpoint with a given scene, and schedules new checkpoints."""
 
 import hashlib
 import time as clock
@@ -24,26 +24,26 @@ from granflow.scene.schema import Checkpoints
 from granflow.walls.motion import Motion, pose
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
-"""Numbers of a plan that must be those of the run so far: positions and what contacts remember rest on them."""
+"""Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
 
 FEATURE_SWITCHES = (
     *("friction", "rolling", "rotation", "rate_dependent", "cohesion", "one_material", "energy_budget", "wall_forces"),
     "fixed_particles",
 )
-"""Features on which it depends which arrays there are."""
+"""Features that determine which arrays exist."""
 
 MAX_JUMP = 1e-3
-"""Share of the smallest radius by which a wall may stand elsewhere once its motion has been changed."""
+"""Largest displacement of a wall by a change of its motion, over the smallest radius."""
 
 
 def plan_fingerprint(plan: Plan) -> dict[str, Any]:
-    """The numbers and features of a plan that go into checkpoints."""
+    """Return the numbers and features of a plan that checkpoints contain."""
     numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
     return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
 
 
 def mesh_digest(plan: Plan) -> str:
-    """Digest of what numbers the triangles of mesh walls and says where they are; empty without any."""
+    """Return a digest of the triangles of all mesh walls, their order included; empty without mesh walls."""
     digest = hashlib.sha256(str(len(plan.walls)).encode())
     for index, mesh in plan.meshes.items():
         digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
@@ -52,25 +52,25 @@ def mesh_digest(plan: Plan) -> str:
 
 @dataclass(frozen=True)
 class Change:
-    """What is different in the scene with which a run goes on."""
+    """Differences between the scene of a checkpoint and the scene that continues the run."""
 
     differences: tuple[Difference, ...]
 
     @property
     def affects_contacts(self) -> bool:
-        """Whether forces must be worked out anew before the next step: walls or pairs are others."""
+        """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
         return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
 
     def moves_stage_end(self, index: int) -> bool:
-        """Whether the end of that stage has been moved."""
+        """Return whether the end of the stage with this index has changed."""
         return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
 def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
-    """How the plan's scene differs from the checkpoint's.
+    """Check the checkpoint and return the differences between its scene and that of the plan.
 
-    Raises GranflowError, naming all that is not allowed to differ, unless `allow_changes`; and always where the plan's
-    numbers are others, or a wall would jump.
+    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
+    of the plan differ, or if a wall would jump.
     """
     saved = checkpoint.saved
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
@@ -78,8 +78,10 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
-        named = "\n".join(f"{checkpoint.path}: {each}, which cannot change while a run goes on." for each in refused)
-        raise GranflowError(f"{named}\nRun the scene anew, or go on all the same with --allow-changes.")
+        named = "\n".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
+        raise GranflowError(
+            f"{named}\nRun the scene from the start, or continue despite the change with --allow-changes."
+        )
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
     check_engine(checkpoint, plan, before)
@@ -91,27 +93,29 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
         now = plan_fingerprint(plan)[name]
         if now != before and name == "mesh_digest":
             raise GranflowError(
-                f"{checkpoint.path}: the triangles of the mesh walls are others than those of the run so far, but they "
-                "must stay the same while a run goes on; put the mesh files back as they were."
+                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must not change "
+                "when a run continues; restore the mesh files."
             )
         if now != before:
-            remedy = "; give it with --set" if name in ("time_step", "velocity_max", "skin", "chunk_size") else ""
+            remedy = (
+                "; give the old value with --set" if name in ("time_step", "velocity_max", "skin", "chunk_size") else ""
+            )
             raise GranflowError(
-                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but it must stay the "
-                f"same while a run goes on{remedy}."
+                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must not change "
+                f"when a run continues{remedy}."
             )
 
 
 def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: float) -> None:
-    """A wall whose motion has changed must be where it was."""
+    """Raise GranflowError if a changed motion displaces a wall."""
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
     motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
         moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
         if moved > MAX_JUMP * plan.radius_min:
             raise GranflowError(
-                f"walls.{wall.name}.motion would move the wall by {moved:.3g} m at once at {time:.6g} s. Let the "
-                "motion so far end then (end:), and add another that starts then (start:)."
+                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate "
+                "the old motion at this time (end:) and add another motion from this time (start:)."
             )
 
 
@@ -121,9 +125,9 @@ def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np
 
 
 class CheckpointWriter:
-    """Writes checkpoints of one run into its directory, says when the next is due, and keeps the last few.
+    """Schedules and writes the checkpoints of one run, and keeps the newest few.
 
-    Wall clock is read from a clock that nobody sets: a jump of the computer's time changes nothing.
+    The wall clock is monotonic: a change of the system time has no effect.
     """
 
     def __init__(self, directory: Path, settings: Checkpoints) -> None:
@@ -133,21 +137,21 @@ class CheckpointWriter:
         self.last_time: float | None = None
 
     def start(self, time: float) -> None:
-        """Begin to count at `time` [s]."""
+        """Start the schedule at `time` [s]."""
         self._written_at = clock.monotonic()
         if self._schedule is not None:
             self._schedule.mark_done(time)
 
     def next_time(self) -> float:
-        """Simulated time [s] at which the next one is due, whatever the wall clock says."""
+        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
         return inf if self._schedule is None else self._schedule.next_time()
 
     def due(self, time: float) -> bool:
-        """Whether it is time for the next one, by the simulated `time` [s] or by the wall clock."""
+        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
         return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
 
     def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
-        """Write one and remove those that are too many; if that fails, the next is due as if it had not."""
+        """Write a checkpoint and remove old ones; after an error the next one is due as after a success."""
         self.start(time)
         write_checkpoint(self._directory, scene.text(), time, step, saved)
         remove_old_checkpoints(self._directory, self._settings.keep)

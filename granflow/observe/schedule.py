@@ -2,13 +2,13 @@
 
 import math
 
-# A moment this small a part of the interval before a due time counts as the due time: the simulated clock is
-# rounded, and a frame one step later would show the same thing twice.
+# A time that precedes a due time by less than this fraction of the interval counts as due: the simulated clock is
+# rounded, and a frame one step later would duplicate the state.
 EARLY_FRACTION = 1e-3
 
 
 class Schedule:
-    """Due at `start + k * interval` [s], k = 0, 1, 2, ..., each worked out afresh: no rounding adds up.
+    """Due times `start + k * interval` [s], k = 0, 1, 2, ..., without accumulation of rounding errors.
 
     Raises ValueError unless the interval is positive and finite.
     """
@@ -22,21 +22,21 @@ class Schedule:
         self._last_time: float | None = None
 
     def next_time(self) -> float:
-        """Time [s] of the next due moment."""
+        """Return the next due time [s]."""
         return self.start + self._count * self.interval
 
     @property
     def last_time(self) -> float | None:
-        """The moment [s] taken last: all that a schedule remembers."""
+        """The last time marked as done [s]: the only state of a schedule."""
         return self._last_time
 
     def resume_after(self, last_time: float | None) -> None:
-        """Count on after a moment [s] of an earlier run, whatever the interval was there."""
+        """Continue after a time [s] of an earlier run, which may have used another interval."""
         if last_time is not None:
             self.mark_done(last_time)
 
     def mark_done(self, time: float) -> bool:
-        """Mark all moments up to `time` [s] as done; False if this very time was taken before."""
+        """Mark all due times up to `time` [s] as done; return False if this time was the last one marked."""
         if time == self._last_time:
             return False
         self._last_time = time

@@ -1,4 +1,4 @@
-"""`timeseries.csv`: one row of numbers per due time."""
+"""Writes `timeseries.csv`: one row of numbers per due time."""
 
 import csv
 import os
@@ -24,12 +24,12 @@ from granflow.snapshot import Snapshot
 
 
 class TimeSeries:
-    """Writes the totals of the snapshots and the readings of flow meters and loads, and flushes every row.
+    """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes each row.
 
-    The columns are fixed by the first snapshot: time [s], stage, the totals it has in the order of the
-    glossary, then per meter the mass and number passed and the mass flow since the row before, then per
-    measured wall the mean load since the row before, then the numbers of every index. Units stand in the
-    header. Without a directory nothing is written, and meters, loads and indices are read all the same.
+    The first snapshot determines the columns: time [s], stage, its totals in the order of `granflow.quantities`, then
+    for each flow meter the mass and number passed and the mass flow since the previous row, then for each measured wall
+    the mean force since the previous row, then the metrics. The header contains the units. Without a directory no file
+    is written, but meters, wall forces and metrics are updated.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class TimeSeries:
         self._unwritten = b""
 
     def next_time(self) -> float:
-        """Time [s] of the next row."""
+        """Return the time of the next row [s]."""
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write one row; the same moment shown twice gives one."""
+        """Write one row; a second snapshot of the same time has no effect."""
         if not self._schedule.mark_done(snapshot.time):
             return
         for meter in self.flow_meters.values():
@@ -83,11 +83,11 @@ class TimeSeries:
             self._file = None
 
     def results(self) -> dict[str, dict[str, float]]:
-        """Numbers of every meter at the end, by the meter's name, and of its parts, as `outlet.glass`."""
+        """Return the final numbers of each flow meter by name, and of its parts, as `outlet.glass`."""
         return {name: flow_count.result() for name, flow_count in self._flow_counts().items()}
 
     def _flow_counts(self) -> dict[str, FlowCount]:
-        """What the meters count, by their names and those of the parts."""
+        """Return the counts of the flow meters by name, and of their parts."""
         flow_meters = self.flow_meters.items()
         return {
             f"{name}.{part}".rstrip("."): flow_count
@@ -96,13 +96,13 @@ class TimeSeries:
         }
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Numbers at the end of every meter, measured wall and index, by its name."""
+        """Return the final numbers of each flow meter, measured wall and metric, by name."""
         wall_forces = {name: wall_force.result() for name, wall_force in self.wall_forces.items()}
         metrics = {name: metric.result() for name, metric in self.metrics.items()}
         return {"flow_meters": self.results(), "wall_forces": wall_forces, "metrics": metrics}
 
     def state_dict(self) -> dict[str, Any]:
-        """The size of the file, all rows of which are brought to the disk first, and what the meters counted."""
+        """Flush all rows to the disk; return the file size and the state of the meters."""
         if self._file is not None:
             os.fsync(self._file.fileno())
         return {
@@ -116,7 +116,7 @@ class TimeSeries:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on with the same columns behind those rows."""
+        """Restore the state; later rows have the same columns."""
         self._schedule.resume_after(saved["last_time"])
         self._names, self._size, self._unwritten = saved["columns"], saved["size"], saved["unwritten"].encode()
         for name, meter in self.flow_meters.items():
@@ -128,11 +128,11 @@ class TimeSeries:
 
     @property
     def rows_intact(self) -> bool:
-        """Whether the file still holds all rows that were written when the state was kept."""
+        """Whether the file still contains all rows of the restored state."""
         return self.path is None or _size_of(self.path) >= self._size
 
     def truncate(self) -> None:
-        """Remove the rows that came after; where rows before are gone, go on with those that are left."""
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones."""
         if self.path is not None and self._size:
             self._size = min(self._size, _size_of(self.path))
             if self._size:

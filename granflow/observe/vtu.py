@@ -15,7 +15,7 @@ from granflow.quantities import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.snapshot import Snapshot
 from granflow.walls.mesh import triangle_areas
 
-# Rounding of positions in files may reach this part of the smallest radius before they take 8 bytes.
+# Largest rounding error of float32 positions over the smallest radius; above it, files contain float64 positions.
 POSITION_TOLERANCE = 1e-4
 
 _PARTICLE_ARRAYS = (
@@ -35,7 +35,7 @@ _CONTACT_POINTS = ("position_i", "position_j")
 
 
 class Frames:
-    """What all kinds of frames share: a schedule, and a series of files."""
+    """Base class of frames: a schedule and a series of files."""
 
     wants: frozenset[str] = frozenset()
     stem = ""
@@ -45,44 +45,44 @@ class Frames:
         self._schedule = Schedule(interval, start)
 
     def next_time(self) -> float:
-        """Time [s] of the next frame."""
+        """Return the time of the next frame [s]."""
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write one frame, due or not; the same moment shown twice gives one."""
+        """Write one frame, due or not; a second snapshot of the same time has no effect."""
         if snapshot.time != self._schedule.last_time:
             self.series.write(self.mesh(snapshot), snapshot.time)
             self._schedule.mark_done(snapshot.time)
 
     def finish(self) -> None:
-        """Nothing is open: every frame is whole on disk once `observe` returns."""
+        """Do nothing: after `observe`, each frame is complete on disk."""
 
     def state_dict(self) -> dict[str, Any]:
-        """The frames written so far, which are brought to the disk first."""
+        """Flush the frames to the disk; return their list and number."""
         series = self.series
         series.sync()
         return {"last_time": self._schedule.last_time, "frames": list(series.frames), "frame_count": series.frame_count}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on after those frames."""
+        """Restore the list of frames; the next frame follows them."""
         self._schedule.resume_after(saved["last_time"])
         self.series.frames = [(time, name) for time, name in saved["frames"]]
         self.series.frame_count = saved["frame_count"]
 
     def truncate(self) -> None:
-        """Remove the frames that came after."""
+        """Remove the frames after the restored state."""
         self.series.truncate()
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Make the mesh of one frame."""
+        """Return the mesh of one frame."""
         raise NotImplementedError
 
 
 class ParticleFrames(Frames):
-    """`particles_NNNN.vtu`: a vertex per particle, with the arrays that the snapshot has.
+    """`particles_NNNN.vtu`: one vertex per particle, with the arrays of the snapshot.
 
-    `reach` [m]: largest coordinate that occurs (from the domain); it decides whether float32 positions
-    resolve 1e-4 of the smallest radius. Without it each frame decides from its own positions.
+    `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions resolve 1e-4
+    of the smallest radius. If None, the positions of each frame determine it.
     """
 
     wants = frozenset({PARTICLES})
@@ -93,7 +93,7 @@ class ParticleFrames(Frames):
         self._reach = reach
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Make the mesh of one frame."""
+        """Return the mesh of one frame."""
         particles = _with_derived(snapshot.particles)
         points = self._points(particles["position"], particles["radius"])
         arrays = {
@@ -111,13 +111,13 @@ class ParticleFrames(Frames):
 
 
 class ContactFrames(Frames):
-    """`contacts_NNNN.vtu`: a line per contact from center to center (or to the foot point on a wall)."""
+    """`contacts_NNNN.vtu`: one line per contact from center to center (or to the contact point on a wall)."""
 
     wants = frozenset({CONTACTS})
     stem = "contacts"
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Make the mesh of one frame."""
+        """Return the mesh of one frame."""
         contacts = snapshot.contacts or {}
         ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
         points = np.stack(ends, axis=1).reshape(-1, 3)
@@ -131,11 +131,11 @@ class ContactFrames(Frames):
 
 
 class WallFrames(Frames):
-    """`walls_NNNN.vtu`: the triangles of the walls that are present, moved to where they stand.
+    """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
 
-    `triangles`: name -> (rest points (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array
-    `wall` holds the index of the wall in that order. `measured`: areas [m2] of the walls whose loads are shown, None
-    for what has no end; the cell arrays `traction` and `pressure` hold them as they are at that moment.
+    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall`
+    is the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an
+    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values.
     """
 
     stem = "walls"
@@ -154,7 +154,7 @@ class WallFrames(Frames):
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Make the mesh of one frame."""
+        """Return the mesh of one frame."""
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
         wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
         point_count = 0
@@ -176,7 +176,7 @@ class WallFrames(Frames):
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Traction (count, 3) and pressure (count,) [Pa] on a wall; not numbers where its loads are not asked for."""
+        """Return traction (count, 3) and pressure (count,) [Pa] on a wall; NaN if its force is not measured."""
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])

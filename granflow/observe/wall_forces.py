@@ -1,4 +1,4 @@
-"""Wall loads: impulses that a run adds up, as means over time between the rows of the time series."""
+"""Wall forces: mean values between the rows of the time series, from accumulated impulses."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ import numpy as np
 from granflow.snapshot import Snapshot
 
 NO_IMPULSE: np.ndarray = np.zeros(7)
-"""Impulse (3), angular impulse (3) and normal impulse before the first step."""
+"""Impulse (3,) [N s], angular impulse (3,) [N m s] and normal impulse [N s] before the first step."""
 
 
 class WallForceMeter:
-    """Force, torque and pressure of the grains on one wall, each a mean over the time between two looks.
+    """Force, torque and pressure of the particles on one wall, each a mean over the time between two samples.
 
-    `wall`: its name; `area` [m2], None where it has no end: then there is no pressure.
+    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure.
     """
 
     def __init__(self, wall: str, area: float | None) -> None:
@@ -24,7 +24,7 @@ class WallForceMeter:
         self._max_force, self._max_normal_force = 0.0, 0.0
 
     def update(self, snapshot: Snapshot) -> None:
-        """Take the means since the last look, or since the start."""
+        """Compute the means since the last sample, or since the start."""
         time, impulse = snapshot.time, snapshot.impulses[self.wall]
         if snapshot.stage != self._stage:
             self._stage, self._stage_time, self._stage_impulse = snapshot.stage, self._time, self._impulse
@@ -35,11 +35,11 @@ class WallForceMeter:
         self._time, self._impulse = time, impulse
 
     def readings(self) -> dict[str, float]:
-        """Means between the last two looks: force [N], torque [N m] and, with an area, pressure [Pa]."""
+        """Return means between the last two samples: force [N], torque [N m] and, with an area, pressure [Pa]."""
         return self._named(self._mean)
 
     def result(self) -> dict[str, float]:
-        """Means over the last stage, which begins with the last look before it, and the largest readings so far."""
+        """Return means over the last stage, which begins at the last sample before it, and the largest readings."""
         duration = self._time - self._stage_time
         mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
@@ -49,11 +49,11 @@ class WallForceMeter:
         return found
 
     def state_dict(self) -> dict[str, Any]:
-        """All that it remembers."""
+        """Return all private attributes."""
         return {name: value for name, value in vars(self).items() if name.startswith("_")}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from there."""
+        """Restore the state of `state_dict`."""
         vars(self).update(saved)
 
     def _named(self, mean: np.ndarray) -> dict[str, float]:

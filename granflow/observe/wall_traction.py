@@ -1,4 +1,4 @@
-"""What the grains do to each triangle of the walls at one moment, for pictures of the walls."""
+"""Instantaneous traction and pressure on the triangles of walls, for VTU files."""
 
 from collections.abc import Mapping
 
@@ -8,11 +8,11 @@ import numpy as np
 def traction_and_pressure(
     contacts: Mapping[str, np.ndarray], wall: int, areas: np.ndarray, area: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Force over area (k, 3) and normal force over area (k,) [Pa] that grains exert on each triangle of a wall.
+    """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of a wall.
 
     `contacts`: as in a Snapshot; `wall`: index of the wall in the scene; `areas` (k,) [m2] of its triangles; `area`
-    [m2] of all of it, None where it has no end. A mesh has what acts on each of its triangles; a shape that is drawn
-    with triangles, and has none, the mean over all of it (not a number where it has no end).
+    [m2] of the whole wall, None if infinite. For a mesh, the values are those of each triangle; for another shape, the
+    mean over the whole wall (NaN if infinite).
     """
     on_wall = contacts["wall"] == wall
     force, normal_force, triangle = (

@@ -56,7 +56,7 @@ class FieldGrid(GridSpec):
     """Fields on a grid, coarse-grained with a Gaussian, for ParaView."""
 
     width: Width = Field("auto", description="width (standard deviation) of the kernel [m]; auto: the largest radius")
-    cut_off: Cutoff = Field(3.0, description="distance along each axis at which the kernel ends, in widths")
+    cutoff: Cutoff = Field(3.0, description="distance along each axis at which the kernel ends, in widths")
     interval: PositiveTime | None = Field(None, description="time between frames [s]; left out: output.interval")
     stages: Names | None = Field(None, description="stages in which they are written; left out: all")
     quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(

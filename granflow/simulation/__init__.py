@@ -1,4 +1,4 @@
-"""One run of one scene: the time loop, and what it keeps account of."""
+"""One run of one scene: time loop, stages, insertion and timings."""
 
 from granflow.simulation.loop import Simulation
 

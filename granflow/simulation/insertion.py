@@ -1,4 +1,4 @@
-"""What lets grains in while a run goes on."""
+"""Particle insertion during a run."""
 
 from collections import Counter
 from collections.abc import Container, Iterator
@@ -14,9 +14,9 @@ from granflow.scene.schema import ClassSizes
 
 
 class ParticleInsertion:
-    """All streams of a scene but those of `existing_groups`.
+    """The inserters of a scene, except for `existing_groups`, whose particles come from an earlier run.
 
-    Whose grains came from an earlier run. Raises SceneError.
+    Raises SceneError if an inserter cannot be built.
     """
 
     def __init__(self, scene: Scene, existing_groups: Container[str]) -> None:
@@ -24,16 +24,16 @@ class ParticleInsertion:
         self._inserters = tuple(each for each in inserters(scene) if each.group_name not in existing_groups)
 
     def next_time(self) -> float:
-        """Simulated time [s] at which grains are due next; infinite once all have come."""
+        """Return the simulated time [s] of the next insertion; infinite after the last one."""
         return min((inserter.next_time for inserter in self._inserters), default=inf)
 
     @property
     def is_done(self) -> bool:
-        """Whether all grains have come."""
+        """Whether all particles are inserted."""
         return all(inserter.remaining == 0 for inserter in self._inserters)
 
     def insert_due(self, engine: Engine) -> bool:
-        """Let in what is due; returns whether anything came."""
+        """Insert the particles that are due; return whether any were inserted."""
         inserted = False
         for inserter in self._inserters:
             if engine.reached(inserter.next_time):
@@ -47,7 +47,7 @@ class ParticleInsertion:
         return inserted
 
     def results(self) -> dict[str, dict[str, float]]:
-        """Of every group that comes in: `inserted_count`, `inserted_mass` [kg] and `not_inserted_count`."""
+        """Return `inserted_count`, `inserted_mass` [kg] and `not_inserted_count` of each inserted group."""
         return {
             inserter.group_name: {
                 "inserted_count": float(inserter.is_inserted.sum()),
@@ -58,19 +58,22 @@ class ParticleInsertion:
         }
 
     def shortfalls(self) -> Iterator[str]:
-        """A sentence for each group of which some found no room, or were not due before the end."""
+        """Yield a sentence for each group with particles that are queued or were not due before the end."""
         for inserter in self._inserters:
             if inserter.remaining:
                 queued = len(inserter.queued)
                 not_due = inserter.remaining - queued
-                reasons = [f"{queued} found no room"] * bool(queued) + [f"{not_due} were not due yet"] * bool(not_due)
+                reasons = [f"{queued} are queued for lack of space"] * bool(queued) + [
+                    f"{not_due} were not due"
+                ] * bool(not_due)
                 requested = len(inserter.radius)
                 yield (
-                    f"{inserter.remaining} of {requested} {inserter.group_name} have not come: {' and '.join(reasons)}."
+                    f"{inserter.remaining} of {requested} {inserter.group_name} were not inserted: "
+                    f"{' and '.join(reasons)}."
                 )
 
     def class_shares(self) -> Iterator[str]:
-        """A sentence for each group with size classes: how many came of each, and their share of the mass."""
+        """Yield a sentence for each group with size classes: inserted particles and mass share of each class."""
         for inserter in self._inserters:
             if isinstance(self._scene.particles[inserter.group_name].diameter, ClassSizes):
                 radius, mass = inserter.radius[inserter.is_inserted], inserter.mass[inserter.is_inserted]
@@ -78,19 +81,19 @@ class ParticleInsertion:
                     f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"
                     for size, count in sorted(Counter(radius.tolist()).items())
                 ]
-                yield f"{inserter.group_name} came: {', '.join(parts) or 'none'}."
+                yield f"{inserter.group_name} inserted: {', '.join(parts) or 'none'}."
 
     def state_dict(self) -> dict[str, Any]:
-        """What decides how each goes on, by group."""
+        """Return the state of each inserter by group."""
         return {inserter.group_name: inserter.state_dict() for inserter in self._inserters}
 
     def load_state_dict(self, saved: dict[str, Any], engine: Engine) -> None:
-        """Go on from what was kept."""
+        """Restore the state of `state_dict`."""
         for inserter in self._inserters:
             inserter.load_state_dict(saved[inserter.group_name])
         self._update_queue(engine)
 
     def _update_queue(self, engine: Engine) -> None:
-        """Enter how many wait for room."""
+        """Update the number of queued particles in the accounting."""
         if self._inserters:
             engine.accounting.queued_count = int(np.sum([len(inserter.queued) for inserter in self._inserters]))

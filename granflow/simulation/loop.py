@@ -1,4 +1,4 @@
-"""The time loop: advance to whatever is due next, show it, go on."""
+"""The time loop: advances to the next event, handles it, and repeats."""
 
 import logging
 import time as clock
@@ -56,7 +56,7 @@ from granflow.snapshot import Snapshot
 from granflow.walls.catalog import triangles
 
 CHUNK_SECONDS = 0.2
-"""Wall seconds that the device is left alone; in between, signals are heard and checkpoints written."""
+"""Wall-clock time of one batch of steps [s]; between batches, signals are handled and checkpoints written."""
 
 ALL_QUANTITIES = frozenset({"particles", "walls", "totals"})
 TOTALS = frozenset({"totals"})
@@ -65,13 +65,14 @@ TOTALS = frozenset({"totals"})
 class Simulation:
     """One run of one scene.
 
-    `out`: directory for the files of the scene's output block; without it nothing is written. `observers`: more of
-    them, such as `granflow.observe.every(interval, function)`. `precision`: in place of the scene's. `resume`: go on
-    from this checkpoint, with `allow_changes` also where the scene differs in what may not change. `allow_long`:
-    accept a run
-    that is estimated to take more than a year. Raises SceneError for a
-    scene that cannot be run, GranflowError where `arch` is absent or a run cannot go on, and from `run` RunError when
-    a guard trips, OutputError when files cannot be written.
+    `precision`: overrides that of the scene. `threads`: CPU threads. `out`: directory for the files of the scene's
+    output block; without it no files are written. `observers`: additional observers, such as
+    `granflow.observe.every(interval, function)`. `progress`: display the progress. `resume`: checkpoint from which to
+    continue; `allow_changes`: even if the scene has changes that are not permitted. `allow_long`: accept a run with an
+    estimated duration of more than a year.
+
+    Raises SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be resumed; `run`
+    raises RunError on an abort and OutputError if files cannot be written.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Simulation:
 
     @property
     def stage(self) -> str:
-        """Name of the present stage."""
+        """Name of the current stage."""
         return self._stage_progress.stage
 
     @property
@@ -133,11 +134,11 @@ class Simulation:
         return self.engine.time
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
-        """The present state as read-only numpy arrays, particles ordered by id; `contacts` for those too."""
+        """Return the current state as read-only arrays, particles ordered by id; optionally with contacts."""
         return self.engine.snapshot(self.stage, ALL_QUANTITIES | ({"contacts"} if contacts else frozenset()))
 
     def run(self, until: float | None = None) -> Result:
-        """Run all stages, or to the simulated time `until` [s]; returns the numbers of the run."""
+        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run."""
         try:
             with ExitStack() as stack:
                 if self.out is not None:
@@ -181,23 +182,23 @@ class Simulation:
         log.info("done at %.6g s after %d steps", self.time, self.engine.step_count)
 
     def request_stop(self, error: BaseException) -> None:
-        """Have `run` finish its present steps, write a checkpoint and raise `error`; made for signal handlers."""
+        """Let `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
         self._stop_requested = error
         self.engine.stepper.interrupted = True
 
     @property
     def checkpoint_time(self) -> float | None:
-        """Simulated time of the last checkpoint [s], at first that of the one resumed; None if there is none."""
+        """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a checkpoint."""
         written = self._writer.last_time if self._writer is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
     @property
     def rows_intact(self) -> bool:
-        """Whether the time series still has all rows of the run that is gone on with."""
+        """Whether the time series still has all rows of the resumed run."""
         return all(observer.rows_intact for observer in self._observers if isinstance(observer, TimeSeries))
 
     def _clean_output(self, out: Path) -> None:
-        """Leave of an earlier run only what this one goes on from."""
+        """Remove temporary files, newer checkpoints and results after the resumed state; write the input files."""
         remove_parts(out)
         remove_after(out, self._resumed.path if self._resumed else None)
         copy_inputs(out, self.scene)
@@ -209,11 +210,12 @@ class Simulation:
                     observer.truncate()
 
     def _readings(self) -> Mapping[str, Readings]:
-        """What the flow meters counted, the loads on the walls, and the indices."""
+        """Return the numbers of the flow meters, wall forces and metrics."""
         series = [observer for observer in self._observers if isinstance(observer, TimeSeries)]
         return series[0].results_by_kind() if series else {}
 
     def _default_observers(self, progress: bool) -> list[Observer]:
+        """Return the observers of the scene's output block, and the progress display."""
         found: list[Observer] = []
         if self.out is not None:
             center = 0.5 * (self.plan.domain_low + self.plan.domain_high)
@@ -227,7 +229,7 @@ class Simulation:
         return found
 
     def _run_stage(self, stage: Stage, end: float) -> None:
-        """From the start of a stage to its end, or to `end` [s]."""
+        """Run a stage to its end, or to `end` [s]."""
         max_duration = stage.duration if stage.duration is not None else stage.max_duration
         assert max_duration is not None
         progress = self._stage_progress
@@ -267,12 +269,13 @@ class Simulation:
         return self.engine.reached(time)
 
     def _next_event(self) -> float:
-        """Simulated time [s] of whatever is due next."""
+        """Return the simulated time [s] of the next observation, insertion or wall change."""
         due = [observer.next_time() for observer in self._observers] + [self._insertion.next_time()]
         due += [time for time in self._stage_progress.changes if not self._reached(time)]
         return min(due, default=inf)
 
     def _advance_to(self, time: float) -> None:
+        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due."""
         progress = self._stage_progress
         if progress.target is None:
             progress.set_target(max(time, self.time + self.engine.time_step))
@@ -290,7 +293,7 @@ class Simulation:
         progress.target = None
 
     def _advance(self, target: float) -> None:
-        """Do the steps up to `target` [s] in parts, between which signals are heard and checkpoints written."""
+        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written."""
         while self.engine.steps_to(target) > 0 and not self.engine.aborted:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
@@ -304,6 +307,7 @@ class Simulation:
                 self._handle_requests()
 
     def _handle_requests(self) -> None:
+        """Stop if requested, after a checkpoint; write a checkpoint if due, and log a write error."""
         if self._stop_requested is not None:
             self._save()
             raise self._stop_requested
@@ -316,7 +320,7 @@ class Simulation:
                 logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", self.time, error)
 
     def _insert_and_update_walls(self) -> None:
-        """Particles that are due to come, walls that are due to appear or vanish."""
+        """Insert particles that are due, and let walls appear or vanish."""
         inserted = self._insertion.insert_due(self.engine)
         if self._stage_progress.remove_past_changes(self.engine) or inserted:
             self._stage_progress.set_walls(self.scene, self.engine)
@@ -325,7 +329,7 @@ class Simulation:
     def _notify(
         self, observers: Sequence[Observer], quantities: frozenset[str] = frozenset(), aborted: bool = False
     ) -> Snapshot:
-        """Show the state to observers; that of an aborted run only if all numbers are finite."""
+        """Pass a snapshot to observers; that of an aborted run only if all its numbers are finite."""
         quantities = quantities.union(*(observer.wants for observer in observers))
         with self._wall_clock.measuring_output():
             snapshot = self.engine.snapshot(self.stage, quantities)
@@ -338,17 +342,17 @@ class Simulation:
             observer.finish()
 
     def _abort(self, diagnosis: Diagnosis) -> None:
-        """Abort: write the state, unless numbers of it are not finite, and raise the diagnosis."""
+        """Abort: write the state if all its numbers are finite, and raise RunError with the diagnosis."""
         message = abort_message(diagnosis, self.plan, self.time)
         written = self._notify(self._observers, TOTALS, aborted=True).is_finite
         if self.out is not None and written:
             message += f" The state is written to {self.out}."
         elif self.out is not None:
-            message += f" The state is not finite and is not written; {self.out} has the frames before it."
+            message += f" The state is not finite and is not written; {self.out} contains the earlier frames."
         raise RunError(message)
 
     def _save(self) -> None:
-        """Write a checkpoint, if there is a directory to write to."""
+        """Write a checkpoint if there is an output directory."""
         if self._writer is not None:
             began = clock.perf_counter()
             with self._wall_clock.measuring_output():
@@ -357,7 +361,7 @@ class Simulation:
             logging.getLogger("granflow").info("checkpoint at %.6g s, written in %.3g s", self.time, seconds)
 
     def _state_dict(self) -> dict[str, Any]:
-        """Everything that decides how the run goes on, but for the scene."""
+        """Return the complete state of the run, except for the scene."""
         return {
             "stage_progress": self._stage_progress.state_dict(),
             "wall_clock": self._wall_clock.state_dict(self.engine),
@@ -369,7 +373,7 @@ class Simulation:
         }
 
     def _load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
-        """Stand where the checkpoint stood, and let changes of the scene come into force."""
+        """Restore the state of the checkpoint and apply the changes of the scene."""
         saved = checkpoint.saved
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in self._checkpointed()})
         counts = {name: group.count for name, group in self.scene.particles.items()}
@@ -392,7 +396,7 @@ class Simulation:
             self.engine.refresh()
 
     def _checkpointed(self) -> list[tuple[str, Checkpointable]]:
-        """Observers that go into checkpoints, each with a name of its own."""
+        """Return the observers whose state is part of checkpoints, with unique names."""
         found: dict[str, Checkpointable] = {}
         for observer in self._observers:
             if isinstance(observer, Checkpointable):
@@ -401,18 +405,18 @@ class Simulation:
         return list(found.items())
 
     def _output_error(self, error: OSError) -> OutputError:
-        """What to say when files cannot be written, once the state has been saved if there is a way."""
+        """Save the state if possible, and return the error for files that cannot be written."""
         where = f"{error.filename}: " if error.filename else f"{self.out}: "
         try:
             if self.out is not None and self._stage_progress.target is not None:
                 self.out.mkdir(parents=True, exist_ok=True)
                 self._save()
         except OSError:
-            logging.getLogger("granflow").debug("nor can a checkpoint be written")
+            logging.getLogger("granflow").debug("no checkpoint can be written either")
         last = self._writer.last_time if self._writer is not None else None
-        remedy = f"Put that right; granflow resume {self.out} goes on from {last:.6g} s." if last is not None else ""
+        remedy = f"Correct this; granflow resume {self.out} continues from {last:.6g} s." if last is not None else ""
         return OutputError(f"{where}{error.strerror}. Stopped at {self.time:.6g} s. {remedy}".rstrip())
 
     def free(self) -> None:
-        """Give the device's memory back; the simulation cannot go on afterwards."""
+        """Release the device memory; the simulation cannot continue afterwards."""
         self.engine.free()

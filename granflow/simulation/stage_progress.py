@@ -1,4 +1,4 @@
-"""Where a run stands in its stages."""
+"""Progress of a run through its stages."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -9,17 +9,17 @@ from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wal
 from granflow.scene import Scene
 
 REST_CHECKS = 200
-"""How often a stage that waits for rest looks at the kinetic energy, over its longest duration."""
+"""Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
 
 
 @dataclass
 class StageProgress:
-    """Stages begun and ended, and what is due in the present one.
+    """Started and completed stages, and pending events of the current stage.
 
-    stage: name of the present one.  stage_times: start and end [s] of those that have begun, the end infinite while
-    one runs.  look [s]: when to look for rest next.  changes [s]: times still to come at which walls appear or vanish.
-    target [s]: what the present steps lead to, None between two; arrived: whether only observers are still to be
-    shown what stands there.
+    stage: name of the current stage.  changes [s]: future times at which walls appear or vanish.
+    stage_times [s]: start and end of the stages that have begun; the end is infinite during a stage.
+    next_check [s]: time of the next check for rest.  target [s]: time to which the current steps lead, None between
+    targets.  arrived: whether insertion and wall changes at the target are done, so that only observers are pending.
     """
 
     stage: str
@@ -31,41 +31,41 @@ class StageProgress:
 
     @classmethod
     def of(cls, scene: Scene) -> "StageProgress":
-        """Before the first step."""
+        """Return the progress before the first step."""
         return cls(scene.schedule[0].name, wall_change_times(scene))
 
     def begin(self, stage: str, time: float, check_interval: float) -> None:
-        """A stage begins."""
+        """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
         self.stage, self.next_check = stage, time + check_interval
         self.stage_times[stage] = (time, inf)
 
     def end(self, time: float) -> None:
-        """The present stage ends."""
+        """End the current stage at `time` [s]."""
         self.stage_times[self.stage] = (self.stage_times[self.stage][0], time)
 
     def has_ended(self, stage: str) -> bool:
-        """Whether that stage is over."""
+        """Return whether the stage has ended."""
         return self.stage_times.get(stage, (0.0, inf))[1] < inf
 
     def set_target(self, time: float) -> None:
-        """Begin steps that lead to a time [s]."""
+        """Set the target time [s] of the next steps."""
         self.target, self.arrived = time, False
 
     def remove_past_changes(self, engine: Engine) -> bool:
-        """Forget changes of walls whose time has come; returns whether there was one."""
+        """Remove wall changes that are due; return whether any were removed."""
         remaining = tuple(change for change in self.changes if not engine.reached(change))
         changed = len(remaining) < len(self.changes)
         self.changes = remaining
         return changed
 
     def set_walls(self, scene: Scene, engine: Engine) -> None:
-        """Tell the device which walls are there now and how they move."""
+        """Copy presence and motions of the walls to the device."""
         times: StageTimes = self.stage_times
         presence = wall_presence(scene, self.stage, engine.time + 0.5 * engine.time_step)
         engine.set_walls(presence, wall_motions(scene, times))
 
     def state_dict(self) -> dict[str, Any]:
-        """All of it, for a checkpoint."""
+        """Return the state for a checkpoint."""
         return {
             "stage": self.stage,
             "stage_times": {name: list(times) for name, times in self.stage_times.items()},
@@ -76,9 +76,9 @@ class StageProgress:
         }
 
     def load_state_dict(self, saved: dict[str, Any], reopened: bool, same_scene: bool) -> None:
-        """Go on from what was kept; `reopened`: the last stage goes on even where it had ended.
+        """Restore the state; with `reopened`, the last stage continues even if it had ended.
 
-        Where the scene changed, what was under way is settled anew.
+        If the scene changed, the target is determined again.
         """
         self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}

@@ -1,4 +1,4 @@
-"""What a run took, and what came of it."""
+"""Wall clock and result of a run, and its log header."""
 
 import logging
 import time as clock
@@ -12,7 +12,7 @@ from granflow.plan import Plan, explain
 
 
 class WallClock:
-    """Wall seconds of a run, those before it was gone on with included."""
+    """Wall-clock time of a run [s], including the time before it was resumed."""
 
     def __init__(self) -> None:
         self._began = clock.perf_counter()
@@ -20,41 +20,41 @@ class WallClock:
         self.output = 0.0
 
     def set_up(self, compile_seconds: float) -> None:
-        """Set-up is over; compiling is counted elsewhere."""
+        """Record the set-up time [s], without `compile_seconds`."""
         self._setup = clock.perf_counter() - self._began - compile_seconds
 
     def start(self) -> None:
-        """The run begins; what passed since the set-up does not count."""
+        """Start the clock of the run; the time since the set-up is not counted."""
         self._began = clock.perf_counter()
 
     @contextmanager
     def measuring_output(self) -> Iterator[None]:
-        """Count what happens within as output."""
+        """Count the duration of the block as output."""
         began = clock.perf_counter()
         yield
         self.output += clock.perf_counter() - began
 
     def total(self, engine: Engine) -> float:
-        """All of it so far [s]."""
+        """Return the total time so far [s]."""
         return self._before_resume + clock.perf_counter() - self._began + self._setup + engine.timing.compile
 
     def state_dict(self, engine: Engine) -> dict[str, Any]:
-        """All of it, for a checkpoint."""
+        """Return the state for a checkpoint."""
         return {"output_seconds": self.output, "wall_clock": self.total(engine)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on counting from there."""
+        """Restore the state of `state_dict`."""
         self.output, self._before_resume = saved["output_seconds"], saved["wall_clock"]
 
 
 Readings = Mapping[str, Mapping[str, float]]
-"""Numbers by quantity of every meter, wall or index, by name."""
+"""Numbers by quantity of each meter, wall or metric, by name."""
 
 
 def collect_result(
     engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
 ) -> Result:
-    """The numbers of a run, not yet held to what was expected; `readings` by kind, as `Result` names them."""
+    """Return the numbers of a run without evaluated expectations; `readings`: by kind, as in `Result`."""
     timing = engine.timing
     computing = max(timing.neighbor_list + timing.advance, 1e-9)
     run = {
@@ -87,7 +87,7 @@ def collect_result(
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
-    """What is run and why, for the log of the run."""
+    """Write versions, device, plan with reasons, and warnings to the log."""
     log = logging.getLogger("granflow")
     backend = engine.state.backend
     log.info("%s", versions())

@@ -1,9 +1,9 @@
-"""Beverloo's law of discharge, fitted to mass flow rates through openings of several sizes.
+"""The law of discharge of Beverloo, fitted to mass flows through orifices of several sizes.
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
-where D is the opening, d the particle diameter and rho the bulk density. The fit is to ln W, so that small and large
-flows have equal weight. For each k the best C, and the best exponent if it is free, follow from linear regression.
+with the orifice D, the grains' diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
+as large ones; for every k the best C, and the best exponent if that is asked for, follow from a straight line.
 """
 
 import csv
@@ -29,14 +29,14 @@ K_VALUES = 400
 SEARCH_ROUNDS = 6
 """Values of k per search round; each round covers the interval between the neighbors of the previous best value."""
 
-COLUMNS = {"opening": "length", "mass_flow": "mass_flow"}
+COLUMNS = {"orifice": "length", "mass_flow": "mass_flow"}
 
 
 @dataclass(frozen=True)
 class Discharge:
-    """Mass flow rates [kg/s] (n,) through openings (n,) [m]."""
+    """Mass flows [kg/s] (n,) through orifices (n,) [m]."""
 
-    opening: np.ndarray
+    orifice: np.ndarray
     mass_flow: np.ndarray
 
 
@@ -69,13 +69,13 @@ def fit_beverloo(
     W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2, with d = `particle_diameter` [m] and
     rho = `bulk_density` [kg/m3]. Raises GranflowError if the flows are too few or not positive.
     """
-    openings = len(np.unique(data.opening))
+    orifices = len(np.unique(data.orifice))
     needed = 2 if exponent is not None else 3
-    if openings < needed:
-        raise GranflowError(f"Flows through {openings} different openings are too few; give at least {needed}.")
-    if not (np.all(data.mass_flow > 0.0) and np.all(data.opening > 0.0)):
-        raise GranflowError("A flow or an opening is not above 0; remove openings that were blocked.")
-    ratio = data.opening / particle_diameter
+    if orifices < needed:
+        raise GranflowError(f"Flows through {orifices} different orifices are too few: give {needed} or more.")
+    if not (np.all(data.mass_flow > 0.0) and np.all(data.orifice > 0.0)):
+        raise GranflowError("A flow or an orifice is not above 0: leave out orifices that were blocked.")
+    ratio = data.orifice / particle_diameter
     height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * particle_diameter**EXPONENT))
     k = _best_k(ratio, height, exponent)
     level, power, residual = (values[0] for values in _line(ratio, height, np.array([k]), exponent))
@@ -122,8 +122,8 @@ def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
 def read_discharges(sources: Sequence[Path]) -> Discharge:
     """Read flows from runs (directories written by `granflow run`) and CSV files.
 
-    A run gives twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `opening` and
-    `mass_flow`, in SI units or with units. Raises GranflowError if a source has neither.
+    Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `orifice` and
+    `mass_flow`, in SI or with units. Raises GranflowError for what has neither.
     """
     rows = [row for source in sources for row in (_of_run(source) if source.is_dir() else _of_table(source))]
     table = np.array(rows, dtype=float).reshape(-1, 2)
@@ -146,7 +146,7 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
     ]
     if len(found) != 1:
         raise GranflowError(
-            f"{source} has {len(found)} flow meters with a radius; exactly one, as wide as the opening, is required."
+            f"{source} has {len(found)} flow meters with a radius; one is needed, as wide as the orifice."
         )
     return found
 
@@ -156,12 +156,12 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
     try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            raise GranflowError(f"{source} has no column {missing[0]}; required are opening and mass_flow.")
+            raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
         found = []
         for row in reader:
             try:
-                opening, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
-                found.append((opening, flow))
+                orifice, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
+                found.append((orifice, flow))
             except UnitError as error:
                 raise GranflowError(f"{source}:{reader.line_num}: {error}.") from None
         return found

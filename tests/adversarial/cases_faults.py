@@ -431,7 +431,7 @@ def machine() -> list[Case]:
             "two runs into the same directory at once",
             pair_of("run beads.yaml --out out", "run beads.yaml --out out"),
             2,
-            ("Another run is writing|holds an earlier run",),
+            ("Another run is writing|contains an earlier run",),
             blur=r"(?<=granflow: ).*",
         ),
         case(

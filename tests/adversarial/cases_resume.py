@@ -270,7 +270,7 @@ def resumptions() -> list[Case]:
             "`run` into the directory of an earlier run",
             lambda s: (shutil.copytree(reference(), s.path("out")), s.run("run beads.yaml --out out"))[1],
             2,
-            ("holds an earlier run",),
+            ("contains an earlier run",),
             verify=as_undisturbed,
             verified="the earlier run is intact",
         ),

@@ -83,10 +83,10 @@ def test_the_module_is_the_command():
         ([], "required: VERB"),
         (["bake"], "invalid choice: 'bake'"),
         (["run"], "required: SCENE"),
-        (["run", "a.yaml", "--threads", "0"], "0 is given, but a whole number from 1 is asked"),
-        (["run", "a.yaml", "--until", "4 mm"], "argument --until: 4 mm is given, but"),
-        (["run", "a.yaml", "--until", "nan"], "nan is given, but a finite value is asked"),
-        (["run", "a.yaml", "--until=-1 s"], "argument --until: -1 s is given, but a time must be at least 0"),
+        (["run", "a.yaml", "--threads", "0"], "0 is not a number of threads"),
+        (["run", "a.yaml", "--until", "4 mm"], "argument --until: 4 mm: "),
+        (["run", "a.yaml", "--until", "nan"], "nan is not finite"),
+        (["run", "a.yaml", "--until=-1 s"], "argument --until: -1 s is negative"),
         (["run", "a.yaml", "--arch", "abacus"], "invalid choice: 'abacus'"),
         (["collide", "--material", "glass", "--diameter", "1 mm"], "required: --velocity"),
         (["collide", "--wall", "--diameter2", "1mm"], "not allowed with argument --wall"),
@@ -144,7 +144,7 @@ def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
 
 def test_expectations_left_out_are_mentioned(stand_ins, capsys):
     assert main(["run", "a.yaml", "--until", "0.25"]) == 0
-    assert "Expectations are left out: --until ended the run at 0.25 s." in capsys.readouterr().out
+    assert "Expectations are not evaluated: --until ended the run at 0.25 s." in capsys.readouterr().out
 
 
 def test_warnings_of_the_plan_are_said_once(stand_ins, capsys):
@@ -154,7 +154,7 @@ def test_warnings_of_the_plan_are_said_once(stand_ins, capsys):
 
 
 OUT = Path("out", "a")
-STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} goes on. {OUT} holds the run up to there.\n"
+STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} contains the run up to this time.\n"
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} goes on. {OUT} ho
         (
             FileExistsError(17, "File exists", "out"),
             2,
-            "granflow: out: this is a file, but a directory is needed; name another path.\n",
+            "granflow: out: this is a file, but a directory is needed; give another path.\n",
         ),
         (SceneError(["a.yaml:1:1: A.", "a.yaml:2:1: B."]), 2, "a.yaml:1:1: A.\na.yaml:2:1: B.\n2 problems found.\n"),
         (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),
@@ -197,7 +197,7 @@ def test_earlier_run_is_refused_without_force_and_left_to_the_new_run_with_it(st
     for name in names:
         (out / name).write_text(name)
     assert main(["run", "a.yaml"]) == 2
-    assert "out/a holds an earlier run" in capsys.readouterr().err.replace("\\", "/")
+    assert "out/a contains an earlier run" in capsys.readouterr().err.replace("\\", "/")
     assert main(["run", "a.yaml", "--overwrite"]) == 0
     stand_ins.raises = GranflowError("This machine has no cuda device.")
     assert main(["run", "a.yaml", "--overwrite"]) == 2
@@ -236,7 +236,7 @@ def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
         "particles.beads.insert.file": empty_scene(tmp_path, particles={"beads": beads}),
     }[inside]
-    with pytest.raises(GranflowError, match=rf"^{inside} is .*, which lies in the output directory .*--out\.$"):
+    with pytest.raises(GranflowError, match=rf"^{inside} is .*, which is in the output directory .*--out\.$"):
         prepare_output(out, given, overwrite=True)
     prepare_output(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), overwrite=True)
 

@@ -79,7 +79,7 @@ def test_the_cache_is_shown_and_cleared_and_strange_files_stay(tmp_path):
     (tmp_path / "one.tic").write_bytes(b"x" * 600_000)
     (tmp_path / "ticache.tcb").write_bytes(b"x" * 600_000)
     (tmp_path / "notes.txt").write_text("mine")
-    assert f"{tmp_path}: 1 compiled kernels, 1.2 MB kept" in granflow(tmp_path, "cache")[0]
+    assert f"{tmp_path}: 1 compiled kernels, 1.2 MB cached" in granflow(tmp_path, "cache")[0]
     assert "1.2 MB deleted" in granflow(tmp_path, "cache", "--clear")[0]
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
     assert "0 compiled kernels" in granflow(tmp_path, "cache")[0]

@@ -114,7 +114,7 @@ def test_an_earlier_run_is_kept_unless_forced_and_until_ends_early(home, done):
     assert len(frames(home / "out" / "beads")) == 6
     forced = granflow(home, "run", "beads.yaml", "--until", "20 ms", "--overwrite")
     assert forced.returncode == 0, forced.stderr
-    assert "Expectations are left out: --until ended the run at 0.02" in forced.stdout
+    assert "Expectations are not evaluated: --until ended the run at 0.02" in forced.stdout
     assert "as expected" not in forced.stdout
     assert len(frames(home / "out" / "beads")) == 3
     assert (home / "out" / "beads" / "notes.txt").exists()
@@ -207,7 +207,10 @@ def test_a_run_that_is_told_to_stop_leaves_whole_files(home, sent, code):
     running.send_signal(sent)
     _, message = running.communicate(timeout=60)
     assert running.returncode == code
-    assert message.splitlines()[-1].endswith(f"{out.name} holds the run up to there.") and "Traceback" not in message
+    assert (
+        message.splitlines()[-1].endswith(f"{out.name} contains the run up to this time.")
+        and "Traceback" not in message
+    )
     assert not [path.name for path in out.iterdir() if path.name.endswith(".part")]
     named = (out / "particles.pvd").read_text().count("particles_")
     assert named in (len(frames(out)), len(frames(out)) - 1)

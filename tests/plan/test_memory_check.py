@@ -86,7 +86,7 @@ def test_check_warns_and_places_no_particles_where_they_do_not_fit(machine, tmp_
     assert main(["check", str(path)]) == 0
     message = capsys.readouterr()
     assert ("particles need about" in message.err) == warned
-    assert ("was not tried" in message.out) == (available < 1.0)
+    assert ("was not checked" in message.out) == (available < 1.0)
 
 
 def test_more_than_can_be_numbered_are_refused_at_once_whatever_the_machine(tmp_path, capsys):

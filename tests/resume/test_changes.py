@@ -118,7 +118,7 @@ def test_a_gate_opened_now_lets_the_balls_fall_on(held, existing):
 
 
 def test_a_wall_that_would_jump_is_refused_with_the_remedy(held):
-    with pytest.raises(GranflowError, match=r"walls.lid.motion would move the wall by 0.0015 m at once.*\(start:\)"):
+    with pytest.raises(GranflowError, match=r"walls.lid.motion would displace the wall by 0.0015 m.*\(start:\)"):
         Simulation(dropped(lid_speed=0.2), resume=held)
 
 
@@ -128,8 +128,8 @@ def test_another_scene_is_refused_unless_told(held):
         Simulation(other, resume=held)
     sentence, remedy = str(refused.value).splitlines()
     difference = "domain.max was [1.0, 1.0, 1.0] and is [1.5, 1.5, 1.5]"
-    assert sentence == f"{held.path}: {difference}, which cannot change while a run goes on."
-    assert remedy == "Run the scene anew, or go on all the same with --allow-changes."
+    assert sentence == f"{held.path}: {difference}, which cannot change when a run continues."
+    assert remedy == "Run the scene from the start, or continue despite the change with --allow-changes."
     assert [each.key for each in accepted_change(held, plan_for(other), allow_changes=True).differences] == [
         "domain.max"
     ]
@@ -157,11 +157,11 @@ def test_a_scene_starts_from_the_last_state_of_another(held, existing):
 
 
 def test_start_from_says_what_does_not_fit(held, tmp_path):
-    with pytest.raises(SceneError, match="holds no checkpoint that can be used; name the directory"):
+    with pytest.raises(SceneError, match="contains no usable checkpoint; give the directory"):
         Simulation(dropped(start_from=str(tmp_path)))
     small = build_scene({"balls": particle_group([[0, 0, 0.1]], 0.008)}, start_from=str(held.path.parent))
     with pytest.raises(SceneError) as misfit:
         Simulation(small)
     count, size = misfit.value.problems
-    assert count.endswith("particles.balls.count is 1, but start_from has 4 of them.")
+    assert count.endswith("particles.balls.count is 1, but start_from has 4 particles.")
     assert size.endswith("diameter lies in [0.008, 0.008] m, but start_from has diameters in [0.01, 0.01] m.")

@@ -75,7 +75,7 @@ def test_the_one_before_is_used_and_said(tmp_path):
     newest.write_bytes(newest.read_bytes()[:-20])
     found, skipped = newest_checkpoint(tmp_path)
     assert found.path.name == "checkpoint_000000000005.npz"
-    assert skipped == [f"{newest} is damaged: it is cut short, or bits of it have changed."]
+    assert skipped == [f"{newest} is damaged: it is truncated, or its bytes have changed."]
 
 
 def test_another_format_is_refused_by_number(tmp_path, monkeypatch):

@@ -112,7 +112,7 @@ def test_a_directory_that_vanishes(home, reference):
     os.rename(out, home / "moved")
     _, message = running.communicate(timeout=120)
     assert running.returncode == 4, message
-    assert "No such file or directory" in message and "granflow resume vanishing goes on from" in message
+    assert "No such file or directory" in message and "granflow resume vanishing continues from" in message
     assert "Traceback" not in message
     refused = granflow(home, "resume", out.name)
     assert refused.returncode == 2 and "timeseries.csv lacks rows" in refused.stderr
@@ -194,7 +194,7 @@ def test_told_to_stop(home, reference, sent, code):
     _, message = running.communicate(timeout=60)
     assert running.returncode == code
     assert message.splitlines()[-1].endswith(
-        f"granflow resume {out.name} goes on. {out.name} holds the run up to there."
+        f"granflow resume {out.name} continues. {out.name} contains the run up to this time."
     )
     assert len(list(out.glob("checkpoint_*.npz"))) == 1
     resumed(home, out)

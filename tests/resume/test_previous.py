@@ -147,7 +147,7 @@ def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(
 def test_a_simulation_that_would_delete_its_own_start_is_refused(tmp_path):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
     write(tmp_path, OLD)
-    with pytest.raises(GranflowError, match="start_from is .*, which lies in the output directory"):
+    with pytest.raises(GranflowError, match="start_from is .*, which is in the output directory"):
         Simulation(scene, out=tmp_path)
     assert contents(tmp_path) == as_bytes(OLD)
 
@@ -200,7 +200,7 @@ def test_beginning_from_the_start_over_results_takes_a_flag(stopped, capsys):
     for path in stopped.glob("checkpoint_*.npz"):
         path.write_bytes(b"nonsense")
     message = refused_resume(stopped, capsys)
-    assert "is damaged" in message and "holds no checkpoint that can be used, but 3 files of results" in message
+    assert "is damaged" in message and "contains no usable checkpoint, but 3 result files" in message
     assert f"granflow resume {stopped} --from-start.\n" in message
 
 

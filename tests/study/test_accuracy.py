@@ -237,9 +237,9 @@ def test_the_figures(lines, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--target", "2"], "--target is 2, but an error between 0 and 1"),
-        (["--set", "seed=2"], "--set goes with a SCENE"),
-        (["--all-particles"], "--all-particles goes with a SCENE"),
+        (["--target", "2"], "--target is 2, but must be between 0 and 1"),
+        (["--set", "seed=2"], "--set requires a SCENE"),
+        (["--all-particles"], "--all-particles requires a SCENE"),
         (["nowhere.yaml"], "nowhere.yaml: there is no such file"),
     ],
 )

@@ -48,7 +48,7 @@ def neighbors_of(path):
 
 def test_measured_indices_are_those_of_the_run(out, tmp_path):
     """To the seven digits of the frames."""
-    assert main(["measure", str(out), "--out", str(tmp_path)]) == 0
+    assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
     measured, series = neighbors_of(tmp_path / "metrics.csv"), neighbors_of(out / "timeseries.csv")
     assert len(measured) == len(series) >= 4
     assert len(measured[0]) == 2 + 1 + 4 + 3 + 2
@@ -60,7 +60,7 @@ def test_measured_indices_are_those_of_the_run(out, tmp_path):
 
 
 def test_measured_fields_are_those_of_the_run(out, tmp_path):
-    assert main(["measure", str(out), "--out", str(tmp_path)]) == 0
+    assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
     names = sorted(path.name for path in out.glob("fields_*.vtu"))
     assert names == sorted(path.name for path in tmp_path.glob("fields_*.vtu"))
     for name in ("fields_bed_mean.vtu", names[0]):
@@ -71,7 +71,7 @@ def test_measured_fields_are_those_of_the_run(out, tmp_path):
 
 def test_other_indices_may_be_asked_for(out, tmp_path, capsys):
     requested = ["--set", "output.metrics={pile: {kind: coordination}}", "--set", "output.fields={}"]
-    assert main(["measure", str(out), "--out", str(tmp_path), *requested]) == 0
+    assert main(["analyze", str(out), "--out", str(tmp_path), *requested]) == 0
     assert set(neighbors_of(tmp_path / "metrics.csv")[0]) == {
         "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile", "rattler_share.pile",
     }  # fmt: skip
@@ -80,11 +80,11 @@ def test_other_indices_may_be_asked_for(out, tmp_path, capsys):
 
 def test_what_cannot_be_measured_is_said(out, tmp_path, capsys):
     nothing = ["--set", "output.metrics={}", "--set", "output.fields={}"]
-    assert main(["measure", str(out), *nothing]) == 2
-    assert "Nothing to analyze" in capsys.readouterr().err
-    assert main(["measure", str(tmp_path)]) == 2
-    assert "no directory of a run" in capsys.readouterr().err
+    assert main(["analyze", str(out), *nothing]) == 2
+    assert "Nothing is asked for" in capsys.readouterr().err
+    assert main(["analyze", str(tmp_path)]) == 2
+    assert "is not the directory of a run" in capsys.readouterr().err
     for name in ("particles.pvd", "particles_0000.vtu", "scene_as_run.yaml"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
-    assert main(["measure", str(tmp_path)]) == 2
+    assert main(["analyze", str(tmp_path)]) == 2
     assert "has no frames of contacts" in capsys.readouterr().err

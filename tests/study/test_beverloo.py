@@ -8,15 +8,15 @@ from granflow.errors import GranflowError
 from granflow.study.beverloo import Discharge, fit_beverloo, read_discharges
 
 PARTICLE, DENSITY, C, K = 0.004, 1500.0, 0.58, 1.4
-OPENING = np.array([0.03, 0.035, 0.04, 0.05, 0.06, 0.075])
+ORIFICE = np.array([0.03, 0.035, 0.04, 0.05, 0.06, 0.075])
 
 
 def flows(exponent=2.5):
-    return C * DENSITY * np.sqrt(9.81) * PARTICLE**2.5 * (OPENING / PARTICLE - K) ** exponent
+    return C * DENSITY * np.sqrt(9.81) * PARTICLE**2.5 * (ORIFICE / PARTICLE - K) ** exponent
 
 
 def test_a_law_without_scatter_is_found_exactly():
-    found = fit_beverloo(Discharge(OPENING, flows()), PARTICLE, DENSITY)
+    found = fit_beverloo(Discharge(ORIFICE, flows()), PARTICLE, DENSITY)
     assert (found.c, found.k) == pytest.approx((C, K), rel=1e-6)
     assert found.exponent == 2.5
     # W = C rho sqrt(g) (D - k d)^2.5 of the paper is the same number.
@@ -24,7 +24,7 @@ def test_a_law_without_scatter_is_found_exactly():
 
 
 def test_a_free_exponent_is_found():
-    found = fit_beverloo(Discharge(OPENING, flows(2.2)), PARTICLE, DENSITY, exponent=None)
+    found = fit_beverloo(Discharge(ORIFICE, flows(2.2)), PARTICLE, DENSITY, exponent=None)
     assert (found.c, found.k, found.exponent) == pytest.approx((C, K, 2.2), rel=1e-4)
 
 
@@ -32,7 +32,7 @@ def test_standard_errors_are_those_of_repeated_experiments():
     """Of 300 with 1 % scatter: the spread of C and k is their mean standard error, within a fifth."""
     random = np.random.default_rng(0)
     found = [
-        fit_beverloo(Discharge(OPENING, flows() * np.exp(random.normal(0.0, 0.01, 6))), PARTICLE, DENSITY)
+        fit_beverloo(Discharge(ORIFICE, flows() * np.exp(random.normal(0.0, 0.01, 6))), PARTICLE, DENSITY)
         for _ in range(300)
     ]
     for name in ("c", "k"):
@@ -44,9 +44,9 @@ def test_standard_errors_are_those_of_repeated_experiments():
 
 def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
     path = tmp_path / "flows.csv"
-    rows = [f"{1e3 * opening!r} mm,{flow!r}" for opening, flow in zip(OPENING.tolist(), flows().tolist(), strict=True)]
-    path.write_text("\n".join(["opening,mass_flow", *rows]) + "\n", encoding="utf-8")
-    np.testing.assert_allclose(read_discharges([path]).opening, OPENING)
+    rows = [f"{1e3 * orifice!r} mm,{flow!r}" for orifice, flow in zip(ORIFICE.tolist(), flows().tolist(), strict=True)]
+    path.write_text("\n".join(["orifice,mass_flow", *rows]) + "\n", encoding="utf-8")
+    np.testing.assert_allclose(read_discharges([path]).orifice, ORIFICE)
     assert main(["beverloo", str(path), "--diameter", "4mm", "--bulk-density", "1500"]) == 0
     shown = capsys.readouterr().out
     assert "0.58 ±" in shown and "1.4 ±" in shown and "2.5 given" in shown and "2.5 ±" in shown
@@ -55,10 +55,10 @@ def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("opening\n1\n", "has no column mass_flow"),
-        ("opening,mass_flow\n5 kg,1\n", ":2: "),
-        ("opening,mass_flow\n1,1\n1,2\n", "1 different openings are too few"),
-        ("opening,mass_flow\n1,1\n2,0\n", "not above 0"),
+        ("orifice\n1\n", "has no column mass_flow"),
+        ("orifice,mass_flow\n5 kg,1\n", ":2: "),
+        ("orifice,mass_flow\n1,1\n1,2\n", "1 different orifices are too few"),
+        ("orifice,mass_flow\n1,1\n2,0\n", "not above 0"),
     ],
 )
 def test_bad_tables_are_refused_in_a_sentence(tmp_path, text, says):

@@ -166,7 +166,7 @@ def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text(head_on().text(), encoding="utf-8")
     assert main(["compare", str(file), "--laws", "hertz", "--out", str(found[1])]) == 2
-    assert "holds an earlier run" in capsys.readouterr().err
+    assert "contains an earlier run" in capsys.readouterr().err
 
 
 def fitted(**materials):

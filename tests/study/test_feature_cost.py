@@ -160,4 +160,4 @@ def test_until_requires_measure(tmp_path, capsys):
     path = tmp_path / "beads.yaml"
     path.write_text(TEXT)
     assert main(["explain", str(path), "--until", "1s"]) == 2
-    assert "goes only with --measure" in capsys.readouterr().err
+    assert "requires --measure" in capsys.readouterr().err

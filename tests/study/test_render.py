@@ -117,17 +117,17 @@ def test_a_frame_cut_short_is_refused(run):
 
 def test_one_file_holds_one_picture(run, capsys):
     assert main(["render", str(run), "--frame", "all", "--out", "a.png"]) == 2
-    assert "--frame all asks for 4 pictures" in capsys.readouterr().err
+    assert "--frame all selects 4 images" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "words",
     [["--size", "1600"], ["--size", "9x9"], ["--range", "2,1"], ["--range", "fast"], ["--zoom", "0"], ["--fps", "-1"]],
 )
-def test_other_arguments_are_refused_with_what_is_asked(run, words, capsys):
+def test_invalid_arguments_are_refused_with_a_remedy(run, words, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run), *words])
-    assert "asked" in capsys.readouterr().err
+    assert "is not a " in capsys.readouterr().err
 
 
 def test_without_the_extra_it_says_what_to_install(run, capsys, monkeypatch):

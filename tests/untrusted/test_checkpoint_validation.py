@@ -114,7 +114,7 @@ def test_a_crafted_state_is_refused_with_its_key(original, tmp_path, name):
     assert "Remove it to use the checkpoint before it." in str(error.value)
 
 
-def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
+def test_a_pair_across_chunks_must_be_in_both_lists(original, tmp_path):
     """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
 
     def change(saved):
@@ -128,7 +128,7 @@ def test_a_pair_across_chunks_stands_in_both_rows(original, tmp_path):
         partner[slot] = next(k for k in range(8) if k // 4 != owner[slot] // 4 and k not in row)
         neighbors["partner"] = partner
 
-    with pytest.raises(CheckpointError, match="lists a pair of two chunks in one row only"):
+    with pytest.raises(CheckpointError, match="lists a pair across two chunks only once"):
         crafted(original, tmp_path, change)
 
 
@@ -173,7 +173,10 @@ def npy(shape, dtype="<f8", data=b""):
 
 ARCHIVES = {
     "compressed entries": ([("header.json", "0" * 10**7)], "compressed entry"),
-    "a billion numbers": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(1000000000,)"))], "another length"),
+    "a billion numbers": (
+        [("header.json", json.dumps(HEADER)), ("x.npy", npy("(1000000000,)"))],
+        "does not match its shape",
+    ),
     "negative shape": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(-1,)"))], "unexpected type"),
     "objects": ([("header.json", json.dumps(HEADER)), ("x.npy", npy("(1,)", "|O", b"12345678"))], "unexpected type"),
     "nested header": ([("header.json", "[" * 100_000)], "nested too deeply"),

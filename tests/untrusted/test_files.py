@@ -168,7 +168,7 @@ def test_links_in_a_circle_are_one_sentence(tmp_path, capsys):
     with pytest.raises(OSError, match="symbolic links"):
         resolved(loop)
     beverloo = ("beverloo", "--diameter", "1mm", "--bulk-density", "1500")
-    for command in (("check",), ("run",), ("measure",), ("report",), ("render",), ("resume",), beverloo):
+    for command in (("check",), ("run",), ("analyze",), ("report",), ("render",), ("resume",), beverloo):
         assert main([*command, str(loop)]) == 2
         assert "Traceback" not in capsys.readouterr().err
     for suffix in ("stl", "obj", "vtu", "ply", "vtk"):

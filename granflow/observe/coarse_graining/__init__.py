@@ -1,4 +1,7 @@
-"""Coarse graining: continuous fields on a grid from particles and contacts (formulas: docs/coarse_graining.md)."""
+"""Coarse graining: continuous fields on a grid from particles and contacts.
+
+Formulas and sources: docs/coarse_graining.md.
+"""
 
 from granflow.observe.coarse_graining.accumulation import AccumulatedFields, accumulate, fields_from
 from granflow.observe.coarse_graining.field_frames import FieldFrames

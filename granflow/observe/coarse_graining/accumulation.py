@@ -1,13 +1,13 @@
-"""From particles and contacts to fields on a grid: first sums that add up over cells and moments, then what they mean.
+"""Coarse-grained fields on a grid: sums over particles and contacts, additive over snapshots, and fields from them.
 
 Goldhirsch, Granular Matter 12 (2010) 239; Weinhart et al., Granular Matter 14 (2012) 289 for walls. m, x, v: mass,
-center and velocity of a particle; f: force on particle i of a contact; b: branch from i to its partner, or to the foot
-point on a wall; W: kernel, and L its mean along the branch.
+center and velocity of a particle; f: force on particle i of a contact; b: branch vector from i to its partner, or to
+the contact point on a wall; W: kernel; L: its mean along the branch vector.
 
     density rho = sum m W         momentum rho V = sum m v W         contact stress = sum f b L
     kinetic stress = -sum m (v - V)(v - V) W = rho V V - sum m v v W
 
-Stresses are positive in tension. See docs/coarse_graining.md for all of them.
+Stresses are positive in tension. All formulas: docs/coarse_graining.md.
 """
 
 from collections.abc import Mapping
@@ -21,24 +21,24 @@ from granflow.observe.particle_selection import mobile_particles
 
 PARTICLE_FIELDS = {"mass": 1, "volume": 1, "number": 1, "touching": 1, "momentum": 3, "momentum_flux": 9}
 CONTACT_ACCUMULATED = {"contact_stress": 9, "contact_number": 1, "fabric": 9}
-"""What is added up, and how many numbers each is."""
+"""Accumulated quantities, with their numbers of components."""
 
 CONTACT_FIELDS = ("contact_stress", "pressure", "fabric")
-"""Fields for which contacts are needed."""
+"""Fields that require contacts."""
 
 
 @dataclass(frozen=True)
 class AccumulatedFields:
-    """Sums over each cell, per volume of a cell: name -> (cells, numbers)."""
+    """Sums over each cell per cell volume: name -> (cells, components)."""
 
     arrays: dict[str, np.ndarray]
 
     def __add__(self, other: "AccumulatedFields") -> "AccumulatedFields":
-        """Cell by cell."""
+        """Add the sums of each cell."""
         return AccumulatedFields({name: array + other.arrays[name] for name, array in self.arrays.items()})
 
     def __truediv__(self, number: float) -> "AccumulatedFields":
-        """Each sum over a number: the mean of so many moments."""
+        """Divide each sum by a number: the mean over that number of snapshots."""
         return AccumulatedFields({name: array / number for name, array in self.arrays.items()})
 
 
@@ -48,7 +48,7 @@ def accumulate(
     grid: CoarseGrid,
     kernel: GaussianKernel,
 ) -> AccumulatedFields:
-    """The sums of a snapshot's particles, and of its contacts unless they are None."""
+    """Return the sums over the particles of a snapshot, and over its contacts unless None."""
     found = _accumulate_particles(particles, grid, kernel)
     if contacts is not None:
         found |= _accumulate_contacts(contacts, grid, kernel)
@@ -56,9 +56,9 @@ def accumulate(
 
 
 def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
-    """Every field that the sums tell, by its name in FIELD_QUANTITIES; not a number where nothing is.
+    """Return all fields that follow from the sums, by name in FIELD_QUANTITIES; NaN in cells without particles.
 
-    Of mean sums the fluctuations are those about the mean velocity, in space and in time.
+    For time-averaged sums, fluctuations are those about the mean velocity in space and time.
     """
     s = accumulated.arrays
     density = s["mass"]
@@ -108,16 +108,17 @@ def _accumulate_contacts(
 
 
 def _quadrature_points(widths: float) -> list[tuple[float, float]]:
-    """Places in [0, 1] and weights of a Gauss-Legendre quadrature of the kernel along a branch of so many widths.
+    """Return positions in [0, 1] and weights of a Gauss-Legendre quadrature of the kernel along a branch vector.
 
-    So many that the error is below 1e-3 of the largest value for branches up to ten widths.
+    `widths`: length of the branch vector over the kernel width. The error is below 1e-3 of the largest value for up to
+    ten widths.
     """
-    places, weights = np.polynomial.legendre.leggauss(2 + int(np.ceil(widths)))
-    return list(zip(0.5 * (places + 1.0), 0.5 * weights, strict=True))
+    positions, weights = np.polynomial.legendre.leggauss(2 + int(np.ceil(widths)))
+    return list(zip(0.5 * (positions + 1.0), 0.5 * weights, strict=True))
 
 
 def _dyads(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Products of two vectors each, (n, 9): xx, xy, xz, yx, ..."""
+    """Return the dyadic products (n, 9) of vectors (n, 3): xx, xy, xz, yx, ..."""
     return np.einsum("na,nb->nab", first, second).reshape(-1, 9)
 
 
@@ -126,7 +127,7 @@ def _trace(tensor: np.ndarray) -> np.ndarray:
 
 
 def _ratio(number: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Quotient; not a number where the total is 0."""
+    """Return the quotient; NaN where `total` is 0."""
     return np.divide(number, total, out=np.full_like(number, np.nan), where=total > 0.0)
 
 

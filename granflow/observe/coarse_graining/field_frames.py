@@ -1,4 +1,4 @@
-"""Fields as frames for ParaView: `fields_NAME_0000.vtu`, ..., and their mean over time."""
+"""Coarse-grained fields for ParaView: `fields_NAME_0000.vtu`, ..., and their mean over time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ from granflow.snapshot import Snapshot
 class FieldFrames(Frames):
     """`fields_NAME_NNNN.vtu`: hexahedra with the fields `quantities`; at the end `fields_NAME_mean.vtu`.
 
-    Only in `stages`, or in all if there are none named. The mean is that of all frames, each with the same weight.
+    Only in `stages`, or in all stages if empty. The mean weights all frames equally.
     """
 
     def __init__(
@@ -44,14 +44,14 @@ class FieldFrames(Frames):
         self._count = 0
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write one frame if it is one of the stages."""
+        """Write one frame if the stage is one of `stages`."""
         if self._stages and snapshot.stage not in self._stages:
             self._schedule.mark_done(snapshot.time)
         else:
             super().observe(snapshot)
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Make the mesh of one frame, which counts for the mean."""
+        """Return the mesh of one frame and add it to the mean."""
         contacts = snapshot.contacts if CONTACTS in self.wants else None
         accumulated = accumulate(snapshot.particles, contacts, self.grid, self.kernel)
         self._accumulated = accumulated if self._accumulated is None else self._accumulated + accumulated
@@ -59,21 +59,23 @@ class FieldFrames(Frames):
         return self._mesh_of(accumulated)
 
     def finish(self) -> None:
-        """Write the mean."""
+        """Write the mean over all frames."""
         if self._accumulated is not None:
             path = self.series.directory / f"{self.stem}_mean.vtu"
             write_vtu(path, self._mesh_of(self._accumulated / self._count))
 
     def state_dict(self) -> dict[str, Any]:
-        """The frames written so far, and what they add up to."""
+        """Return the list of frames, the accumulated sums and the number of frames."""
         total = {} if self._accumulated is None else dict(self._accumulated.arrays)
         return super().state_dict() | {"total": total, "count": self._count}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on after those frames."""
+        """Restore the state. Raises CheckpointError if the grid has another number of cells."""
         super().load_state_dict(saved)
         if any(len(accumulated) != self.grid.cell_count for accumulated in saved["total"].values()):
-            raise CheckpointError(f"The checkpoint holds {self.stem} on a grid of other cells; remove it.")
+            raise CheckpointError(
+                f"The checkpoint contains {self.stem} on a grid with another number of cells; remove it."
+            )
         self._accumulated = AccumulatedFields(dict(saved["total"])) if saved["total"] else None
         self._count = saved["count"]
 

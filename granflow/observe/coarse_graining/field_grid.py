@@ -1,4 +1,4 @@
-"""A box cut into equal cells, over which points are spread with a kernel."""
+"""A box of equal cells to which points are distributed with a kernel."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,13 +13,13 @@ from granflow.scene.periodic_box import AXES
 from granflow.scene.schema import Domain
 
 CHUNK_POINTS = 2**17
-"""Points that are spread at a time, which bounds the memory in work."""
+"""Points processed at a time, which limits the temporary memory."""
 
 LARGEST_PRODUCT = 2**18
-"""Multiplications in one product of matrices: OpenBLAS starts threads above that, which fight for busy cores."""
+"""Largest number of multiplications in a matrix product: above it, OpenBLAS starts threads that compete for cores."""
 
 BLOCK = 16
-"""Cells along x whose points go into one product of matrices."""
+"""Cells along x whose points are processed in one matrix product."""
 
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 """Corners of a hexahedron in the order of VTK."""
@@ -39,7 +39,7 @@ class CoarseGrid:
 
     @cached_property
     def cell_size(self) -> np.ndarray:
-        """Edges of a cell (3,) [m]."""
+        """Edge lengths of a cell (3,) [m]."""
         return (np.array(self.high) - self.low) / self.counts
 
     @property
@@ -53,7 +53,7 @@ class CoarseGrid:
         return int(np.prod(self.counts))
 
     def centers(self) -> np.ndarray:
-        """Middle of every cell (cells, 3) [m]."""
+        """Return the centers of all cells (cells, 3) [m]."""
         x, y, z = (
             low + (np.arange(n) + 0.5) * h for low, n, h in zip(self.low, self.counts, self.cell_size, strict=True)
         )
@@ -61,10 +61,10 @@ class CoarseGrid:
         return np.stack([axis.ravel() for axis in grid[::-1]], axis=1)
 
     def deposit(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Integral over every cell of what points (n, 3) [m] carry, values (n, k): (cells, k).
+        """Return the integrals (cells, k) over each cell of the values (n, k) distributed around points (n, 3) [m].
 
-        What falls outside the grid is left out, or wraps around along periodic axes; the rest is exact, so that the
-        cells add up to all that the points carry where the grid holds the whole reach of the kernel about them.
+        Contributions outside the grid are omitted, or wrap around along periodic axes. The integrals are exact: if the
+        grid contains the whole support of the kernels, the sum over the cells is the sum of the values.
         """
         low, width = np.array(self.low), np.array(self.high) - self.low
         points = np.where(self.periodic, low + np.mod(points - low, width), points)
@@ -78,13 +78,13 @@ class CoarseGrid:
         return padded_grid.fold()
 
     def cells_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the cell that each of the points (n, 3) [m] lies in, and whether it is one of the grid."""
-        metric = np.floor((points - np.array(self.low)) / self.cell_size).astype(np.int64)
-        inside = ((metric >= 0) & (metric < self.counts)).all(axis=1)
-        return metric @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
+        """Return the cell index (n,) of points (n, 3) [m], and whether each point is inside the grid (n,)."""
+        index = np.floor((points - np.array(self.low)) / self.cell_size).astype(np.int64)
+        inside = ((index >= 0) & (index < self.counts)).all(axis=1)
+        return index @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
 
     def mesh(self, arrays: dict[str, np.ndarray]) -> meshio.Mesh:
-        """Hexahedra with arrays (cells,) or (cells, k) on them."""
+        """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k)."""
         nx, ny, nz = self.counts
         axes = [np.linspace(low, high, n + 1) for low, high, n in zip(self.low, self.high, self.counts, strict=True)]
         z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
@@ -95,17 +95,17 @@ class CoarseGrid:
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
-    """The grid that a scene asks for in its domain."""
+    """Return the grid that the scene specifies; the default region is the domain."""
     box = spec.region or domain
     x, y, z = (axis in domain.periodic for axis in AXES)
     return CoarseGrid(box.min, box.max, spec.cell_counts(domain), (x, y, z))
 
 
 class _Padded:
-    """The cells of a grid and as many around them as kernels reach: (z, y, x, k).
+    """The cells of a grid with a margin as wide as the kernels: array (z, y, x, k).
 
     Points whose kernels begin in the same cells along y and z, and in the same block of cells along x, are added with
-    one product of matrices.
+    one matrix product.
     """
 
     def __init__(self, grid: CoarseGrid, reached_cells: np.ndarray, width: int) -> None:
@@ -114,7 +114,7 @@ class _Padded:
         self.total = np.zeros((*(reached_cells + grid.counts + self.window)[::-1], width))
 
     def add(self, kernel: GaussianKernel, points: np.ndarray, values: np.ndarray, first: np.ndarray) -> None:
-        """Add points, given the `first` cell (n, 3) that each one reaches."""
+        """Add points (n, 3) [m] with values (n, k); `first` (n, 3): first cell within the kernel of each point."""
         base = first + self.reached_cells
         base[:, 0] -= base[:, 0] % BLOCK
         order = np.lexsort(base.T)
@@ -131,14 +131,14 @@ class _Padded:
                 target += ((weight[:, None] * y[begin:end]).T @ along).reshape(target.shape)
 
     def _shares(self, kernel: GaussianKernel, position: np.ndarray, base: np.ndarray, axis: int) -> np.ndarray:
-        """Share of each point along one axis in the cells of its window, (n, cells)."""
+        """Return the share (n, cells) of each point in the cells of its window along one axis."""
         edges = base[:, None] - self.reached_cells[axis] + np.arange(self.window[axis] + 1)
         return np.diff(
             kernel.cumulative(self.grid.low[axis] + self.grid.cell_size[axis] * edges - position[:, None]), axis=1
         )
 
     def fold(self) -> np.ndarray:
-        """The cells of the grid alone (cells, k), those around it added to them along periodic axes."""
+        """Return the cells of the grid (cells, k); along periodic axes, the margin is added to them."""
         total = self.total
         for axis, (count, pad) in enumerate(zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)):
             total = np.moveaxis(total, axis, 0)

@@ -1,4 +1,4 @@
-"""The kernel with which a particle is smeared out: a Gaussian along each axis, cut off and normalized."""
+"""The coarse-graining kernel: a truncated and normalized Gaussian along each axis."""
 
 from functools import cache
 from math import erf, sqrt
@@ -6,7 +6,7 @@ from math import erf, sqrt
 import numpy as np
 
 NODES = 2**14
-"""Of the table of the distribution function: linear between them, it is exact to 1e-8."""
+"""Nodes in the table of the distribution function; linear interpolation has an error of 1e-8."""
 
 
 class GaussianKernel:
@@ -14,30 +14,30 @@ class GaussianKernel:
 
         g(s) = exp(-s^2 / 2 w^2) / (sqrt(2 pi) w erf(c / sqrt(2)))      |s| < c w, else 0
 
-    `width` w [m], `cut_off` c in widths. Inside the cut-off W depends on the distance alone.
+    `width`: w [m]; `cutoff`: c, in widths. Within the cutoff, W depends only on the distance.
     """
 
-    def __init__(self, width: float, cut_off: float) -> None:
-        self.width, self.cut_off = width, cut_off
-        self.reach = cut_off * width
-        self._table = _distribution(cut_off)
+    def __init__(self, width: float, cutoff: float) -> None:
+        self.width, self.cutoff = width, cutoff
+        self.reach = cutoff * width
+        self._table = _distribution(cutoff)
 
     @property
     def variance(self) -> float:
-        """Mean of s^2 under g [m2]: w^2, less what the cut-off takes."""
-        c = self.cut_off
+        """Mean of s^2 with the weight g [m2]: w^2 minus the contribution beyond the cutoff."""
+        c = self.cutoff
         tail = 2.0 * c * np.exp(-0.5 * c * c) / (sqrt(2.0 * np.pi) * erf(c / sqrt(2.0)))
         return float(self.width**2 * (1.0 - tail))
 
     def cumulative(self, distance: np.ndarray) -> np.ndarray:
-        """Integral of g from minus infinity to `distance` [m], of any shape."""
+        """Return the integral of g from minus infinity to `distance` [m], an array of any shape."""
         nodes, shares = self._table
         return np.interp(distance / self.width, nodes, shares)
 
 
 @cache
-def _distribution(cut_off: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes in widths from -cut_off to cut_off, and the share of the kernel below them, from 0 to 1."""
-    nodes = np.linspace(-cut_off, cut_off, NODES)
-    full = erf(cut_off / sqrt(2.0))
+def _distribution(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes from -cutoff to cutoff, in widths, and the integral of the kernel up to each, from 0 to 1."""
+    nodes = np.linspace(-cutoff, cutoff, NODES)
+    full = erf(cutoff / sqrt(2.0))
     return nodes, np.array([0.5 + 0.5 * erf(node / sqrt(2.0)) / full for node in nodes])

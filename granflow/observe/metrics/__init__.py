@@ -1,4 +1,7 @@
-"""Metrics of a bed: mixing, angle of repose, fabric, coordination (formulas: docs/coarse_graining.md)."""
+"""Metrics of a bed: mixing, angle of repose, fabric, coordination.
+
+Formulas and sources: docs/coarse_graining.md.
+"""
 
 from granflow.observe.metrics.meter import MetricMeter
 from granflow.observe.metrics.mixing import lacey_index

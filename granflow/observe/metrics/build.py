@@ -1,4 +1,4 @@
-"""From a scene's `output.metrics` to meters."""
+"""Builds the meters that `output.metrics` of a scene specifies."""
 
 from collections.abc import Mapping
 
@@ -19,16 +19,16 @@ from granflow.scene.regions import frame_along
 from granflow.snapshot import Snapshot
 
 MIN_HEAP_CONTACTS = 2
-"""Contacts from which on a grain belongs to a heap: one that rolls away on the floor has one."""
+"""Smallest number of contacts of a particle in a heap: a particle that rolls away on the floor has one."""
 
 COLUMN_WIDTH = 2.0
-"""Edge of the columns in which the surface of a heap is looked for, in largest diameters."""
+"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
 
 NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
 
 
 def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
-    """A meter for every index of the scene, by its name."""
+    """Return a meter for each metric of the scene, by name."""
     return {name: _metric_meter(scene, spec) for name, spec in scene.output.metrics.items()}
 
 
@@ -103,7 +103,7 @@ def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
 
 
 def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
-    """Whether points (n, 3) lie in the region, or in none."""
+    """Return whether points (n, 3) [m] are inside the region; True without a region."""
     if region is None:
         return np.ones(len(points), bool)
     above, below = points >= np.array(region.min), points <= np.array(region.max)

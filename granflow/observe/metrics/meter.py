@@ -1,4 +1,4 @@
-"""Indices as meters of the time series: read at every row, with a mean over the last stage."""
+"""Metrics of the time series: evaluated at each row, with a mean over the last stage."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -7,7 +7,7 @@ from granflow.snapshot import Snapshot
 
 
 class MetricMeter:
-    """What `measure` finds in snapshots that have the parts `wants`; numbers by name in INDEX_QUANTITIES."""
+    """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES."""
 
     def __init__(self, measure: Callable[[Snapshot], Mapping[str, float]], wants: frozenset[str]) -> None:
         self.wants = wants
@@ -18,7 +18,7 @@ class MetricMeter:
         self._counts: dict[str, int] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Take one reading."""
+        """Evaluate the metric."""
         if snapshot.stage != self._stage:
             self._stage, self._sums, self._counts = snapshot.stage, {}, {}
         self._last = dict(self._measure(snapshot))
@@ -28,21 +28,21 @@ class MetricMeter:
             self._counts[name] = self._counts.get(name, 0) + known
 
     def readings(self) -> dict[str, float]:
-        """Numbers at the last look."""
+        """Return the last values."""
         return self._last
 
     def result(self) -> dict[str, float]:
-        """Numbers at the last look, and as `NAME_mean` the means of the looks of the last stage that gave one."""
+        """Return the last values, and as `NAME_mean` the means over the values of the last stage that are not NaN."""
         means = {
             f"{name}_mean": self._sums[name] / count if count else float("nan") for name, count in self._counts.items()
         }
         return self._last | means
 
     def state_dict(self) -> dict[str, Any]:
-        """All that it remembers."""
+        """Return the stage, the last values, and the sums and counts of the stage."""
         return {"stage": self._stage, "last": self._last, "sums": self._sums, "counts": self._counts}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from there."""
+        """Restore the state of `state_dict`."""
         self._stage, self._last = saved["stage"], saved["last"]
         self._sums, self._counts = saved["sums"], saved["counts"]

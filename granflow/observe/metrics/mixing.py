@@ -1,4 +1,4 @@
-"""How well two kinds of grains are mixed."""
+"""Mixing index of two kinds of particles."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from granflow.observe.coarse_graining.field_grid import CoarseGrid
 
 
 def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
-    """Lacey's mixing index of grains at `position` (n, 3) [m], `is_kind_a` (n,) telling those of the one kind.
+    """Return Lacey's mixing index of particles at `position` (n, 3) [m]; `is_kind_a` (n,): whether of the first kind.
 
         M = (S0^2 - S^2) / (S0^2 - SR^2),   S^2 = sum n_k (p_k - p)^2 / sum n_k,   S0^2 = p (1 - p),   SR^2 = S0^2 / n
 
-    p_k is the share by number of the kind among the n_k grains of cell k, p that of all, n the mean of n_k; cells with
-    fewer than `at_least` grains are left out. 0: each cell has grains of one kind alone; 1: as if drawn at random, up
-    to chance; above 1: more even than that. Not a number where there are no such cells, or one kind alone.
+    p_k is the share by number of the first kind among the n_k particles of cell k, p the share in all cells, n the mean
+    of n_k; cells with fewer than `at_least` particles are excluded. 0: each cell contains one kind only; 1: randomly
+    mixed, except for statistical scatter; above 1: more uniform than random. NaN without such cells or with one kind.
     (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
     """
     cell, inside = grid.cells_of(position)

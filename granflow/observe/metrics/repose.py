@@ -1,6 +1,6 @@
 """Angle of repose: the slope of the free surface of a heap, or of a bed in a drum.
 
-The surface is the set of the highest grains, one for each square column: the tops of these spheres are fitted.
+The surface consists of the highest particle of each square column; the tops of these spheres are fitted.
 """
 
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 FLANK = (0.8, 0.2)
-"""Of the height of a cone: the flank is fitted between them, without the rounded top and the foot."""
+"""Upper and lower end of the fitted flank, over the height of the cone: excludes the rounded top and the foot."""
 
 FEWEST = 4
-"""Points of a surface to which a slope is fitted."""
+"""Smallest number of surface points for a fit."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ NO_SLOPE = Slope(float("nan"), float("nan"))
 
 
 def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None) -> Slope:
-    """Slope of the flank of a conical heap of spheres, centers (n, 3) with z upwards and radii (n,) [m].
+    """Return the slope of the flank of a conical heap of spheres with centers (n, 3), z upward, and radii (n,) [m].
 
-    `edge` [m] of the columns, about two diameters; `axis` (2,) [m] of the cone, the mean of all centers if None. The
-    flank is where the mean height over a ring about the axis lies between 0.8 and 0.2 of the highest; there a straight
-    line is fitted to height against distance from the axis.
+    `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if None. The
+    flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest; a straight line is
+    fitted to the height over the distance from the axis.
     """
     if not len(points):
         return NO_SLOPE
@@ -48,9 +48,9 @@ def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.
 
 
 def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope:
-    """Slope of the plane fitted to the surface of spheres, centers (n, 3) with z upwards and radii (n,) [m].
+    """Return the slope of the plane fitted to the surface of spheres with centers (n, 3), z upward, and radii (n,) [m].
 
-    `edge` [m] of the columns. For one side of a wedge, or the bed of a drum away from its walls.
+    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum.
     """
     if not len(points):
         return NO_SLOPE
@@ -59,15 +59,15 @@ def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope
 
 
 def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.ndarray:
-    """Tops (m, 3) of the highest spheres, one for each column of the grid that has any.
+    """Return the tops (m, 3) [m] of the highest spheres, one for each column that contains spheres.
 
-    The columns are about `edge` wide and share the room of the points evenly: in a sliver of a column at its border,
-    the highest sphere would lie deep inside the heap.
+    The columns are about `edge` [m] wide and divide the extent of the points evenly: in a narrow column at the border,
+    the highest sphere would be deep inside the heap.
     """
     low = points[:, :2].min(axis=0)
-    room = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
-    number = np.maximum(np.round(room / edge), 1)
-    column = np.minimum((points[:, :2] - low) / room * number, number - 1).astype(np.int64)
+    extent = np.maximum(points[:, :2].max(axis=0) - low, np.finfo(float).tiny)
+    number = np.maximum(np.round(extent / edge), 1)
+    column = np.minimum((points[:, :2] - low) / extent * number, number - 1).astype(np.int64)
     top = points[:, 2] + radius
     order = np.lexsort((-top, column[:, 1], column[:, 0]))
     changes = (np.diff(column[order], axis=0) != 0).any(axis=1)
@@ -75,11 +75,11 @@ def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.nd
     return np.column_stack([points[first, :2], top[first]])
 
 
-def _slope(place: np.ndarray, height: np.ndarray) -> Slope:
-    """Angle of the straight line or plane fitted to heights (n,) over places (n, 1 or 2)."""
+def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
+    """Return the angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, 1 or 2) [m]."""
     if len(height) < FEWEST:
         return NO_SLOPE
-    offsets = place - place.mean(axis=0)
+    offsets = position - position.mean(axis=0)
     matrix = np.column_stack([np.ones(len(height)), offsets])
     found, _, rank, _ = np.linalg.lstsq(matrix, height, rcond=None)
     if rank < matrix.shape[1]:

@@ -1,4 +1,4 @@
-"""What contacts do to a bed: how many there are for each grain, and which way they point."""
+"""Contact network of a bed: number of contacts per particle, and their orientation."""
 
 from collections.abc import Mapping
 
@@ -6,11 +6,12 @@ import numpy as np
 
 
 def coordination(contacts_of_each: np.ndarray) -> dict[str, float]:
-    """Mean number of contacts of grains that have `contacts_of_each` (n,), with and without rattlers, and their share.
+    """Return the mean number of contacts per particle, with and without rattlers, and the share of rattlers.
 
         Zm = (sum Z_i - N1) / (N - N0 - N1)
 
-    A rattler carries nothing: it has no contact or one; there are N0 and N1 of them, whose N1 contacts do not count.
+    `contacts_of_each` (n,): number of contacts Z_i of each particle. Rattlers carry no load: N0 have no contact and N1
+    have one contact, which is not counted.
     (C. Thornton, Geotechnique 50 (2000) 43.)
     """
     count = len(contacts_of_each)
@@ -25,9 +26,9 @@ def coordination(contacts_of_each: np.ndarray) -> dict[str, float]:
 
 
 def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Mean of n n over the contacts between grains, n their direction: (3, 3), symmetric, with trace 1.
+    """Return the mean of n n over the contacts between particles, n their direction: (3, 3), symmetric, with trace 1.
 
-    Not a number where there are none. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    NaN without contacts. (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
     """
     between = contacts["wall"] < 0
     branch = contacts["position_j"][between] - contacts["position_i"][between]
@@ -38,6 +39,6 @@ def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def anisotropy(fabric: np.ndarray) -> float:
-    """Size of the deviator of a fabric tensor, sqrt(3/2 D:D) with D = F - 1/3: 0 isotropic, 1 all in one direction."""
+    """Return the anisotropy of a fabric tensor, sqrt(3/2 D:D), D = F - 1/3: 0 isotropic, 1 all contacts parallel."""
     deviator = fabric - np.eye(3) / 3.0
     return float(np.sqrt(1.5 * (deviator**2).sum()))
