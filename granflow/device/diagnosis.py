@@ -50,17 +50,17 @@ class CandidatePairs:
 
 
 def diagnose(
-    code: int, particle: int, state: State, host_copy: HostCopy, time: float, prepared_simulation: bool
+    code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool
 ) -> Diagnosis:
     """Diagnosis of an abort at `time` [s], with the contact pair of the largest overlap, if there is a contact.
 
-    `prepared_simulation`: true if a step was taken; false if only the initial forces were computed.
+    `step_taken`: true if a step was taken; false if only the initial forces were computed.
     """
     if code == ABORT_WALL:
-        return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, prepared_simulation)
+        return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, step_taken)
     arrays = host_copy.copy_to_host(FIELDS, 0, state.particles.capacity)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
-    if code == ABORT_OVERLAP and prepared_simulation:
+    if code == ABORT_OVERLAP and step_taken:
         # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
@@ -73,7 +73,7 @@ def diagnose(
     considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT) else np.ones_like(involved)
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
-    return diagnosis_of(code, participant, pair, state.clock.time_step, prepared_simulation)
+    return diagnosis_of(code, participant, pair, state.clock.time_step, step_taken)
 
 
 def _fastest_wall(state: State) -> Participant:

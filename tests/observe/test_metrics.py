@@ -183,7 +183,7 @@ def test_upwards_is_against_gravity():
     particles = particles_of(
         count, position=turned, radius=radius[chosen], fixed=np.zeros(count), coordination_number=np.full(count, 4)
     )
-    meter = metric_meters(scene)["bed"]
+    meter = metric_meters(scene)["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
 
