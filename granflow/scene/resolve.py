@@ -77,7 +77,7 @@ def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
     remarks = [f"{prefix}: lengths of the equipment are {times}; diameters, velocities and times are as written."]
     if len(kept) < len(scene.expect):
         remarks.append(f"{prefix}: {len(scene.expect) - len(kept)} of expect were made for size 1, and are not judged.")
-    return scaled_scene.model_copy(update={"size": 1.0, "expect": kept}), remarks
+    return scaled_scene.model_copy(update={"scale": 1.0, "expect": kept}), remarks
 
 
 def scaled(part: Any, factor: float) -> Any:

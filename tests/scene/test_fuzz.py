@@ -275,7 +275,7 @@ TOO_MUCH = {
         ":1:750002: there are more than 250000 values by here, too many for a scene.",
     ),
     "materials:\n" + "".join(f"  m{n}: {{}}\n" for n in range(51)): (
-        ":1:1: materials has 51 entries, but a scene holds at most 50 of them.",
+        ":1:1: materials has 51 entries, but the limit is 50.",
     ),
     "title: x\n" + "".join(f"k{n}: 1\n" for n in range(200)): (
         ":93:1: k91 is not known here.",
