@@ -87,10 +87,10 @@ def to_si(text: str, dimension: str) -> float:
     """
     expected = dimension_of(dimension)
     if _COMMA.search(text):
-        raise UnitError(f"a decimal point is asked here, not a comma: {text.replace(',', '.')}")
+        raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
     match = _AMOUNT.fullmatch(text)
     if match is None:
-        raise UnitError(f"{expected.noun} is asked here, such as {expected.example}")
+        raise UnitError(f"{expected.noun} is expected, such as {expected.example}")
     number, unit = match.groups()
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
@@ -122,9 +122,9 @@ def _any_factor(unit: str) -> Fraction:
 def _wrong_unit(unit: str, expected: Dimension) -> str:
     matching = [d.noun for d in DIMENSIONS.values() if unit in d.units]
     if not expected.units or expected is DIMENSIONS["number"]:
-        return f"{expected.noun} without a unit is asked here, such as {expected.example}"
+        return f"{expected.noun} without a unit is expected, such as {expected.example}"
     if matching:
-        return f"{unit} measures {matching[0]} and {expected.noun} is asked here, such as {expected.example}"
+        return f"{unit} measures {matching[0]} and {expected.noun} is expected, such as {expected.example}"
     near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
     known = ", ".join(name for name in expected.units if name.isascii())
     hint = f" (did you mean {near[0]}?)" if near else ""

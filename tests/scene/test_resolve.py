@@ -117,7 +117,7 @@ def test_rows_go_to_the_group_of_their_material(tmp_path):
     assert {name: group.count for name, group in scene.particles.items()} == {"beads": 1, "shot": 2}
     assert initial_particles(scene).position[:, 0].tolist() == [0.01, 0.0, 0.02]
     assert problems(tmp_path, FILE, start=rows) == [
-        "start.csv:2: this particle is of steel, but no group takes those; add one."
+        "start.csv:2: this particle is of steel, but no group has this material; add one."
     ]
     assert problems(tmp_path, FILE, start=rows.replace("glass", "1")) == [
         "beads.yaml:17:15: no row of start.csv is of glass; its materials are 1, steel."
