@@ -24,9 +24,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
         raise SceneError(f"{scene.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
     if not path.is_relative_to(folder):
         location = scene.locate("particles", name, "insert", "file")
-        raise SceneError(
-            f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there."
-        )
+        raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
     return read_table(scene.folder / insertion.file)
 
 

@@ -128,7 +128,7 @@ OVERRIDES = [
         "contact.normal is zhou, which has no keys; set contact.normal as a whole.",
     ),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
-    ("seed=!!python/name:os 3", "the tag !!python/name:os is not used in scenes; leave it out."),
+    ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; leave it out."),
     (
         "pairs.steel-glass.friction=-1",
         "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0.",

@@ -48,7 +48,7 @@ def test_velocity_spin_and_material(tmp_path):
 
 BAD = {
     "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: the row has 3 values, but the header has 4 columns."],
-    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is asked", "3: y is empty, but a number is asked"],
+    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is", "3: y is empty, but a number is"],
     "x y z r\n0 nan 0 1\n0 0 0 inf\n": [
         "2: the position is not finite.",
         "3: the radius is not finite.",
@@ -57,7 +57,7 @@ BAD = {
     "0,0,0,1\n": [
         "1: the first line must be a header with the columns x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
     ],
-    "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] is invalid: furlong is not a unit known here"],
+    "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] is invalid: furlong is not a known unit"],
     "x,y,z,r\n": [" the file contains no particles."],
     "": [" the file contains no particles."],
     "x y z r\n" + "0 0 0\n" * (MOST_SHOWN + 5): [

@@ -84,7 +84,7 @@ def initial_radius(scene):
 
 def test_too_much_is_refused(tmp_path):
     beads = f"    mass: 1e20 kg\n    diameter: {UNIFORM}\n    insert: {{kind: pack, {REGION}}}\n"
-    assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass makes ")
+    assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass results in ")
 
 
 FILE = "    insert: {kind: file, file: start.csv}\n"
@@ -129,8 +129,8 @@ MISFITS = {
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
     FILE.replace(
         "start.csv", "../x"
-    ): "18:31: particles.beads.insert.file is ../x, but the file must lie in the scene's "
-    "folder, or below it; give its path from there.",
+    ): "18:32: particles.beads.insert.file is ../x, but the file must be in the "
+    "folder of the scene or below it; give a relative path.",
 }
 
 
@@ -177,13 +177,13 @@ def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
     )  # fmt: skip
     assert [each.quantity for each in two.expect] == ["energy_error"] and len(one.expect) == 2
     assert two.remarks == (
-        "size 2: lengths of the equipment are 2 times those written, numbers and masses of particles 8 times; "
-        "diameters, velocities and times are as written.",
-        "size 2: 1 of expect were made for size 1, and are not judged.",
+        "scale 2: lengths of the equipment are multiplied by 2, counts and masses of particles by 8; "
+        "diameters, velocities and times are not.",
+        "scale 2: 1 expectations apply to scale 1 only and are not evaluated.",
     )
     assert scene_of(two.text(), "as run") == two, "a run goes on with what was made"
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
-        "--set scale=2: scale is 2, but the positions of particles.beads are given one by one; leave size out."
+        "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave scale out."
     ]
 
 
