@@ -113,7 +113,7 @@ def pack_at_random(
     start = region.sample(radius, random)
     spheres = Spheres(start, radius).joined(obstacles)
     swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
-    position = push_apart(spheres, len(radius), region, swelling)
+    position = separate_overlapping(spheres, len(radius), region, swelling)
     overlapping = overlapping_pairs(Spheres(position, spheres.radius), len(radius))
     if len(overlapping):
         left_out = greedy_cover(overlapping, len(radius))
@@ -142,7 +142,7 @@ def check_width(region: RegionSampler, radius: float) -> None:
         )
 
 
-def push_apart(
+def separate_overlapping(
     spheres: Spheres, mobile_count: int, region: BoxSampler | CylinderSampler, swelling: float
 ) -> np.ndarray:
     """Positions (n, 3) [m] after sweeps that separate the first `mobile_count` spheres from all others.

@@ -115,8 +115,8 @@ class PeriodicBox:
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face."""
         for axis in self.axes:
-            place = position[:, axis] - self.low[axis]
-            below, above = place < radius, place > self.width[axis] - radius
+            height = position[:, axis] - self.low[axis]
+            below, above = height < radius, height > self.width[axis] - radius
             shift = self.width[axis] * np.eye(3)[axis]
             position = np.concatenate([position, position[below] + shift, position[above] - shift])
             radius = np.concatenate([radius, radius[below], radius[above]])

@@ -123,8 +123,8 @@ class CylinderSampler:
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """See `PackingRegion`."""
         local = self.to_local(points)
-        beside = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
-        return beside & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
+        is_within_radius = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
+        return is_within_radius & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
 
 
 class SlabSampler:

@@ -233,7 +233,7 @@ class RunSettings(Model):
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
     time_step: AdaptiveOrFixedTime = Field(
         "auto",
-        description="time step [s]; auto: from the stiffest possible contact; adaptive: from the stiffest present contact",
+        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest present one",
     )
     velocity_max: Speed | None = Field(
         None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
@@ -356,7 +356,7 @@ class Scene(Model):
     seed: Seed = Field(1, description="seed of all random numbers")
     scale: Positive = Field(
         1.0,
-        description="factor of the lengths of the equipment; particle counts scale with its cube, particle sizes are unchanged",
+        description="factor of equipment lengths; particle counts scale with its cube, particle sizes do not change",
     )
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
