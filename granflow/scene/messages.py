@@ -111,8 +111,8 @@ class _SchemaError:
         return problem_at(self.document, self.path, Fault((), reason, whole=True))
 
     def _unknown(self) -> Problem:
-        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "keys known here")
-        return self._whole(f"is not known here. {remedy}")
+        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "known keys")
+        return self._whole(f"is not a known key. {remedy}")
 
     def _description(self) -> str:
         model = model_at(Scene, self.loc[:-1])

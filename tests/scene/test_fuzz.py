@@ -278,7 +278,7 @@ TOO_MUCH = {
         ":1:1: materials has 51 entries, but the limit is 50.",
     ),
     "title: x\n" + "".join(f"k{n}: 1\n" for n in range(200)): (
-        ":93:1: k91 is not known here.",
+        ":93:1: k91 is not a known key.",
         ":201:1: this is the last of 108 more problems, which are not shown.",
     ),
 }

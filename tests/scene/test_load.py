@@ -46,7 +46,7 @@ def test_every_preset_has_a_source():
 def test_what_is_left_out_is_filled_in(scene):
     assert scene.output.timeseries_interval == scene.output.interval == 0.01
     assert scene.particles["pair"].count == 2
-    assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution_at == "onset"
+    assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution_at == "impact"
     assert scene.numerics.chunk_size == "auto"
     assert scene.run.time_step == "auto"
 
@@ -129,7 +129,10 @@ def test_overrides():
     )
     assert (scene.run.precision, scene.numerics.chunk_size, scene.walls["tube"].radius) == ("f32", 64, 0.06)
     assert scene.stages[2].duration == 5.0 and scene.pairs["glass-steel"].friction == 0.0
-    assert scene.contact.normal.restitution_at == "peak" and list(scene.output.flow_meters) == ["outlet", "inlet"]
+    assert scene.contact.normal.restitution_at == "max_overlap" and list(scene.output.flow_meters) == [
+        "outlet",
+        "inlet",
+    ]
     assert scene.title == "a = b"
 
 
