@@ -164,14 +164,14 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
     expected = [
         ":2: restitution is 0,5, but a decimal point is expected, not a comma: 0.5.",
         ":3: velocity is x, but a velocity is expected, such as 3 m/s.",
-        ":3: restitution is 1.2, but a restitution coefficient must be in [0, 1].",
+        ":3: restitution is 1.2, but a restitution coefficient lies in [0, 1].",
         ":4: velocity is -3, but it must be above 0.",
         ":4: restitution is nan, but a number is asked here; leave the row out if nothing was measured.",
         ":5: velocity is empty, but a number is asked here; leave the row out if nothing was measured.",
         ":6: restitution is empty, but a number is asked here; leave the row out if nothing was measured.",
         ":6: deviation is 0, but it must be above 0.",
         ":7: velocity is 0, but it must be above 0.",
-        ":7: restitution is -0.1, but a restitution coefficient must be in [0, 1].",
+        ":7: restitution is -0.1, but a restitution coefficient lies in [0, 1].",
         ":8: the row has 4 values, but the header 3 columns; decimals are written with a point.",
     ]
     assert list(refusal.value.problems) == [f"{path}{each}" for each in expected]
