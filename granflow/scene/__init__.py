@@ -1,4 +1,4 @@
-"""The scene: read from YAML, checked, frozen."""
+"""Scene files: reading, validation, and the immutable `Scene`."""
 
 from granflow.scene.jsonschema import json_schema
 from granflow.scene.reader import load

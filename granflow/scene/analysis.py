@@ -1,4 +1,4 @@
-"""Schema of what is worked out from particles and contacts while a scene runs: fields on a grid, indices."""
+"""Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -30,20 +30,22 @@ Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
 
 
 class GridSpec(Model):
-    """A box cut into cells, by their edge or their number."""
+    """A box divided into cells, given by their edge length or their number."""
 
-    region: Box | None = Field(None, description="the box that is cut into cells; left out: the domain")
-    cell: PositiveLength | None = Field(None, description="edge of a cell [m], fitted to the box; or give cells")
+    region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
+    cell: PositiveLength | None = Field(
+        None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
+    )
     cells: Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
 
     def faults(self) -> Iterator[Fault]:
-        """An edge or a number."""
+        """Exactly one of edge length and number of cells."""
         if (self.cell is None) == (self.cells is None):
             given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
-            yield Fault((), f"{given}; give the edge of a cell, or how many along x, y and z", whole=True)
+            yield Fault((), f"{given}; give the edge length of a cell, or the number along x, y and z", whole=True)
 
     def cell_counts(self, domain: Box) -> tuple[int, int, int]:
-        """Cells along x, y and z where the domain stands in for a region left out."""
+        """Number of cells along x, y and z; without a region the grid covers `domain`."""
         if self.cells is not None:
             return self.cells
         assert self.cell is not None
@@ -53,18 +55,18 @@ class GridSpec(Model):
 
 
 class FieldGrid(GridSpec):
-    """Fields on a grid, coarse-grained with a Gaussian, for ParaView."""
+    """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files."""
 
-    width: Width = Field("auto", description="width (standard deviation) of the kernel [m]; auto: the largest radius")
-    cutoff: Cutoff = Field(3.0, description="distance along each axis at which the kernel ends, in widths")
-    interval: PositiveTime | None = Field(None, description="time between frames [s]; left out: output.interval")
-    stages: Names | None = Field(None, description="stages in which they are written; left out: all")
+    width: Width = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
+    cut_off: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
+    interval: PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
+    stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
     quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(
-        tuple(FIELD_QUANTITIES), description="fields that are written; left out: all"
+        tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Fields that exist."""
+        """Every quantity must be a known field."""
         yield from super().faults()
         for index, name in enumerate(self.quantities):
             if name not in FIELD_QUANTITIES:
@@ -73,58 +75,62 @@ class FieldGrid(GridSpec):
 
 
 class LaceyMetric(GridSpec):
-    """Lacey's mixing index of the grains of some groups, materials or sizes among all."""
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles."""
 
-    kind: Literal["lacey"] = Field(description="kind of index")
-    groups: Names | None = Field(None, description="groups whose grains are the one kind")
-    materials: Names | None = Field(None, description="materials whose grains are the one kind")
-    smaller_than: UnscaledLength | None = Field(None, description="diameter below which grains are the one kind [m]")
-    at_least: Count = Field(10, description="grains that a cell must hold to count")
+    kind: Literal["lacey"] = Field(description="kind of metric")
+    groups: Names | None = Field(None, description="groups whose particles form the first component")
+    materials: Names | None = Field(None, description="materials whose particles form the first component")
+    smaller_than: UnscaledLength | None = Field(
+        None, description="diameter below which particles belong to the first component [m]"
+    )
+    at_least: Count = Field(10, description="smallest number of particles in a cell that is evaluated")
 
     def faults(self) -> Iterator[Fault]:
-        """One way of telling the two kinds apart."""
+        """Exactly one definition of the first component."""
         yield from super().faults()
         given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
         if len(given) != 1:
-            found = f"has {' and '.join(given)}" if given else "does not say which grains are the one kind"
+            found = f"has {' and '.join(given)}" if given else "does not define the first component"
             yield Fault((), f"{found}; give exactly one of groups, materials and smaller_than", whole=True)
 
 
 class ReposeMetric(Model):
-    """Angle of repose of the heap of grains that have two contacts or more."""
+    """Angle of repose of the heap; particles with fewer than two contacts are excluded."""
 
-    kind: Literal["repose"] = Field(description="kind of index")
+    kind: Literal["repose"] = Field(description="kind of metric")
     surface: Literal["cone", "plane"] = Field(
-        description="cone: a heap about an upright axis; plane: one side of a wedge, a bed in a drum"
+        description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
     )
-    region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
-    axis: Point | None = Field(None, description="with cone: a point on its axis [m]; left out: the mean of the grains")
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    axis: Point | None = Field(
+        None, description="with surface: cone, a point on its axis [m]; default: mean position of the particles"
+    )
 
     def faults(self) -> Iterator[Fault]:
-        """An axis for a cone only."""
+        """An axis is valid for a cone only."""
         if self.surface == "plane" and self.axis is not None:
-            yield Fault(("axis",), "it goes only with surface: cone; leave it out")
+            yield Fault(("axis",), "it applies only to surface: cone; leave it out")
 
 
 class FabricMetric(Model):
-    """Fabric tensor of the contacts between grains."""
+    """Fabric tensor of the contacts between particles."""
 
-    kind: Literal["fabric"] = Field(description="kind of index")
-    region: Box | None = Field(None, description="the box whose contacts are looked at; left out: all")
+    kind: Literal["fabric"] = Field(description="kind of metric")
+    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
 
 
 class CoordinationMetric(Model):
     """Coordination number with and without rattlers."""
 
-    kind: Literal["coordination"] = Field(description="kind of index")
-    region: Box | None = Field(None, description="the box whose grains are looked at; left out: all")
+    kind: Literal["coordination"] = Field(description="kind of metric")
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
 
 
 class ContentMetric(Model):
-    """What is in a box: grains whose center is inside, whole."""
+    """Number, mass and volume of the particles with their center in a box."""
 
-    kind: Literal["content"] = Field(description="kind of index")
-    region: Box = Field(description="the box whose grains are counted")
+    kind: Literal["content"] = Field(description="kind of metric")
+    region: Box = Field(description="box whose particles are counted")
 
 
 AnyMetric = Annotated[
@@ -143,4 +149,4 @@ METRIC_QUANTITIES_BY_KIND = {
     "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
     "coordination": ("coordination_number", "mechanical_coordination_number", "rattler_share"),
 }
-"""Numbers that an index of each kind gives; for each there is also its mean, NAME_mean."""
+"""Quantities of each kind of metric; each also has a time average, NAME_mean."""

@@ -1,4 +1,4 @@
-"""Checks between the parts of a scene: names that must exist, pairs that must be there, times, places."""
+"""Consistency checks between the parts of a scene: names, material pairs, times, regions."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -28,17 +28,17 @@ from granflow.scene.violations import Check, Violation, unknown
 from granflow.scene.wall_schema import FreeWallSpec, ServoSpec, VibrationSpec
 
 ASSUMED_COUNT = 2
-"""Particles taken to be in a group whose count is not known yet: they can touch each other."""
+"""Assumed number of particles of a group without a known count: enough for contacts within the group."""
 
 _AXES = "xyz"
 _MAX_ENTRIES = {
     "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
 }  # fmt: skip
-"""Entries of a section: what is worked out for every two of them must stay quick."""
+"""Largest number of entries of each section: the cost of some checks grows with its square."""
 
 
 def checked(scene_parts: PartialScene) -> list[Problem]:
-    """All that is wrong within and between the parts of the draft."""
+    """All problems within and between the parts of a scene that may be incomplete."""
     violations = list(scene_parts.faults())
     overfull = list(_overfull_sections(scene_parts))
     violations += overfull
@@ -49,14 +49,14 @@ def checked(scene_parts: PartialScene) -> list[Problem]:
 
 
 def _overfull_sections(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Sections with more entries than a scene can hold."""
+    """Sections with too many entries."""
     for section, max_entries in _MAX_ENTRIES.items():
         node = scene_parts.document.root.child(section)
         found = len(node.entries or node.items or ()) if node is not None else 0
         if found > max_entries:
             yield (
                 (section,),
-                Fault((), f"has {found} entries, but a scene holds at most {max_entries} of them", whole=True),
+                Fault((), f"has {found} entries, but the limit is {max_entries}", whole=True),
             )
 
 
@@ -71,11 +71,11 @@ def _materials(scene_parts: PartialScene) -> Iterator[Violation]:
 def _some_particles(scene_parts: PartialScene) -> Iterator[Violation]:
     node = scene_parts.document.root.child("particles")
     if node is not None and node.entries == {}:
-        yield ("particles",), Fault((), "at least one group of particles is needed")
+        yield ("particles",), Fault((), "at least one group of particles is required")
 
 
 def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Pairs of materials that do not exist, and pairs given twice."""
+    """Pairs of unknown materials, and duplicate pairs."""
     known = scene_parts.names("materials")
     seen: dict[frozenset[str], str] = {}
     for key in scene_parts.names("pairs"):
@@ -87,8 +87,8 @@ def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
         first = seen.setdefault(frozenset(both), key) if len(both) == 2 else key
         if first != key:
             line = scene_parts.document.key_position(("pairs", first)).line
-            existing = f"at line {line} as {first}" if line else f"as {first}"
-            yield ("pairs", key), Fault((), f"is given already {existing}; keep one of them", whole=True)
+            existing = f"{first} at line {line}" if line else first
+            yield ("pairs", key), Fault((), f"is a duplicate of the pair {existing}; keep one of them", whole=True)
 
 
 def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
@@ -104,7 +104,7 @@ def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
-    """The pairs of materials that can touch, with the reason."""
+    """Material pairs whose particles or walls can come into contact, with the reason."""
     names = set(known)
     mobile, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
     found: dict[frozenset[str], str] = {}
@@ -125,7 +125,7 @@ def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str
 
 
 def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
-    """How many fixed particles, or others, there are of each of these materials."""
+    """Number of fixed particles, or of mobile ones, for each of these materials."""
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in names and group.fixed == fixed:
@@ -134,7 +134,7 @@ def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
 
 
 def _friction(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Friction where there is a law for it, and only there."""
+    """Friction coefficients require a tangential or rolling contact model, and vice versa."""
     contact = scene_parts.scene.contact
     for key, pair in scene_parts.scene.pairs.items():
         rolling = ("pairs", key, "rolling_friction")
@@ -148,7 +148,7 @@ def _friction(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
-    """A cohesion energy density in every pair where there is adhesion, and only there."""
+    """A cohesion model requires a cohesion energy density in every pair, and vice versa."""
     cohesion = scene_parts.scene.contact.cohesion
     for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "cohesion_energy_density")
@@ -160,41 +160,42 @@ def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
-    """A restitution that the normal law can give, or none where it follows from the materials."""
+    """Restitution in the form that the normal contact model requires; none if it follows from the materials."""
     normal = scene_parts.scene.contact.normal
     for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
         if normal.kind.restitution == "nothing":
             if pair.restitution is not None:
-                yield path, Fault((), f"the law {normal.law} has it from the materials; leave it out")
+                yield path, Fault((), f"the contact model {normal.law} derives it from the materials; leave it out")
             elif not _has_yield_strength(scene_parts, key):
                 names = " or ".join(dict.fromkeys(key.split("-")))
-                reason = f"needs a yield strength for the law {normal.law}: give the yield_strength of {names}"
+                reason = f"requires a yield strength (contact model {normal.law}): give the yield_strength of {names}"
                 yield ("pairs", key), Fault((), reason, whole=True)
         elif pair.restitution is None:
             yield path, Fault((), "is missing: restitution coefficient, a number in [0, 1]", whole=True)
         elif isinstance(pair.restitution, RestitutionFit):
             yield from _restitution_fit(scene_parts, key, pair.restitution)
         elif pair.restitution == 0 and normal.kind.restitution == "positive number":
-            yield path, Fault((), f"the law {normal.law} needs a number above 0 and at most 1")
+            yield path, Fault((), f"the contact model {normal.law} requires a number above 0 and at most 1")
 
 
 def _has_yield_strength(scene_parts: PartialScene, key: str) -> bool:
-    """Whether one of the materials of a pair has a yield strength; True where one is not sound itself."""
+    """Whether one of the materials of a pair has a yield strength; True if one of the materials is invalid."""
     materials = scene_parts.scene.materials
     return any(name not in materials or materials[name].yield_strength for name in key.split("-"))
 
 
 def _restitution_fit(scene_parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Violation]:
-    """Restitution by Eq. 12 where the law takes it."""
+    """A restitution fit (Eq. 12) is valid only with a contact model that accepts it."""
     normal, path = scene_parts.scene.contact.normal, ("pairs", key, "restitution")
     settings = normal.settings()
     fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
     if normal.kind.restitution != "number or fit":
-        yield path, Fault((), f"the law {normal.law} needs a number, above 0 and at most 1")
+        yield path, Fault((), f"the contact model {normal.law} requires a number, above 0 and at most 1")
     elif fixed:
         reason = (
-            f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which needs a number; or write impact or max_overlap"
+            f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
+            "or write impact or max_overlap"
         )
         yield path, Fault((), reason)
     else:
@@ -215,11 +216,11 @@ def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) ->
 
 
 def _stage_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Each stage once, and only those that exist."""
+    """Unique stage names, and references to existing stages only."""
     names = [stage.name for stage in _schedule(scene_parts)]
     for index, name in enumerate(names):
         if name in names[:index]:
-            reason = f"that name is taken by stages.{names.index(name)}; give each stage its own"
+            reason = f"stages.{names.index(name)} has the same name; give each stage a different name"
             yield ("stages", index, "name"), Fault((), reason)
     for wall_name, wall in scene_parts.scene.walls.items():
         for path, wanted in _stages_wanted(wall):
@@ -244,16 +245,16 @@ def _stages_wanted(wall: Wall) -> Iterator[tuple[KeyPath, tuple[str, ...]]]:
 
 
 def _duration(scene_parts: PartialScene) -> Iterator[Violation]:
-    """A duration of the run, or stages with their own."""
+    """Either a duration of the run or stages."""
     duration = scene_parts.scene.run.duration
     if duration is None and not scene_parts.scene.stages:
         yield ("run", "duration"), Fault((), "is missing: the simulated time, such as 2 s; or give stages", whole=True)
     if duration is not None and scene_parts.scene.stages:
-        yield ("run", "duration"), Fault((), "the stages have durations of their own; drop run.duration")
+        yield ("run", "duration"), Fault((), "the stages have durations; remove run.duration")
 
 
 def _gamma_needs_gravity(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Gamma means nothing without gravity."""
+    """Gamma, the peak acceleration over gravity, requires gravity."""
     if any(scene_parts.scene.gravity):
         return
     for name, wall in scene_parts.scene.walls.items():
@@ -264,7 +265,7 @@ def _gamma_needs_gravity(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _regions(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Particles begin inside the domain."""
+    """Initial positions and insertion regions must lie inside the domain."""
     low, high = scene_parts.scene.domain.min, scene_parts.scene.domain.max
     for name, group in scene_parts.scene.particles.items():
         path: KeyPath = ("particles", name, "insert")
@@ -304,17 +305,17 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
 
 
 def _flow_meter_names(scene: Scene) -> list[str]:
-    """Names of flow meters, and of what each counts by itself, as `outlet.glass`."""
+    """Names of flow meters and of their separate counts per material or group, such as `outlet.glass`."""
     names = scene.output.flow_meters
     return [*names, *(f"{name}.{part}" for name in names for part in scene.flow_meter_parts(name))]
 
 
 def _parts(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Expectations of flow meters, outlets and groups that exist."""
+    """Expectations must refer to existing flow meters, outlets and inserted groups."""
     known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
-        (FLOW_METER_QUANTITIES, _flow_meter_names(scene_parts.scene), "meter"),
+        (FLOW_METER_QUANTITIES, _flow_meter_names(scene_parts.scene), "flow meter"),
         (OUTLET_QUANTITIES, scene_parts.names("outlets"), "outlet"),
-        (INSERTION_QUANTITIES, _inserted_groups(scene_parts), "stream"),
+        (INSERTION_QUANTITIES, _inserted_groups(scene_parts), "inserted group"),
     )
     for index, expectation in enumerate(scene_parts.scene.expect):
         quantity, dot, part = expectation.quantity.partition(".")
@@ -332,7 +333,7 @@ def _inserted_groups(scene_parts: PartialScene) -> list[str]:
 
 
 def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Loads of walls that exist, expectations of loads that are measured, pressures where there is an area."""
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area."""
     requested, known = scene_parts.scene.output.wall_forces, scene_parts.names("walls")
     measured = known if requested is True else requested or ()
     for index, name in enumerate(() if isinstance(requested, bool) else requested):
@@ -349,15 +350,20 @@ def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
             yield (
                 path,
                 Fault(
-                    (), f"output.wall_forces does not ask for {wall}; write wall_forces: true, or add it to the list"
+                    (), f"output.wall_forces does not include {wall}; write wall_forces: true, or add it to the list"
                 ),
             )
         elif "pressure" in quantity and isinstance(scene_parts.scene.walls.get(wall), Plane):
-            yield path, Fault((), f"the plane {wall} has no end and so no area; ask for wall_force_z or the like")
+            yield (
+                path,
+                Fault(
+                    (), f"the plane {wall} is infinite and has no area; use wall_force_x, wall_force_y or wall_force_z"
+                ),
+            )
 
 
 def _force_controlled(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Pressures of walls with an area; and a step that stays the same."""
+    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step."""
     force_controlled = [
         (("walls", name, "motion", index), wall, motion)
         for name, wall in scene_parts.scene.walls.items()
@@ -366,10 +372,10 @@ def _force_controlled(scene_parts: PartialScene) -> Iterator[Violation]:
     ]
     for path, wall, motion in force_controlled:
         if isinstance(motion, ServoSpec) and motion.pressure is not None and isinstance(wall, Plane):
-            yield (*path, "pressure"), Fault((), "a plane has no end and so no area; give force, or take a rectangle")
+            yield (*path, "pressure"), Fault((), "a plane is infinite and has no area; give force, or use a rectangle")
     if force_controlled and scene_parts.scene.run.time_step == "adaptive":
         path, _, motion = force_controlled[0]
-        reason = f"walls.{path[1]} is {motion.kind}, which needs a step that stays the same; write auto"
+        reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"
         yield ("run", "time_step"), Fault((), reason)
 
 

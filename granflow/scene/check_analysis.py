@@ -1,4 +1,4 @@
-"""Checks of fields and indices against the rest of a scene."""
+"""Consistency checks of fields and metrics with the rest of a scene."""
 
 import math
 from collections.abc import Iterator
@@ -13,11 +13,11 @@ from granflow.scene.validation import PartialScene
 from granflow.scene.violations import Violation, unknown
 
 MOST_CELLS = 2_000_000
-"""Of a grid: a frame of that many takes about a gigabyte of memory."""
+"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
 
 
 def field_grids(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Fields with no more cells than memory holds, in stages that exist, across the domain where that is periodic."""
+    """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
     stages, domain = [stage.name for stage in scene_parts.scene.stages], scene_parts.scene.domain
     for name, grid in scene_parts.scene.output.fields.items():
         path: KeyPath = ("output", "fields", name)
@@ -30,7 +30,7 @@ def field_grids(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def metrics(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Indices of groups and materials that exist, slopes where there is an upward direction."""
+    """Metrics must refer to existing groups and materials; an angle of repose requires gravity."""
     for name, metric in scene_parts.scene.output.metrics.items():
         path: KeyPath = ("output", "metrics", name)
         if isinstance(metric, LaceyMetric):
@@ -40,11 +40,11 @@ def metrics(scene_parts: PartialScene) -> Iterator[Violation]:
                     if each not in scene_parts.names(known):
                         yield unknown((*path, key, index), each, scene_parts.names(known), kind)
         if isinstance(metric, ReposeMetric) and not any(scene_parts.scene.gravity):
-            yield (*path, "kind"), Fault((), "gravity is zero, so there is no slope; leave this index out")
+            yield (*path, "kind"), Fault((), "gravity is zero, so the slope is undefined; remove this metric")
 
 
 def expected_metrics(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Expectations of indices that exist and have such a number."""
+    """Expectations must refer to existing metrics that provide the quantity."""
     known = scene_parts.scene.output.metrics
     for index, expectation in enumerate(scene_parts.scene.expect):
         quantity, dot, name = expectation.quantity.partition(".")
@@ -52,10 +52,10 @@ def expected_metrics(scene_parts: PartialScene) -> Iterator[Violation]:
         if not dot or quantity not in METRIC_QUANTITIES:
             continue
         if name not in known:
-            yield unknown(path, name, known, "index")
+            yield unknown(path, name, known, "metric")
         elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
             numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
-            yield path, Fault((), f"{name} is of kind {known[name].kind}; it gives {numbers}")
+            yield path, Fault((), f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
 
 
 def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Violation]:
@@ -64,7 +64,7 @@ def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Violation]
     count = math.prod(grid.cell_counts(domain))
     if count > MOST_CELLS:
         key = "cell" if grid.cells is None else "cells"
-        reason = f"that makes {count:_} cells, and a grid holds at most {MOST_CELLS:_}".replace("_", " ")
+        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
         yield (*path, key), Fault((), reason)
 
 
@@ -73,4 +73,4 @@ def _check_periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterat
         k = "xyz".index(axis)
         if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
             reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
-            yield path, Fault((), f"must reach from {reach} in {axis}, where the domain is periodic", whole=True)
+            yield path, Fault((), f"must extend from {reach} in {axis}, where the domain is periodic", whole=True)

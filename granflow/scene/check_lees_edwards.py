@@ -1,4 +1,4 @@
-"""Checks of what the domain asks of the rest of a scene."""
+"""Features that cannot be combined with Lees-Edwards boundary conditions."""
 
 from collections.abc import Iterator
 
@@ -8,18 +8,21 @@ from granflow.scene.violations import Violation
 
 
 def lees_edwards(scene_parts: PartialScene) -> Iterator[Violation]:
-    """A sheared box has no walls, nobody comes later, and no meter counts in it: its images move."""
+    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images move."""
     scene = scene_parts.scene
     if scene.domain.lees_edwards is None:
         return
     initial_kinds = ("positions", "lattice", "pack", "file")
     unsupported = {
         "walls": list(scene.walls),
-        "particles that come later": [
+        "particles inserted during the run": [
             name for name, group in scene.particles.items() if group.insert.kind not in initial_kinds
         ],
         "flow meters": list(scene.output.flow_meters),
     }
     found = " and ".join(f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names)
     if found:
-        yield ("domain", "lees_edwards"), Fault((), f"does not go with {found}: the images of the box move", whole=True)
+        yield (
+            ("domain", "lees_edwards"),
+            Fault((), f"cannot be combined with {found}: the periodic images move", whole=True),
+        )

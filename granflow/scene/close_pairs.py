@@ -1,4 +1,4 @@
-"""Which spheres are near each other, by sorting them into cells. numpy only."""
+"""Search for close pairs of spheres with a cell list. numpy only."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -9,8 +9,8 @@ import numpy as np
 def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once.
 
-    Spheres are taken by size, each class twice as large as the next, so that a few large ones among many small
-    ones do not make every cell large.
+    Size classes with a factor of 2 between them keep the cells small if a few large spheres are mixed with many
+    small ones.
     """
     classes = list(size_classes(radius))
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
@@ -35,7 +35,7 @@ def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
 def cross_pairs(
     first: np.ndarray, first_radius: np.ndarray, second: np.ndarray, second_radius: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices into the first and into the second set of all pairs across them with a gap below `reach`."""
+    """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach` [m]."""
     if len(first) == 0 or len(second) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     cell = first_radius.max() + second_radius.max() + reach
@@ -51,7 +51,10 @@ def cross_pairs(
 
 
 class CellKeys:
-    """Numbers the cells of a grid row by row along x, with a margin, so that a cell's neighbors are key +- a few."""
+    """Cell keys of a grid, numbered row by row along x, with a margin of one cell.
+
+    The neighbors of a cell along x have the keys key - 1 and key + 1.
+    """
 
     def __init__(self, low: np.ndarray, high: np.ndarray, cell: float) -> None:
         self.low = low
@@ -64,14 +67,14 @@ class CellKeys:
         return x + self.shape[0] * (y + self.shape[1] * z)
 
     def adjacent_rows(self) -> list[int]:
-        """What to add to a key to come to the middle of each of the nine rows around it."""
+        """Key offsets from a cell to the middle cells of the nine rows in its neighborhood."""
         return [int(self.shape[0] * (y + self.shape[1] * z)) for y, z in product((-1, 0, 1), repeat=2)]
 
 
 def cell_neighbors(
     key_of: CellKeys, query: np.ndarray, keys: np.ndarray, order: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """For each of the nine rows: indices of those asking and of all members of the three cells there."""
+    """For each of the nine rows: indices of the query points and of all members of the three cells in that row."""
     for shift in key_of.adjacent_rows():
         start = np.searchsorted(keys, query + (shift - 1), side="left")
         count = np.searchsorted(keys, query + (shift + 1), side="right") - start
@@ -89,7 +92,7 @@ def close_pairs(
     i: np.ndarray,
     j: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those of the pairs (i, j) whose gap is below `reach`."""
+    """The pairs (i, j) with a gap below `reach` [m]."""
     branch = first[i] - second[j]
     limit = first_radius[i] + second_radius[j] + reach
     close = np.einsum("ij,ij->i", branch, branch) < limit * limit
@@ -99,7 +102,7 @@ def close_pairs(
 def overlaps_any(
     points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray, reach: float = 0.0
 ) -> np.ndarray:
-    """Whether each sphere (n,) overlaps, or comes within `reach` of, any of the others."""
+    """Whether each sphere (n,) has a gap below `reach` [m] to any of the others; 0: whether it overlaps one."""
     overlaps = np.zeros(len(points), dtype=bool)
     first, _ = cross_pairs(points, radius, others, other_radius, reach)
     overlaps[first] = True

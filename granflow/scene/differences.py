@@ -1,4 +1,4 @@
-"""How two scenes differ, key by key, and which keys may differ when a run goes on with another scene than it began."""
+"""Differences between two scenes, key by key, and the keys that may change when a run is resumed."""
 
 import re
 from collections.abc import Iterator
@@ -7,21 +7,21 @@ from typing import Any, NamedTuple
 from granflow.scene.schema import Scene
 
 ALLOWED_CHANGES: dict[str, str] = {
-    r"title|description|expect(\.|$).*": "words, and what the run is held to",
-    r"output\.(interval|timeseries_interval|particles|contacts|walls)": "what is written, and how often",
-    r"output\.checkpoint\..*": "how often the state is written, and how many are kept",
-    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|max_duration)": "when the run, or a stage, ends",
-    r"walls\.\w+\.(stages|appears_at|vanishes_at)": "when a wall is there: opening a gate",
-    r"walls\.\w+\.motion(\.|$).*": "how a wall moves from now on",
-    r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, where there was some and stays some",
-    r"numerics\.max_overlap": "at which overlap the guard stops the run",
-    r"run\.(time_step|velocity_max)|numerics\.(skin|chunk_size)": "only to the numbers that the run has had so far",
+    r"title|description|expect(\.|$).*": "title, description and expectations",
+    r"output\.(interval|timeseries_interval|particles|contacts|walls)": "selection and interval of the output",
+    r"output\.checkpoint\..*": "interval and number of checkpoints",
+    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|max_duration)": "end of the run or of a stage",
+    r"walls\.\w+\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
+    r"walls\.\w+\.motion(\.|$).*": "motion of a wall from now on",
+    r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, if it is above 0 before and after",
+    r"numerics\.max_overlap": "overlap limit at which the run is aborted",
+    r"run\.(time_step|velocity_max)|numerics\.(skin|chunk_size)": "only to the values used by the run so far",
 }
-"""Keys, and what may change with them in a run that goes on. All else is refused by name."""
+"""Keys that may change when a run is resumed, with a description. Changes of all other keys are rejected."""
 
 
 class Difference(NamedTuple):
-    """A key whose value differs; None stands for a key that is not there."""
+    """A key whose value differs; None if the key is missing."""
 
     key: str
     before: Any
@@ -29,23 +29,23 @@ class Difference(NamedTuple):
 
     @property
     def is_allowed(self) -> bool:
-        """Whether a run may go on with this change."""
+        """Whether a run can be resumed with this change."""
         return any(re.fullmatch(pattern, self.key) for pattern in ALLOWED_CHANGES)
 
     def __str__(self) -> str:
-        shown = ["left out" if value is None else _shown(value) for value in (self.before, self.now)]
+        shown = ["not given" if value is None else _shown(value) for value in (self.before, self.now)]
         return f"{self.key} was {shown[0]} and is {shown[1]}"
 
 
 def differences(before: Scene, now: Scene) -> tuple[Difference, ...]:
-    """Every key that differs, in the order of the scenes."""
+    """All keys that differ, in the order of the scenes."""
     first, second = (dict(_leaves(scene.model_dump(by_alias=True, exclude_none=True))) for scene in (before, now))
     keys = dict.fromkeys([*first, *second])
     return tuple(Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key))
 
 
 def forbidden(before: Scene, now: Scene, stages_over: int) -> tuple[Difference, ...]:
-    """The differences with which a run cannot go on, of whose stages the first `stages_over` have ended."""
+    """Differences that prevent a resume of a run whose first `stages_over` stages have ended."""
     return tuple(each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over))
 
 
@@ -57,7 +57,7 @@ def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bo
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and value of all that is neither a mapping nor a list of mappings."""
+    """Path and value of each entry that is neither a mapping nor a list of mappings."""
     if isinstance(value, dict) and value:
         for key, each in value.items():
             yield from _leaves(each, f"{path}.{key}".lstrip("."))

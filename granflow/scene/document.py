@@ -1,4 +1,4 @@
-"""YAML 1.2 text as a tree that knows where each key and value stood.
+"""YAML 1.2 text as a tree with the source position of each key and value.
 
 `granflow.scene.yaml12` builds it.
 """
@@ -13,7 +13,7 @@ KeyPath = tuple[str | int, ...]
 
 @dataclass(frozen=True, slots=True)
 class SourcePosition:
-    """A place in a file, or an override (`line` 0)."""
+    """A position in a file, or an override (`line` is 0)."""
 
     source: str
     line: int = 0
@@ -24,25 +24,25 @@ class SourcePosition:
 
     @property
     def sort_key(self) -> tuple[bool, int, int]:
-        """Sorts problems down the file, overrides last."""
+        """Sort key: positions in the order of the file, overrides last."""
         return self.line == 0, self.line, self.column
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One sentence about one place."""
+    """One error message with its source position."""
 
     position: SourcePosition
     sentence: str
 
     def __str__(self) -> str:
-        words = self.sentence.lstrip(" ")  # a key may begin with spaces, which nobody would see
+        words = self.sentence.lstrip(" ")  # a key may begin with spaces, which are invisible
         text = f"{self.position}: " + r"\x20" * (len(self.sentence) - len(words)) + words
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class DocumentError(Exception):
-    """Text that is no YAML of the kind read here."""
+    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(str(problem))
@@ -51,7 +51,7 @@ class DocumentError(Exception):
 
 @dataclass(slots=True)
 class Node:
-    """A value: a scalar with the text it was written as, a list of nodes, or a mapping of entries."""
+    """A value: a scalar with its source text, a list of nodes, or a mapping of entries."""
 
     position: SourcePosition
     scalar: Any = None
@@ -69,7 +69,7 @@ class Node:
         return self.scalar
 
     def child(self, key: str | int) -> "Node | None":
-        """The value under a key or at an index, None where there is none."""
+        """The value under a key or at an index; None if it does not exist."""
         if self.entries is not None and key in self.entries:
             return self.entries[str(key)].node
         if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
@@ -78,11 +78,11 @@ class Node:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is written where the value should be."""
+        """Whether the value is missing in the file."""
         return self.entries is None and self.items is None and self.scalar is None and not self.text
 
     def shown(self) -> str | None:
-        """The value as a message shows it: as written, shortened; None for what is too big to show."""
+        """The value for a message: as written, shortened; None if it is too long."""
         if self.entries is not None:
             parts = [(key, entry.node.shown()) for key, entry in self.entries.items()]
             text = "{" + ", ".join(f"{key}: {part}" for key, part in parts) + "}"
@@ -99,7 +99,7 @@ class Node:
 
 @dataclass(slots=True)
 class MappingEntry:
-    """A value in a mapping, with the place of its key."""
+    """A value in a mapping, with the source position of its key."""
 
     key_position: SourcePosition
     node: Node
@@ -107,21 +107,21 @@ class MappingEntry:
 
 @dataclass
 class Document:
-    """The tree of one file, and what was wrong with it that does not keep it from being read."""
+    """The tree of one file, and its problems that do not prevent reading."""
 
     source: str
     root: Node
     problems: list[Problem] = field(default_factory=list)
 
     def find(self, path: KeyPath) -> Node | None:
-        """The value at that path of keys and indices."""
+        """The value at a path of keys and indices; None if it does not exist."""
         node: Node | None = self.root
         for key in path:
             node = node.child(key) if node is not None else None
         return node
 
     def key_position(self, path: KeyPath) -> SourcePosition:
-        """The place of the key at that path, or of the nearest key around it."""
+        """Source position of the key at a path, or of the nearest existing parent key."""
         position = SourcePosition(self.source, 1, 1)
         node: Node | None = self.root
         for key in path:
@@ -134,11 +134,11 @@ class Document:
         return position
 
     def value_position(self, path: KeyPath) -> SourcePosition:
-        """The place of the value at that path, or of the nearest key around it."""
+        """Source position of the value at a path, or of the nearest existing parent key."""
         node = self.find(path)
         return self.key_position(path) if node is None else node.position
 
     def where(self, path: KeyPath) -> str:
-        """The line of the key at that path, or of the nearest key around it, as `file:line`."""
+        """Line of the key at a path, or of the nearest existing parent key, as `file:line`."""
         position = self.key_position(path)
         return f"{position.source}:{position.line}" if position.line else position.source

@@ -1,4 +1,4 @@
-"""The building blocks of the schema: the frozen base model, numbers with units, vectors, names, choices."""
+"""Building blocks of the schema: the immutable base model, numbers with units, vectors, names, unions."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -22,20 +22,20 @@ _NAME = r"[a-z][a-z0-9_]*"
 
 
 class Model(BaseModel):
-    """A part of a scene: frozen, with no room for unknown keys."""
+    """A part of a scene: immutable; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     def faults(self) -> Iterator["Fault"]:
-        """Yield what is wrong between the fields of this part, each field being right by itself."""
+        """Yield inconsistencies between the fields of this part; each field by itself is valid."""
         yield from ()
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with the value at `path` (relative to the model): `reason` goes after "X is Y, but ".
+    """An invalid value at `path` (relative to the model); the message is "X is Y, but {reason}".
 
-    With `whole` the reason is all that follows the key: "X {reason}".
+    With `whole`, the message is "X {reason}".
     """
 
     path: KeyPath
@@ -45,7 +45,7 @@ class Fault:
 
 def _check_vector(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise value_error("a vector of three numbers is asked here, [x, y, z]")
+        raise value_error("a vector of three numbers is expected, [x, y, z]")
     return value
 
 
@@ -57,50 +57,52 @@ def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, f
 
 def _check_text(value: Any) -> Any:
     if not isinstance(value, str):
-        raise value_error("text is asked here; put it in quotes")
+        raise value_error("text is expected; put it in quotes")
     return value
 
 
 def _file_name(value: Any) -> Any:
     text = _check_text(value)
     if "\n" in text or "\t" in text or visible(text) != text:
-        raise value_error("a name of a file holds no control, zero-width or bidirectional characters; rename the file")
+        raise value_error(
+            "a file name must not contain control, zero-width or bidirectional characters; rename the file"
+        )
     return text
 
 
 def _check_flag(value: Any) -> Any:
     if not isinstance(value, bool):
-        raise value_error("true or false is asked here")
+        raise value_error("true or false is expected")
     return value
 
 
 def _check_name(value: Any) -> Any:
     if not re.fullmatch(_NAME, str(value)):
-        raise value_error("a name begins with a small letter and goes on with small letters, digits and _")
+        raise value_error("a name begins with a lowercase letter and contains only lowercase letters, digits and _")
     return value
 
 
 def _check_pair_name(value: Any) -> Any:
     if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
-        raise value_error("a pair is two names of materials with a dash between, such as glass-steel")
+        raise value_error("a pair is two material names joined by a hyphen, such as glass-steel")
     return value
 
 
 @dataclass(frozen=True)
 class ShortForm:
-    """Adds to the JSON Schema of a value a shorter way to write it: words, or one item of a list."""
+    """Adds a short form of a value to its JSON Schema: words, or one item in place of a list."""
 
     words: tuple[str, ...] = ()
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Put the shorter way first; what describes the value stays outside."""
+        """Schema with the short form first; descriptions remain outside of both forms."""
         full = handler(schema)
         short = {"enum": list(self.words)} if self.words else full["items"]
         return {"anyOf": [short, full]}
 
 
 def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
-    """Change of a JSON Schema: the `others` need not be written where `key` is."""
+    """Modifier of a JSON Schema: the keys `others` are optional if `key` is given."""
 
     def change(schema: dict[str, Any]) -> None:
         always = [name for name in schema["required"] if name not in others]
@@ -111,7 +113,7 @@ def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
 
 
 def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
-    """Change of a JSON Schema: these keys need not be written."""
+    """Modifier of a JSON Schema: these keys are optional."""
 
     def change(schema: dict[str, Any]) -> None:
         schema["required"] = [name for name in schema["required"] if name not in keys]
@@ -125,9 +127,8 @@ Tagger = Callable[[Any], str | None]
 def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_tag: str = "") -> Discriminator:
     """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
 
-    What is no mapping goes to the tag `number_tag`, or `list_tag` if it is a list, or `none_tag` if it is nothing.
-    The angle
-    brackets keep tags apart from keys in the places of errors.
+    Values other than mappings get the tag `list_tag` (lists), `none_tag` (empty values) or `number_tag` (others).
+    The angle brackets distinguish tags from keys in error locations.
     """
 
     def tag(value: Any) -> str | None:
@@ -148,7 +149,7 @@ def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_ta
 
 
 def choose_by(tag_of: Tagger, reason: str) -> Discriminator:
-    """Choose a member of a union by the tag that `tag_of` gives; None is the error "X is Y, but REASON."."""
+    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON."."""
     return _discriminator(tag_of, reason=reason)
 
 
@@ -159,7 +160,7 @@ def _discriminator(tag_of: Tagger, **context: str) -> Discriminator:
 
 
 def shorthand(key: str) -> BeforeValidator:
-    """Let plain text stand for a mapping with only `key`: `zhou` for `{law: zhou}`."""
+    """Accept plain text as the short form of a mapping with only `key`: `zhou` for `{law: zhou}`."""
 
     def expand(value: Any) -> Any:
         return {key: value} if isinstance(value, str) else value
@@ -168,26 +169,26 @@ def shorthand(key: str) -> BeforeValidator:
 
 
 def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
-    """Ask for a list; with `one`, let a single item stand for a list of one; with `some`, refuse an empty one."""
+    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple):
             if one:
                 return [value]
-            raise value_error(f"a list is asked here, {some or '[ ... ]'}")
+            raise value_error(f"a list is expected, {some or '[ ... ]'}")
         if some and not value:
-            raise value_error(f"at least one item is needed, such as {some}")
+            raise value_error(f"at least one item is required, such as {some}")
         return value
 
     return BeforeValidator(read)
 
 
 def pair_list(meaning: str) -> BeforeValidator:
-    """Ask for a list of exactly two."""
+    """Require a list of exactly two items."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise value_error(f"a list of two is asked here, {meaning}")
+            raise value_error(f"a list of two is expected, {meaning}")
         return value
 
     return BeforeValidator(read)
@@ -197,7 +198,7 @@ def _flag_or_names(value: Any) -> Any:
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
         return value if isinstance(value, bool) else names
-    raise value_error("true, false or a list of names is asked here, such as [floor, lid]")
+    raise value_error("true, false or a list of names is expected, such as [floor, lid]")
 
 
 Text = Annotated[str, BeforeValidator(_check_text)]
@@ -209,7 +210,7 @@ PairName = Annotated[
     str, AfterValidator(_check_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
 ]
 
-# Lengths go with the `size` of a scene, and amounts of grains with its cube; those of one grain or contact do not.
+# Lengths scale with `scale` of a scene, numbers of particles with its cube; sizes of one particle or contact do not.
 Plain = Annotated[float, Number()]
 NotNegative = Annotated[float, Number(at_least=0)]
 Positive = Annotated[float, Number(above=0)]

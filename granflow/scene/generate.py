@@ -1,6 +1,6 @@
-"""The particles of a scene: those there at the start, and those that come later.
+"""Particles of a scene: initial particles, and inserters for later ones.
 
-The same scene and seed give the same particles to the last bit on one machine, whatever the number of threads.
+The same scene and seed give bit-identical particles on one machine for any number of threads.
 """
 
 from collections.abc import Mapping
@@ -21,16 +21,15 @@ from granflow.scene.size_sampling import draw_diameters
 __all__ = ["ParticleData", "Inserter", "initial_particles", "inserters"]
 
 INSERTION_ORDER = ("positions", "file", "lattice", "pack")
-"""Groups with given places first, those that find their own way last, so that each can keep clear of the others."""
+"""Groups with given positions first, random packings last, so that each kind can avoid the particles before it."""
 
 
 def initial_particles(scene: Scene, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
-    """Every particle that is there at t = 0, group by group in the order of the scene.
+    """All particles at t = 0, group by group in the order of the scene.
 
-    Groups in `earlier`, the particles of an earlier run, are not placed: the others keep clear of them.
-
-    No two overlap, except where lists of positions or files say so. Raises SceneError with the shortfall of every group
-    that does not fit.
+    Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do not
+    overlap, except where given positions or files overlap. Raises SceneError with one message for each group that
+    does not fit.
     """
     inserted: dict[str, ParticleData] = dict(earlier or {})
     remaining = {name: group for name, group in scene.particles.items() if name not in inserted}
@@ -47,13 +46,13 @@ def initial_particles(scene: Scene, earlier: Mapping[str, ParticleData] | None =
 
 
 def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) -> Spheres:
-    """The spheres of all groups placed so far, with the images of those that reach through a periodic border."""
+    """Spheres of all groups inserted so far, with the periodic images of those that cross a periodic face."""
     together = ParticleData.joined(list(inserted.values()))
     return Spheres(*periodic_box.with_images(together.position, together.radius))
 
 
 def insert_group(scene: Scene, name: str, existing: Spheres) -> ParticleData:
-    """The grains of one group that is there from the start, clear of those present. Raises NoRoomError."""
+    """Initial particles of one group, without overlap with `existing`. Raises RegionFullError."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if isinstance(insertion, FileInsertion):
         return particles_from_file(scene, name)

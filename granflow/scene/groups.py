@@ -1,4 +1,4 @@
-"""Schema of groups of particles: how many, of which sizes, where."""
+"""Schema of particle groups: number, sizes, material, insertion."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -27,18 +27,18 @@ from granflow.scene.fields import (
 from granflow.scene.insertion_schema import Insertion
 from granflow.scene.numbers import whole_error
 
-_ROUNDING = 1e-12  # of the sum of shares
+_ROUNDING = 1e-12  # tolerance of the sum of fractions
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
 
 
 class TruncatedSizes(Model):
-    """A size distribution with cut-offs."""
+    """A size distribution that is truncated to an interval."""
 
     min: Diameter = Field(description="smallest diameter [m]")
     max: Diameter = Field(description="largest diameter [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """A range that is one."""
+        """The largest diameter must exceed the smallest."""
         if self.max <= self.min:
             yield Fault(("max",), f"it must be above min, {self.min:g} m")
 
@@ -48,49 +48,49 @@ class TruncatedSizes(Model):
 
 
 class UniformSizes(TruncatedSizes):
-    """Diameters spread evenly from `min` to `max`."""
+    """Uniformly distributed diameters from `min` to `max`."""
 
     distribution: Literal["uniform"] = Field(description="kind of size distribution")
 
 
 class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters, cut off at `min` and `max`."""
+    """Normally distributed diameters, truncated to [`min`, `max`]."""
 
     distribution: Literal["normal"] = Field(description="kind of size distribution")
-    mean: Diameter = Field(description="mean diameter before the cut [m]")
-    deviation: UnscaledLength = Field(description="standard deviation before the cut [m]")
+    mean: Diameter = Field(description="mean diameter before truncation [m]")
+    deviation: UnscaledLength = Field(description="standard deviation before truncation [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The mean inside the cut-offs."""
+        """The mean must lie between the limits."""
         yield from super().faults()
         yield from self._center_fault("mean", self.mean)
 
 
 class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters, cut off at `min` and `max`."""
+    """Log-normally distributed diameters, truncated to [`min`, `max`]."""
 
     distribution: Literal["log_normal"] = Field(description="kind of size distribution")
-    median: Diameter = Field(description="median diameter before the cut [m]")
-    sigma: Positive = Field(description="standard deviation of ln(diameter) before the cut")
+    median: Diameter = Field(description="median diameter before truncation [m]")
+    sigma: Positive = Field(description="standard deviation of ln(diameter) before truncation")
 
     def faults(self) -> Iterator[Fault]:
-        """The median inside the cut-offs."""
+        """The median must lie between the limits."""
         yield from super().faults()
         yield from self._center_fault("median", self.median)
 
 
 class SizeClass(Model):
-    """One diameter and its share."""
+    """One diameter and its fraction of all particles."""
 
     diameter: Diameter = Field(description="diameter [m]")
-    fraction: Share = Field(description="share of this class; the shares are scaled to sum to 1")
+    fraction: Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
 
 
 def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with shares that sum to 1; as they are if they do already, so that reading again changes nothing."""
+    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is idempotent."""
     total = sum(each.fraction for each in classes)
     if total == 0:
-        raise whole_error("has only fractions of 0; give at least one class a share")
+        raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
     if abs(total - 1) <= _ROUNDING:
         return classes
     return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
@@ -100,11 +100,13 @@ Classes = Annotated[tuple[SizeClass, ...], list_of(some="[{diameter: 4 mm, fract
 
 
 class ClassSizes(Model):
-    """A list of diameters with their shares, by number or by mass. The shares sum to 1 once read."""
+    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions."""
 
     distribution: Literal["classes"] = Field(description="kind of size distribution")
-    by: Literal["number", "mass"] = Field(description="whether the fractions count particles or mass")
-    classes: Classes = Field(description="the classes")
+    by: Literal["number", "mass"] = Field(
+        description="number: fractions of the particle count; mass: fractions of the mass"
+    )
+    classes: Classes = Field(description="list of {diameter, fraction}")
 
 
 SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
@@ -121,12 +123,12 @@ Sizes = Annotated[
 
 
 def _many_tag(value: Any) -> str:
-    """Tell a list of vectors from one vector."""
+    """Distinguish a list of vectors from one vector."""
     nested = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], list | tuple)
     return "<list>" if nested else "<one>"
 
 
-_one_or_many = choose_by(_many_tag, "a vector is asked here, or a list of vectors")
+_one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
 VelocityOrMany = Annotated[
     Annotated[VelocityVector, Tag("<one>")] | Annotated[tuple[VelocityVector, ...], Tag("<list>")], _one_or_many
 ]
@@ -137,38 +139,37 @@ AngularVelocityOrMany = Annotated[
 
 
 class Group(Model):
-    """Particles of one material, put in place in one way.
+    """Particles of one material with one kind of insertion.
 
-    Lists and files have their rows; other groups state a count or a mass, streams perhaps only an end.
+    Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
+    give an end time instead.
     """
 
     material: Text = Field(description="name of the particles' material")
     count_given: ParticleCount | None = Field(
-        None, alias="count", description="number of particles; of a list or a file: its rows, and need not be written"
+        None, alias="count", description="number of particles; with positions or file: default is the number of rows"
     )
-    mass: ParticleMass | None = Field(None, description="mass of all of them [kg], in place of count")
+    mass: ParticleMass | None = Field(None, description="total mass [kg], instead of count")
     diameter: Sizes = Field(
-        None, description="diameter [m], or a size distribution; a list with a list of positions; none with a file"
+        None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
     )
-    velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="velocity at the start [m/s]")
-    angular_velocity: AngularVelocityOrMany = Field(
-        (0.0, 0.0, 0.0), description="angular velocity at the start [rad/s]"
-    )
-    fixed: Flag = Field(False, description="they never move, whatever meets them: grains of a rough wall")
-    insert: Insertion = Field(description="where they are: lattice, pack, rain, inlet, positions or file")
+    velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
+    angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
+    fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
+    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions or file, ...}")
 
     @property
     def count(self) -> int:
-        """Number of particles; raises ValueError where it rests on a mass or a file and was not settled yet."""
+        """Number of particles. Raises ValueError if it depends on a mass or a file and the scene is not resolved."""
         if self.count_given is None:
-            raise ValueError("The number of particles is not settled; see granflow.scene.resolve.")
+            raise ValueError("The number of particles is not resolved; see granflow.scene.resolve.")
         return self.count_given
 
     @property
     def sizes(self) -> SizeSpec:
-        """Diameters [m] of a group that has them from the scene; raises ValueError if a file has them."""
+        """Diameters [m] given in the scene. Raises ValueError if a file defines them."""
         if self.diameter is None:
-            raise ValueError("A file has the diameters.")
+            raise ValueError("A file defines the diameters.")
         return self.diameter
 
     @model_validator(mode="before")
@@ -182,13 +183,13 @@ class Group(Model):
         return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
-        """Amounts and sizes where they belong; lists only beside lists; nothing that would move fixed grains."""
+        """Consistent count, mass, diameter, lists and velocities; see the checks below."""
         yield from self._amount_faults()
         yield from self._list_faults()
         if self.diameter is None and self.insert.kind != "file":
             yield Fault(("diameter",), "is missing: diameter [m], or a size distribution", whole=True)
         if self.diameter is not None and self.insert.kind == "file":
-            yield Fault(("diameter",), "the file has the sizes; leave it out")
+            yield Fault(("diameter",), "the file defines the sizes; leave it out")
         if self.fixed:
             yield from self._fixed_faults()
 
@@ -198,9 +199,7 @@ class Group(Model):
         if rows is not None and count != rows:
             yield Fault(("count",), f"insert.positions has {rows} rows; leave the count out")
         if self.mass is not None and insertion.kind in ("positions", "file"):
-            yield Fault(
-                ("mass",), f"it goes not with insert {{kind: {insertion.kind}}}, which has its rows; leave it out"
-            )
+            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; leave it out")
         elif self.mass is not None and count is not None:
             yield Fault(("mass",), "count is given too: keep one of them")
         elif (
@@ -209,22 +208,22 @@ class Group(Model):
             yield Fault(("count",), "is missing: number of particles; or give mass", whole=True)
 
     def _list_faults(self) -> Iterator[Fault]:
-        """Lists as long as the list of positions, and only beside one."""
+        """Lists require insert: {kind: positions} and must have the length of its positions."""
         rows = len(self.insert.positions) if self.insert.kind == "positions" else None
         for key, length in self._given_lists():
             if rows is None:
-                yield Fault(key, "is a list, which goes only with insert {kind: positions}; give one value", whole=True)
+                yield Fault(key, "is a list, which requires insert: {kind: positions}; give one value", whole=True)
             elif length != rows:
-                reason = f"is a list of length {length} and insert.positions one of {rows}; give one to each position"
+                reason = f"is a list of length {length}, but insert.positions has length {rows}; give one per position"
                 yield Fault(key, reason, whole=True)
 
     def _fixed_faults(self) -> Iterator[Fault]:
-        """Fixed grains are there from the start, and at rest."""
+        """Fixed particles must exist from the start and be at rest."""
         if self.insert.kind in ("rain", "inlet"):
-            yield Fault(("fixed",), "grains that come in move; place fixed ones by lattice, pack, list or file")
+            yield Fault(("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file")
         for key in ("velocity", "angular_velocity"):
             if np.any(getattr(self, key)):
-                yield Fault((key,), "fixed is true: those grains never move; leave it out")
+                yield Fault((key,), "fixed is true, so the particles do not move; leave it out")
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
         if isinstance(self.diameter, tuple):

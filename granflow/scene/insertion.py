@@ -1,4 +1,4 @@
-"""Particles that arrive during the run: so many, or so much mass, a second, at random wherever there is room."""
+"""Insertion of particles during the run: a number or mass per second, at random free positions in a region."""
 
 import math
 from typing import Any
@@ -16,35 +16,37 @@ from granflow.scene.schema import Scene
 from granflow.scene.size_sampling import ordered_diameters
 
 MAX_BATCHES = 500
-"""Into how many batches a long rain is gathered: each one stops the device for a moment."""
+"""Largest number of batches of one group: each batch interrupts the device."""
 
 BATCH_FRACTION = 0.05
-"""Solid fraction of the region that one batch fills at most."""
+"""Largest solid fraction of the region that one batch fills."""
 
 DUE_TOLERANCE = 1e-6
-"""How much of a particle may be missing when it is called due: `next_time` is rounded."""
+"""Tolerance of due times, as a fraction of the mean interval between particles: `next_time` is rounded."""
 
 MAX_RETRIED_BATCHES = 4
-"""How many batches of waiting particles are tried again in one pour, so that a clogged region costs little."""
+"""Largest number of queued particles that are tried again in one batch, in batch sizes: limits the cost of a full
+region."""
 
 SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
 
 ATTEMPTS = (8, 56)
-"""Places tried for a particle: first round, and second round for those without luck."""
+"""Positions tried for a particle: in the first round, and in the second round after a failure of the first."""
 
 
 class Inserter:
-    """The rain or the inlet of one group: which sizes come in which order is settled beforehand.
+    """Inserter of one group (rain or inlet); the sizes and their order are drawn at construction.
 
-    Particle k is due at start + k / rate, or once the mass of those before it should have come:
+    Particle k is due at start + k / rate, or, with a mass flow, at
 
         t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
 
-    Those due are poured in batches; one that finds no room waits and goes first the next time. Walls are not looked
-    at. The places depend on the scene's seed, the number of the pour, and what is there already.
+    Due particles are inserted in batches. A particle without a free position is queued and has priority in the next
+    batch. Walls are not considered. The positions depend on the seed of the scene, the number of the batch, and the
+    existing particles.
 
-    radius (count,) [m]: all sizes in the order of arrival.  due_at (count,) [s]: when each is due.
-    remaining: how many are still to come.  next_time [s]: when to pour next; infinite once all have come.
+    radius (count,) [m]: radii in the order of insertion.  due_at (count,) [s]: due times.
+    remaining: number of particles not inserted yet.  next_time [s]: time of the next batch; infinite after the last.
     """
 
     def __init__(self, scene: Scene, group_name: str) -> None:
@@ -52,7 +54,7 @@ class Inserter:
         self.scene, self.group_name = scene, group_name
         insertion = group.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
-            raise ValueError(f"{group_name} does not come in while the scene runs.")
+            raise ValueError(f"{group_name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
         self.start = insertion.start
         self.radius = ordered_diameters(group.sizes, group.count, random_for(scene, group_name)) / 2
         self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * scene.materials[group.material].density
@@ -74,28 +76,31 @@ class Inserter:
         self.next_time = self.start
 
     def state_dict(self) -> dict[str, Any]:
-        """What decides how it goes on raining; random numbers follow from the number of the pour."""
+        """State of the insertion; the random numbers follow from the number of the batch."""
         return {name: getattr(self, name) for name in SAVED_FIELDS}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from what was kept."""
+        """Restore the state saved by `state_dict`."""
         for name in SAVED_FIELDS:
             setattr(self, name, saved[name])
 
     @property
     def remaining(self) -> int:
-        """How many have not come yet, those waiting for room included."""
+        """Number of particles not inserted yet, including queued ones."""
         return len(self.radius) - self.due_count + len(self.queued)
 
     @property
     def is_inserted(self) -> np.ndarray:
-        """Whether each (count,) has come."""
+        """Whether each particle (count,) has been inserted."""
         is_inserted = np.arange(len(self.radius)) < self.due_count
         is_inserted[self.queued] = False
         return is_inserted
 
     def insert_due(self, time: float, position: np.ndarray, radius: np.ndarray) -> ParticleData:
-        """The grains that come at `time`, clear of those present (position (m, 3), radius (m,)) and of each other."""
+        """Particles inserted at `time` [s], without overlap with existing ones or each other.
+
+        position (m, 3) [m], radius (m,) [m]: existing particles.
+        """
         due = int(np.searchsorted(self.due_at, time + DUE_TOLERANCE * self.interval, side="right"))
         arriving = np.arange(self.due_count, due)
         queue = np.concatenate([self.queued, arriving])
@@ -114,7 +119,7 @@ class Inserter:
         return particles_of(self.scene, self.group_name, centers, self.radius[inserted])
 
     def time_after(self, time: float) -> float:
-        """When the next batch is due; while only waiting ones are left, after the time a batch takes."""
+        """Time of the next batch [s]; if only queued particles remain, one mean batch interval after `time`."""
         if self.remaining == 0:
             return math.inf
         if self.due_count == 0:
@@ -127,7 +132,7 @@ class Inserter:
     def find_positions(
         self, candidates: np.ndarray, obstacles: Spheres, random: np.random.Generator
     ) -> dict[int, np.ndarray]:
-        """Centers found for those of `candidates` that have room, by number, in the order tried."""
+        """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried."""
         positions: dict[int, np.ndarray] = {}
         for attempts in ATTEMPTS:
             unplaced = np.array([k for k in candidates if k not in positions], dtype=np.int64)
@@ -140,7 +145,7 @@ class Inserter:
         return positions
 
     def place_first_clear(self, k: int, proposed: np.ndarray, positions: dict[int, np.ndarray]) -> None:
-        """Note the first proposed center (t, 3) for particle k that is clear of the places taken in this pour."""
+        """Add the first proposed center (t, 3) of particle k without overlap with the positions of this batch."""
         if len(proposed) and positions:
             occupied = np.array(list(positions.values()))
             limit = self.radius[k] + self.radius[list(positions)]
@@ -151,14 +156,14 @@ class Inserter:
 
 
 def batch_size(radius: np.ndarray, volume: float) -> int:
-    """How many particles to gather for one pour."""
+    """Number of particles per batch."""
     mean_volume = float(np.mean(4 / 3 * np.pi * radius**3))
     capacity = int(BATCH_FRACTION * volume / mean_volume)
     return max(1, min(math.ceil(len(radius) / MAX_BATCHES), capacity))
 
 
 def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.ndarray:
-    """How long after the start each particle (n,) is due [s], given all masses [kg] in their order."""
+    """Due times (n,) [s] after the start, for the masses (n,) [kg] in the order of insertion."""
     if insertion.rate is not None:
         return np.arange(len(mass)) / insertion.rate
     assert insertion.mass_flow is not None
@@ -168,7 +173,7 @@ def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.n
 def _insertion_region(
     insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
 ) -> RegionSampler:
-    """Where particles appear: a region, or behind a face as deep as they come in the time [s] a batch is gathered."""
+    """Insertion region: as given, or the volume behind a face crossed in the time of one batch (`gathered` [s])."""
     if isinstance(insertion, RainInsertion):
         return sampler_of(insertion.region)
     if isinstance(insertion.face, DiscFace):
@@ -184,7 +189,7 @@ def _insertion_region(
 
 
 def inserters(scene: Scene) -> tuple[Inserter, ...]:
-    """One for each group that comes in while the scene runs, in the order of the scene. Raises SceneError."""
+    """Inserters of all groups with rain or inlet, in the order of the scene. Raises SceneError."""
     inserters, problems = [], []
     for name, group in scene.particles.items():
         if isinstance(group.insert, RainInsertion | InletInsertion):

@@ -1,4 +1,4 @@
-"""Schema of where particles are put, or come in: regions, faces, and the ways of placing."""
+"""Schema of particle insertion: regions, faces, and the kinds of insertion."""
 
 from collections.abc import Callable, Iterator
 from pathlib import PurePath
@@ -33,45 +33,45 @@ Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 
 
 class Box(Model):
-    """A box along the axes."""
+    """A box with edges along the coordinate axes."""
 
     min: Point = Field(description="corner with the smallest coordinates [m]")
     max: Point = Field(description="corner with the largest coordinates [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """A box with room in it."""
+        """The volume must be positive."""
         for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
             if high <= low:
                 yield Fault(("max", i), f"it must be above min, {low:g} m")
 
 
 class CylinderShape(Model):
-    """A round volume about an axis."""
+    """A solid cylinder around an axis."""
 
     from_: Point = Field(alias="from", description="one end of the axis [m]")
     to: Point = Field(description="the other end of the axis [m]")
     radius: PositiveLength = Field(description="radius [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """An axis with a length."""
+        """The axis must have a length above 0."""
         if self.from_ == self.to:
             yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
 
 
 class BoxRegion(Model):
-    """Room for particles: a box. Whole particles stay inside."""
+    """An insertion region: a box. Particles lie entirely inside."""
 
-    box: Box = Field(description="a box along the axes, {min: [..], max: [..]}")
+    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
 
 
 class CylinderRegion(Model):
-    """Room for particles: a cylinder. Whole particles stay inside."""
+    """An insertion region: a cylinder. Particles lie entirely inside."""
 
     cylinder: CylinderShape = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
 
 
 def choose_by_field(**models: type[Model]) -> Callable[[Any], str | None]:
-    """Choose a model by the key that a mapping has."""
+    """Choose a member of a union by a key of the mapping."""
 
     def tag(value: Any) -> str | None:
         for name, model in models.items():
@@ -94,41 +94,43 @@ Region = Annotated[
 class LatticeInsertion(Model):
     """Particles on a regular lattice in a region."""
 
-    kind: Literal["lattice"] = Field(description="way of placing the particles")
-    region: Region = Field(description="the room to fill: a box or a cylinder")
-    jitter: Jitter = Field(0.0, description="random shift, as a fraction of the free gap")
+    kind: Literal["lattice"] = Field(description="kind of insertion")
+    region: Region = Field(description="region to fill: a box or a cylinder")
+    jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
 
 
 class PackInsertion(Model):
-    """Particles at random in a region, none overlapping."""
+    """Particles in a random packing without overlap in a region."""
 
-    kind: Literal["pack"] = Field(description="way of placing the particles")
-    region: Region = Field(description="the room to fill: a box or a cylinder")
+    kind: Literal["pack"] = Field(description="kind of insertion")
+    region: Region = Field(description="region to fill: a box or a cylinder")
 
 
 class TimedInsertion(Model):
-    """Particles that come while the run goes on: so many, or so much mass, a second."""
+    """Insertion during the run at a constant number or mass per second."""
 
-    rate: Rate | None = Field(None, description="particles per second [1/s]")
-    mass_flow: MassFlow | None = Field(None, description="mass per second [kg/s], in place of rate")
+    rate: Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
+    mass_flow: MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
     start: Time = Field(0.0, description="time of the first particle [s]")
-    end: PositiveTime | None = Field(None, description="time after which none is due any more [s]; left out: never")
+    end: PositiveTime | None = Field(
+        None, description="end of the insertion [s]; default: when all particles are inserted"
+    )
 
     def faults(self) -> Iterator[Fault]:
-        """A rate of one kind; an end after the start."""
+        """Exactly one of rate and mass_flow; the end after the start."""
         if self.rate is None and self.mass_flow is None:
-            yield Fault((), "says not how fast they come: give rate in 1/s, or mass_flow in kg/s", whole=True)
+            yield Fault((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s", whole=True)
         if self.rate is not None and self.mass_flow is not None:
             yield Fault(("mass_flow",), "rate is given too: keep one of them")
         if self.end is not None and self.end <= self.start:
-            yield Fault(("end",), f"the stream must end after its start at {self.start:g} s")
+            yield Fault(("end",), f"the insertion must end after its start at {self.start:g} s")
 
 
 class RainInsertion(TimedInsertion):
-    """Particles that appear at random in a region, until there are as many as asked, or as heavy, or it ends."""
+    """Insertion at random free positions in a region, until the count, the mass or the end time is reached."""
 
-    kind: Literal["rain"] = Field(description="way of placing the particles")
-    region: Region = Field(description="where they appear: a box or a cylinder")
+    kind: Literal["rain"] = Field(description="kind of insertion")
+    region: Region = Field(description="region of the insertion: a box or a cylinder")
 
 
 class RectangleOutline(Model):
@@ -136,11 +138,11 @@ class RectangleOutline(Model):
 
     corner: Point = Field(description="one corner [m]")
     sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] = Field(
-        description="the two edges from that corner, perpendicular vectors [m]; the first times the second is forward"
+        description="the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Sides with lengths, at a right angle."""
+        """The edges must have lengths above 0 and be perpendicular."""
         yield from side_faults(self.sides)
 
 
@@ -174,40 +176,40 @@ Face = Annotated[
 
 
 class InletInsertion(TimedInsertion):
-    """Particles that enter through a face, whole ones just inside it, on their way with the group's velocity."""
+    """Insertion through a face: particles appear directly behind it with the velocity of the group."""
 
-    kind: Literal["inlet"] = Field(description="way of placing the particles")
-    face: Face = Field(description="where they enter: a rectangle or a disc")
+    kind: Literal["inlet"] = Field(description="kind of insertion")
+    face: Face = Field(description="face of the inlet: a rectangle or a disc")
 
 
 class FileSummary(Model):
-    """What a file of particles holds; filled in when it is read."""
+    """Summary of the particles in a file; granflow fills it in when it reads the file."""
 
-    count: ParticleCount = Field(description="particles taken from the file")
+    count: ParticleCount = Field(description="number of particles read from the file")
     diameter_min: UnscaledLength = Field(description="smallest diameter [m]")
     diameter_max: UnscaledLength = Field(description="largest diameter [m]")
     speed_max: AnySpeed = Field(description="largest speed [m/s]")
-    overlap_max: Share = Field(description="largest overlap of two of them over the smaller radius")
+    overlap_max: Share = Field(description="largest overlap of two particles over the smaller radius")
 
 
 class FileInsertion(Model):
     """Particles from a table: CSV, or a VTU frame."""
 
-    kind: Literal["file"] = Field(description="way of placing the particles")
-    file: FileName = Field(description="CSV, text or VTU file in the scene's folder or below it: its path from there")
-    found: FileSummary | None = Field(None, description="what the file holds; filled in when it is read")
+    kind: Literal["file"] = Field(description="kind of insertion")
+    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
+    found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
 
     def faults(self) -> Iterator[Fault]:
-        """A file in the scene's folder, or below it."""
+        """The file must lie in the folder of the scene, or below it."""
         path = PurePath(self.file)
         if path.is_absolute() or ".." in path.parts or not path.parts:
-            yield Fault(("file",), "the file must lie in the scene's folder, or below it; give its path from there")
+            yield Fault(("file",), "the file must be in the folder of the scene or below it; give a relative path")
 
 
 class PositionsInsertion(Model):
     """Particles at given positions."""
 
-    kind: Literal["positions"] = Field(description="way of placing the particles")
+    kind: Literal["positions"] = Field(description="kind of insertion")
     positions: Annotated[tuple[Point, ...], list_of(some="[[0, 0, 0]]")] = Field(description="centers [m]")
 
 

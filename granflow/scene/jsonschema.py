@@ -1,4 +1,4 @@
-"""The JSON Schema of a scene file as a user may write it, for editors that complete and check."""
+"""JSON Schema of scene files, for completion and validation in editors."""
 
 from typing import Any
 
@@ -9,17 +9,17 @@ _TITLE = "granflow scene"
 
 
 def json_schema() -> dict[str, Any]:
-    """Describe scene files (JSON Schema, draft 2020-12).
+    """JSON Schema (draft 2020-12) of scene files.
 
-    Numbers may be plain (SI) or text with a unit. What only a look at several parts together can tell, such as a
-    missing pair, is left to `granflow check`.
+    Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between parts, such
+    as a missing pair.
     """
     schema = Scene.model_json_schema(by_alias=True)
     return {"$schema": _DIALECT, **_without_titles(schema), "title": _TITLE}
 
 
 def _without_titles(value: Any) -> Any:
-    """Leave out the titles that pydantic makes of names: they tell nothing and fill an editor's help."""
+    """Remove the titles that pydantic derives from names: they add no information to the help of an editor."""
     if isinstance(value, list):
         return [_without_titles(each) for each in value]
     if not isinstance(value, dict):

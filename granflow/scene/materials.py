@@ -1,4 +1,4 @@
-"""Schema of materials, pairs of materials, and the contact laws."""
+"""Schema of materials, material pairs, and contact models."""
 
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -30,30 +30,30 @@ FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least
 
 
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
-    """Name of the preset that is asked for, None if none is; refuses one that is not known."""
+    """Name of the requested preset, None without one; an unknown preset is an error."""
     name = given.get("preset") if isinstance(given, dict) else None
     if name is None or name in list(known):
         return name
     raise value_error(f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset")
 
 
-_OPTIONAL = ("yield_strength", "restitution_fit")  # of a material: nothing written after the key leaves it out
+_OPTIONAL = ("yield_strength", "restitution_fit")  # keys of a material: an empty value removes the value of the preset
 
 
 class Material(Model):
-    """What a particle or a wall is made of. A preset fills in what is not given here."""
+    """Material of particles and walls. A preset supplies the values that are not given here."""
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
 
-    preset: Text | None = Field(None, description="name of a known material that fills in what is not given")
+    preset: Text | None = Field(None, description="name of a preset that supplies the values that are not given")
     young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
     poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
     density: Density = Field(description="density of the solid [kg/m3], such as 2500")
     yield_strength: YieldStrength | None = Field(
-        None, description="yield strength [Pa]; only needed for the limit velocity of Eq. 11"
+        None, description="yield strength [Pa]; required for the limit velocity of Eq. 11 and by some contact models"
     )
     restitution_fit: Annotated[tuple[Positive, Positive], pair_list("[sigma, psi]")] | None = Field(
-        None, description="sigma and psi of Eq. 12 for this material against itself; known for some presets"
+        None, description="sigma and psi of Eq. 12 for contacts within this material; available in some presets"
     )
 
     @model_validator(mode="before")
@@ -73,16 +73,16 @@ class Material(Model):
 
 
 class RestitutionFit(Model):
-    """Restitution that falls with the approach velocity: e(v) = exp(-sigma (v / (vlim - v))^psi) (Eq. 12)."""
+    """Restitution that decreases with the impact velocity: e(v) = exp(-sigma (v / (vlim - v))^psi) (Eq. 12)."""
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
     sigma: Positive = Field(description="sigma of Eq. 12")
     psi: Positive = Field(description="psi of Eq. 12")
     limit_velocity: Speed | None = Field(
-        None, description="velocity from which e is 0 [m/s]; left out: Eq. 11 from the yield strengths"
+        None, description="impact velocity above which e is 0 [m/s]; default: Eq. 11 with the yield strengths"
     )
-    preset: Text | None = Field(None, description="name of a known material that fills in sigma and psi")
+    preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
 
     @model_validator(mode="before")
     @classmethod
@@ -102,35 +102,36 @@ Restitution = Annotated[
     Annotated[RestitutionNumber, Tag("<number>")]
     | Annotated[RestitutionFit, Tag("<fit>")]
     | Annotated[None, Tag("<none>")],
-    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is asked here"),
+    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
 ]
 
 
 class MaterialPair(Model):
-    """What happens where two materials touch."""
+    """Contact properties of two materials."""
 
     restitution: Restitution = Field(
         None,
         description="restitution coefficient, a number in [0, 1], or sigma and psi of Eq. 12; "
-        "needed unless the normal law has it from the materials",
+        "required unless the normal contact model derives it from the materials",
     )
-    friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 states that there is none")
+    friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")
     rolling_friction: FrictionNumber | None = Field(
-        None, description="rolling friction coefficient; needed unless contact.rolling is none"
+        None, description="rolling friction coefficient; required unless contact.rolling is none"
     )
     cohesion_energy_density: CohesionEnergyDensity | None = Field(
-        None, description="cohesion energy density [J/m3]; needed with contact.cohesion sjkr"
+        None, description="cohesion energy density [J/m3]; required with contact.cohesion: sjkr"
     )
 
 
 class Contact(Model):
-    """The laws of contact, the same for every pair."""
+    """Contact models, the same for all pairs of materials."""
 
-    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its settings")
-    tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb cap) or none")
+    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its parameters")
+    tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb limit) or none")
     rolling: Literal["none", "epsd", "cdt"] = Field(
         description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
     )
     cohesion: Literal["none", "sjkr"] = Field(
-        "none", description="none or sjkr (cohesion energy density times contact area, while in contact), with any law"
+        "none",
+        description="none or sjkr (force: cohesion energy density times contact area), with any normal contact model",
     )

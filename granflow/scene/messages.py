@@ -1,4 +1,4 @@
-"""Every complaint of the schema as one plain sentence with its place and remedy."""
+"""Error messages of the schema: one sentence each, with source position and remedy."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -12,23 +12,23 @@ from granflow.scene.fields import Fault
 from granflow.scene.schema import Scene
 from granflow.scene.suggest import nearest, suggestion_or_list
 
-_CONSEQUENCE = "default_factory_not_called"  # a value copied from another one that is wrong itself
-_MAX_ERRORS = 1000  # complaints; the file is beyond mending by then
+_CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
+_MAX_ERRORS = 1000  # more errors take too long to report
 _TYPE_REASONS = {
-    "dict_type": "names with their values are asked here, name: {...}",
-    "tuple_type": "a list is asked here, [ ... ]",
-    "list_type": "a list is asked here, [ ... ]",
-    "string_type": "text is asked here; put it in quotes",
+    "dict_type": "names with their values are expected, name: {...}",
+    "tuple_type": "a list is expected, [ ... ]",
+    "list_type": "a list is expected, [ ... ]",
+    "string_type": "text is expected; put it in quotes",
 }
 
 
 def dotted(path: Iterable[str | int]) -> str:
-    """The path as messages and `--set` write it: walls.floor.normal.2."""
+    """The path in the notation of messages and `--set`: walls.floor.normal.2."""
     return ".".join(str(key) for key in path)
 
 
 def problem_at(document: Document, path: KeyPath, fault: Fault) -> Problem:
-    """Put a fault at a path into words: at the value if it is the value that is wrong, else at the key."""
+    """Error message for a fault at a path, with the position of the value if it is shown, else of the key."""
     written = path_in_file(document, path)
     name = dotted(written) or "the scene"
     if fault.whole:
@@ -40,7 +40,7 @@ def problem_at(document: Document, path: KeyPath, fault: Fault) -> Problem:
 
 
 def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
-    """The path in the file: without tags of unions, and without the index where one item stands for a list."""
+    """The path in the file: without union tags, and without the index if a single item replaces a list."""
     node: Node | None = document.root
     written: list[str | int] = []
     for key in path:
@@ -54,7 +54,7 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
 
 
 def problems_of(document: Document, error: ValidationError) -> list[Problem]:
-    """The complaints of the schema as problems, without those that only follow from another; a thousand at most."""
+    """The errors of the schema as problems, without consequences of other errors; at most 1000."""
     details = error.errors(include_url=False, include_input=False)[:_MAX_ERRORS]
     schema_errors = [
         _SchemaError(document, each["type"], each["loc"], each["msg"], each.get("ctx")) for each in details
@@ -68,7 +68,7 @@ def problems_of(document: Document, error: ValidationError) -> list[Problem]:
 
 
 class _SchemaError:
-    """One error of pydantic, with what the schema knows about its place."""
+    """One pydantic error, with the part of the schema at its location."""
 
     def __init__(self, document: Document, type: str, loc: KeyPath, msg: str, ctx: Any = None) -> None:
         self.document = document
@@ -80,7 +80,7 @@ class _SchemaError:
         self.path = path_in_file(document, self.loc)
 
     def suggested(self) -> Iterator[KeyPath]:
-        """The key that was probably meant, for an unknown one."""
+        """Path of the suggested key for an unknown key."""
         if self.type == "extra_forbidden":
             near = nearest(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])))
             if near:
@@ -97,9 +97,9 @@ class _SchemaError:
             return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
         if self.type in ("model_type", "model_attributes_type"):
             keys = ", ".join(_keys(model_at(Scene, self.loc)))
-            return self._but(self.path, f"a mapping is asked here, with some of the keys {keys}")
+            return self._but(self.path, f"a mapping with the keys {keys} is expected")
         if self.of_key:
-            return self._whole(f"cannot stand here: {self.message}")
+            return self._whole(f"is not valid here: {self.message}")
         if self.type == "whole":
             return self._whole(self.message)
         return self._but(self.path, _TYPE_REASONS.get(self.type, self.message))
@@ -111,18 +111,18 @@ class _SchemaError:
         return problem_at(self.document, self.path, Fault((), reason, whole=True))
 
     def _unknown(self) -> Problem:
-        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "keys known here")
-        return self._whole(f"is not known here. {remedy}")
+        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "known keys")
+        return self._whole(f"is not a known key. {remedy}")
 
     def _description(self) -> str:
         model = model_at(Scene, self.loc[:-1])
         fields = model.model_fields.values() if model else ()
         texts = {field.alias: field.description for field in fields if field.alias}
         texts |= {name: field.description for name, field in model.model_fields.items()} if model else {}
-        return texts.get(str(self.loc[-1])) or "it must be given"
+        return texts.get(str(self.loc[-1])) or "it is required"
 
     def _choice(self) -> Problem:
-        """A union whose member could not be told: its key is missing or has a value that is not known."""
+        """A union whose member is undetermined: the key is missing or has an unknown value."""
         key = self.context.get("key", "")
         tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
         tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]
@@ -141,7 +141,7 @@ class _SchemaError:
         if key == "law":
             return self._one_of(self.path, tags)
         example = "{" + f"{key}: {tags[0]}, ..." + "}"
-        return self._but(self.path, f"a mapping is asked here, {example}, with {key} one of {', '.join(tags)}")
+        return self._but(self.path, f"a mapping is expected, {example}, with {key} one of {', '.join(tags)}")
 
     def _one_of(self, path: KeyPath, allowed: list[str]) -> Problem:
         node = self.document.find(path)
@@ -152,13 +152,13 @@ class _SchemaError:
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
-    """The model that reads what stands at that place of an error, None where a plain value stands."""
+    """The model at the location of an error; None for a plain value."""
     found = _annotation_at(annotation, loc)
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None
 
 
 def tags_at(annotation: Any, loc: KeyPath) -> list[str]:
-    """The tags of the union that stands at that place of an error."""
+    """The tags of the union at the location of an error."""
     members = get_args(_annotation_at(annotation, loc))
     return [meta.tag for member in members for meta in get_args(member)[1:] if isinstance(meta, Tag)]
 

@@ -1,4 +1,4 @@
-"""Schema of `contact.normal`, made from what the catalog of laws says of each law's settings."""
+"""Schema of `contact.normal`, generated from the parameters of each contact model in the catalog."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
@@ -11,33 +11,33 @@ from granflow.scene.fields import Model, Number, ShortForm, choose_by, choose_by
 
 
 class LawSettings(Model):
-    """A normal law and its settings; each law of the catalog has a model of its own."""
+    """A normal contact model and its parameters; base class of one schema class per contact model."""
 
     law: str
 
     @property
     def kind(self) -> LawKind:
-        """The catalog's entry."""
+        """The entry of the catalog."""
         return NORMAL_LAWS[self.law]
 
     def settings(self) -> dict[str, Any]:
-        """The settings by key, without the name of the law."""
+        """The parameters by key, without the name of the contact model."""
         return self.model_dump(exclude={"law"})
 
     def fixed_by_numbers(self) -> dict[str, str]:
-        """Settings with the word that each becomes where every pair gives a number as restitution."""
+        """Parameters, by key, that take a fixed value if every pair gives its restitution as a number."""
         choices = {key: each for key, each in self.kind.settings.items() if isinstance(each, Choice)}
         return {key: each.with_numbers for key, each in choices.items() if each.with_numbers is not None}
 
 
 def known_laws() -> str:
-    """The names of all laws as a sentence lists them."""
+    """The names of all normal contact models, as a list in a sentence."""
     *first, last = NORMAL_LAWS
     return f"{', '.join(first)} or {last}"
 
 
 def _model(kind: LawKind) -> type[LawSettings]:
-    fields: dict[str, Any] = {"law": (Literal[kind.name], Field(description="name of the normal law"))}
+    fields: dict[str, Any] = {"law": (Literal[kind.name], Field(description="name of the normal contact model"))}
     for key, setting in kind.settings.items():
         fields[key] = (_annotation(setting, f"{kind.name}_{key}"), _field(setting))
     return create_model(f"{_camel(kind.name)}Normal", __base__=LawSettings, __doc__=kind.summary, **fields)
@@ -50,7 +50,7 @@ def _field(setting: Setting) -> Any:
 
 
 def _annotation(setting: Setting, name: str) -> Any:
-    """The type of a setting; `name` is unique to it and begins the names of models within it."""
+    """The type of a parameter; `name` is unique and the prefix of the names of the models in it."""
     if isinstance(setting, Amount):
         bounds = (setting.above, setting.at_least, setting.at_most)
         return Annotated[float, Number(setting.dimension, setting.noun, *bounds)]

@@ -1,4 +1,4 @@
-"""Numbers as a scene writes them: plain in SI, or text with a unit; within bounds; and the errors of values."""
+"""Numbers in a scene: plain in SI, or text with a unit, within bounds; and errors of values."""
 
 import math
 import re
@@ -10,24 +10,24 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from granflow.scene.units import UnitError, dimension_of, to_si
 
-LARGEST = 1e30  # no SI number in a scene is beyond this
-SMALLEST = 1e-30  # and none that must be above zero is below this
-LARGEST_COUNT = 2**31 - 1  # particles are numbered with 32 bits
+LARGEST = 1e30  # limit of the magnitude of SI numbers in a scene
+SMALLEST = 1e-30  # lower limit of numbers that must be positive
+LARGEST_COUNT = 2**31 - 1  # particle numbers have 32 bits
 
 
 def value_error(reason: str, *at: str) -> PydanticCustomError:
-    """Make the error that reads "key.path is VALUE, but REASON."; `at` names a key within the value."""
+    """The error "key.path is VALUE, but REASON."; `at` is the path of a key within the value."""
     return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
 
 
 def whole_error(reason: str) -> PydanticCustomError:
-    """Make the error that reads "key.path REASON."."""
+    """The error "key.path REASON."."""
     return PydanticCustomError("whole", "{reason}", {"reason": reason})
 
 
 @dataclass(frozen=True)
 class Number:
-    """Reads one number: a plain one in SI, or text with a unit of `dimension`; refuses what is out of range."""
+    """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range."""
 
     dimension: str = "number"
     noun: str = ""
@@ -37,19 +37,19 @@ class Number:
     words: tuple[str, ...] = ()
     whole: bool = False
     scaling: int = 0
-    """Power of a scene's `size` with which it grows."""
+    """Exponent of `scale` of a scene in this number."""
 
     def read(self, value: Any) -> float | int | str:
-        """Turn what stood in the file into a number within the bounds, or one of the words."""
+        """Convert a value from the file to a number within the bounds, or to one of the words."""
         if isinstance(value, str) and value in self.words:
             return value
         number = self._number(value)
         if not math.isfinite(number):
-            raise value_error("only finite numbers make sense here")
+            raise value_error("a finite number is expected")
         if not self._inside(number):
             raise value_error(f"{self._noun} {self._bounds()}")
         if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
-            raise value_error(f"{self._noun} of that size makes no sense")
+            raise value_error(f"{self._noun} of this magnitude is out of range")
         return self._count(number) if self.whole else number
 
     def _number(self, value: Any) -> float:
@@ -59,7 +59,7 @@ class Number:
             except UnitError as error:
                 raise value_error(f"{error}{self._word_hint()}") from None
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise value_error(f"{self._noun} is asked here{self._example()}{self._word_hint()}")
+            raise value_error(f"{self._noun} is expected{self._example()}{self._word_hint()}")
         try:
             return float(value)
         except OverflowError:
@@ -67,9 +67,9 @@ class Number:
 
     def _count(self, number: float) -> int:
         if number != int(number):
-            raise value_error(f"{self._noun} is a whole number")
+            raise value_error(f"{self._noun} must be a whole number")
         if number > LARGEST_COUNT:
-            raise value_error(f"{self._noun} goes up to {LARGEST_COUNT}")
+            raise value_error(f"{self._noun} must be at most {LARGEST_COUNT}")
         return int(number)
 
     def _inside(self, number: float) -> bool:
@@ -84,7 +84,7 @@ class Number:
         return self.noun or dimension_of(self.dimension).noun
 
     def _example(self) -> str:
-        """One that a user could write, where the dimension's own example would be misleading."""
+        """An example value; for whole numbers not that of the dimension."""
         if self.whole:
             return ", a whole number such as 8000"
         return f", such as {dimension_of(self.dimension).example}"
@@ -94,7 +94,7 @@ class Number:
 
     def _bounds(self) -> str:
         if self.at_least is not None and self.at_most is not None:
-            return f"lies in [{self.at_least:g}, {self.at_most:g}]"
+            return f"must be in [{self.at_least:g}, {self.at_most:g}]"
         parts = [
             f"{word} {bound:g}"
             for word, bound in (("above", self.above), ("at least", self.at_least), ("at most", self.at_most))
@@ -103,11 +103,11 @@ class Number:
         return f"must be {' and '.join(parts)}"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read with `read`; written back as it is."""
+        """Validation by `read`; serialization without change."""
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Describe what a user may write: a number within the bounds, or text with a unit, or a word."""
+        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word."""
         number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
         bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
         number.update({key: bound for key, bound in bounds.items() if bound is not None})

@@ -1,4 +1,4 @@
-"""Schema of outlets: where particles are deleted and counted."""
+"""Schema of outlets: regions in which particles are deleted and counted."""
 
 from typing import Annotated
 
@@ -12,21 +12,23 @@ class HalfSpaceGiven(Model):
     """All points on one side of a plane."""
 
     point: Point = Field(description="a point on the plane [m]")
-    normal: Direction = Field(description="direction out of the plane into the half space; its length does not matter")
+    normal: Direction = Field(description="normal of the plane, toward the half space; its length does not matter")
 
 
 class DiscGiven(Model):
     """The half cylinder behind a disc."""
 
     center: Point = Field(description="center of the disc [m]")
-    normal: Direction = Field(description="direction in which particles pass the disc; its length does not matter")
+    normal: Direction = Field(
+        description="normal of the disc, in the direction of the particle flow; its length does not matter"
+    )
     radius: PositiveLength = Field(description="radius of the disc [m]")
 
 
 class BoxOutlet(Model):
-    """Particles whose center is in a box are deleted at the next search."""
+    """Particles whose center is in a box are deleted at the next rebuild of the neighbor list."""
 
-    box: Box = Field(description="a box along the axes, {min: [..], max: [..]}")
+    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
 
 
 class HalfSpaceOutlet(Model):

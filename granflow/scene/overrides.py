@@ -1,4 +1,4 @@
-"""Overrides from the command line, `key.path=value`, put into the tree of a scene before it is validated."""
+"""Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,19 +11,19 @@ from granflow.scene.yaml12 import parse
 
 
 class _Refused(Exception):
-    """An override that does not fit the scene; the message is the sentence."""
+    """An override that does not fit the scene; the message of the exception is the error message."""
 
 
 def apply(document: Document, override: str) -> list[Problem]:
-    """Put one override into the document; give back what is wrong with it."""
+    """Apply one override to the document; return its problems."""
     source = f"--set {override}"
     position = SourcePosition(source)
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
-        return [Problem(position, "an override is written key.path=value, such as run.duration=2.")]
+        return [Problem(position, "an override has the form key.path=value, such as run.duration=2.")]
     if not text.strip():
-        return [Problem(position, f"{path.strip()} is given no value; write it after the equals sign.")]
+        return [Problem(position, f"{path.strip()} has no value; write it after the equals sign.")]
     try:
         value = parse(text, source, with_positions=False)
         document.root = _with(document.root, keys, value.root, position, depth=0)
@@ -35,16 +35,14 @@ def apply(document: Document, override: str) -> list[Problem]:
 
 
 def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
-    """The tree with the value at keys[depth:] below this node; nodes shared by aliases are not changed."""
+    """Copy of the tree with the value at keys[depth:] below this node; nodes shared by aliases do not change."""
     if depth == len(keys):
         return value
     if node.items is not None:
         return _with_item(node, keys, value, position, depth)
     if node.entries is None:
         parent = dotted(keys[:depth])
-        raise _Refused(
-            f"{parent or 'the scene'} is {node.shown()}, which has nothing inside to set; set {parent} as a whole."
-        )
+        raise _Refused(f"{parent or 'the scene'} is {node.shown()}, which has no keys; set {parent} as a whole.")
     key = _key(node.entries, keys[depth])
     entry = node.entries.get(key)
     if entry is None and depth + 1 < len(keys):
@@ -59,19 +57,19 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
     index = keys[depth]
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
         numbers = f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
-        raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so {index} is not in it.")
+        raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")
     items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
     return replace(node, items=items)
 
 
 def _key(entries: dict[str, MappingEntry], key: str) -> str:
-    """The key as the scene has it: a pair may be named in either order."""
+    """The key in the order of the scene: an override may name a pair in either order."""
     reversed_key = "-".join(reversed(key.split("-")))
     return reversed_key if key not in entries and reversed_key in entries else key
 
 
 def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition) -> Node:
-    """An empty mapping for a part that the file leaves out, such as `numerics`."""
+    """An empty mapping for a part that is missing in the file, such as `numerics`."""
     if model_at(Scene, tuple(keys[: depth + 1])) is None or (depth and model_at(Scene, tuple(keys[:depth])) is None):
         known = list(entries) if depth else list(Scene.model_fields)
         parent = dotted(keys[:depth]) or "the scene"

@@ -1,4 +1,4 @@
-"""Centers for spheres in a room: on a lattice, or at random without overlap."""
+"""Packing of spheres in a region: on a lattice, or at random without overlap."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ from granflow.scene.close_pairs import near_pairs, overlaps_any
 from granflow.scene.regions import BoxSampler, CylinderSampler, RegionSampler
 
 MAX_PACKING_FRACTION = 0.57
-"""Solid fraction above which a random pack is not tried: the sweeps it takes grow without bound towards 0.6."""
+"""Largest solid fraction of a random packing: the number of sweeps diverges toward 0.6."""
 
 SWELLING = 0.02
-"""How much larger than they are spheres are pushed apart, so that they end clear of each other."""
+"""Relative increase of the radii during separation, so that no overlap remains."""
 
 MAX_SWEEPS = 2000
 
 OVERSHOOT = 1.4
-"""How far overlapping pairs are moved apart, over their overlap: halves the sweeps (tried: 1, 1.2, 1.4)."""
+"""Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2, 1.4)."""
 
 
 Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 
 class RegionFullError(Exception):
-    """Fewer fit than were asked for: `shortfall` says how many ("only 12 fit"), `remedy` what to change."""
+    """Fewer particles fit than requested: `shortfall` is the number ("only 12 fit"), `remedy` the advice."""
 
     def __init__(self, shortfall: str, remedy: str) -> None:
         super().__init__(f"{shortfall}: {remedy}")
@@ -34,7 +34,7 @@ class RegionFullError(Exception):
 
 @dataclass(frozen=True)
 class Spheres:
-    """Spheres that are there: position (n, 3) [m], radius (n,) [m]."""
+    """A set of spheres: position (n, 3) [m], radius (n,) [m]."""
 
     position: np.ndarray
     radius: np.ndarray
@@ -45,12 +45,12 @@ class Spheres:
         return cls(np.empty((0, 3)), np.empty(0))
 
     def near(self, region: RegionSampler) -> "Spheres":
-        """Those that reach into the room."""
+        """The spheres that intersect the region."""
         inside = region.reaches(self.position, self.radius)
         return Spheres(self.position[inside], self.radius[inside])
 
     def joined(self, other: "Spheres") -> "Spheres":
-        """These and those."""
+        """Both sets of spheres, `other` last."""
         return Spheres(np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius]))
 
 
@@ -61,10 +61,10 @@ def fill_lattice(
     existing: Spheres,
     random: np.random.Generator,
 ) -> np.ndarray:
-    """Centers (n, 3) on the widest square lattice with a site for each, filled layer by layer from the bottom.
+    """Centers (n, 3) [m] on the widest square lattice with a site for each sphere, filled in layers from the bottom.
 
-    `jitter` shifts each center along each axis by up to that fraction of the gap the largest sphere has in its cell.
-    Sites that meet spheres already present are left out. Raises NoRoomError.
+    `jitter`: largest random displacement along each axis, as a fraction of the gap around the largest sphere in its
+    cell. Sites that overlap existing spheres are skipped. Raises RegionFullError.
     """
     margin = radius.max()
     check_width(region, margin)
@@ -83,7 +83,7 @@ def fill_lattice(
 
 
 def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) -> float:
-    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if there is none."""
+    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if no spacing has enough sites."""
     spacing = max(guess, least)
     while spacing > least and len(free_sites(spacing)[0]) < count:
         spacing = max(0.9 * spacing, least)
@@ -100,9 +100,9 @@ def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) ->
 def pack_at_random(
     region: BoxSampler | CylinderSampler, radius: np.ndarray, existing: Spheres, random: np.random.Generator
 ) -> np.ndarray:
-    """Centers (n, 3) of a random pack without overlap: thrown in anywhere, then pushed apart until none overlap.
+    """Centers (n, 3) [m] of a random packing: random initial positions, then separation until no overlap remains.
 
-    Works to a solid fraction of about 0.55 (0.5 and less in rooms only a few spheres wide). Raises NoRoomError.
+    Reaches a solid fraction of about 0.55 (0.5 or less in regions only a few diameters wide). Raises RegionFullError.
     """
     check_width(region, radius.max())
     obstacles = existing.near(region)
@@ -113,7 +113,7 @@ def pack_at_random(
     start = region.sample(radius, random)
     spheres = Spheres(start, radius).joined(obstacles)
     swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
-    position = push_apart(spheres, len(radius), region, swelling)
+    position = separate_overlapping(spheres, len(radius), region, swelling)
     overlapping = overlapping_pairs(Spheres(position, spheres.radius), len(radius))
     if len(overlapping):
         left_out = greedy_cover(overlapping, len(radius))
@@ -122,35 +122,34 @@ def pack_at_random(
 
 
 def only_fit(count: int) -> str:
-    """That so many were placed and no more."""
+    """Statement that only `count` particles fit."""
     return {0: "none fits", 1: "only 1 fits"}.get(count, f"only {count} fit")
 
 
 def packing_remedy(solid_fraction: float) -> str:
-    """What to do about a pack that is too dense."""
+    """Advice for a packing that is too dense."""
     return (
-        f"They would fill {solid_fraction:.0%} of it, and a random pack reaches about 50%. "
+        f"They would fill {solid_fraction:.0%} of it, and a random packing reaches about 50%. "
         "Lower it or enlarge the region."
     )
 
 
 def check_width(region: RegionSampler, radius: float) -> None:
-    """Raise NoRoomError if the largest sphere alone does not fit."""
+    """Raise RegionFullError if a single sphere of the largest radius [m] does not fit."""
     if radius > region.radius_max * (1 + 1e-9):
         raise RegionFullError(
             only_fit(0), f"The largest, {2 * radius:g} m, is wider than the region, {2 * region.radius_max:g} m."
         )
 
 
-def push_apart(
+def separate_overlapping(
     spheres: Spheres, mobile_count: int, region: BoxSampler | CylinderSampler, swelling: float
 ) -> np.ndarray:
-    """Positions after sweeps that move the first `mobile_count` spheres out of each other.
+    """Positions (n, 3) [m] after sweeps that separate the first `mobile_count` spheres from all others.
 
-    Until none overlap or in vain.
-
-    Every overlapping pair is moved apart by its overlap, the smaller one further (by the inverse square of its
-    radius); the rest stands still. Pairs near each other are listed once in a while.
+    The sweeps end if no overlap remains, or after `MAX_SWEEPS`. Each sweep separates every overlapping pair by its
+    overlap, with displacements proportional to the inverse square of the radii; the remaining spheres are fixed.
+    The list of close pairs is rebuilt when a displacement exceeds half the skin.
     """
     position, radius = spheres.position.copy(), spheres.radius * swelling
     mobility = np.where(np.arange(len(radius)) < mobile_count, radius**-2.0, 0.0)
@@ -170,7 +169,7 @@ def push_apart(
 def mobile_pairs(
     position: np.ndarray, radius: np.ndarray, reach: float, mobile_count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs with a gap below `reach` of which at least one is among the first `mobile_count`."""
+    """Pairs with a gap below `reach` [m] and at least one sphere among the first `mobile_count`."""
     first, second = near_pairs(position, radius, reach)
     matters = np.minimum(first, second) < mobile_count
     return first[matters], second[matters]
@@ -179,7 +178,7 @@ def mobile_pairs(
 def separation(
     position: np.ndarray, radius: np.ndarray, mobility: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, float]:
-    """Shift (n, 3) that moves each overlapping pair apart by its overlap, and the worst overlap over its distance."""
+    """Displacements (n, 3) [m] that separate each overlapping pair by its overlap, and the largest relative overlap."""
     first, second = pairs
     branch = position[first] - position[second]
     contact_distance = radius[first] + radius[second]
@@ -202,13 +201,13 @@ def separation(
 
 
 def overlapping_pairs(spheres: Spheres, mobile_count: int) -> np.ndarray:
-    """Pairs (p, 2) that overlap with at least one among the first `mobile_count`."""
+    """Overlapping pairs (p, 2) with at least one sphere among the first `mobile_count`."""
     first, second = mobile_pairs(spheres.position, spheres.radius, 0.0, mobile_count)
     return np.stack([first, second], axis=1)
 
 
 def greedy_cover(pairs: np.ndarray, mobile_count: int) -> int:
-    """How many of the first `mobile_count` spheres to take out, the most entangled first, until no pair is left."""
+    """Number of mobile spheres to remove, those with most overlaps first, until no overlapping pair remains."""
     removed = 0
     while len(pairs):
         worst = np.bincount(pairs.ravel())[:mobile_count].argmax()

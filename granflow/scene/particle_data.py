@@ -1,4 +1,4 @@
-"""Grains: particles as they enter the run, and what every generator needs to make them."""
+"""Data of new particles, and helper functions of all generators."""
 
 import zlib
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from granflow.scene.schema import Scene
 
 @dataclass(frozen=True)
 class ParticleData:
-    """Particles entering the run, n of them.
+    """Arrays of n new particles.
 
-    position (n, 3) [m], velocity (n, 3) [m/s], spin (n, 3) [rad/s], radius (n,) [m], all float64;
+    position (n, 3) [m], velocity (n, 3) [m/s], angular_velocity (n, 3) [rad/s], radius (n,) [m], all float64;
     material (n,) int32 index into list(scene.materials), group (n,) int32 index into list(scene.particles).
     """
 
@@ -30,7 +30,7 @@ class ParticleData:
 
     @classmethod
     def joined(cls, parts: Sequence["ParticleData"]) -> "ParticleData":
-        """All of them in order; no parts make no grains."""
+        """Concatenation of all parts in order; no particles without parts."""
         if not parts:
             empty, empty_vectors, empty_numbers = np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int32)
             return cls(empty_vectors, empty_vectors, empty_vectors, empty, empty_numbers, empty_numbers)
@@ -38,7 +38,7 @@ class ParticleData:
 
 
 def particles_of(scene: Scene, group_name: str, position: np.ndarray, radius: np.ndarray) -> ParticleData:
-    """Grains of one group at the given centers, with the group's velocity, spin and material."""
+    """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group."""
     group = scene.particles[group_name]
     count = len(radius)
     return ParticleData(
@@ -52,17 +52,17 @@ def particles_of(scene: Scene, group_name: str, position: np.ndarray, radius: np
 
 
 def seeds_of(scene: Scene, group_name: str) -> tuple[int, int]:
-    """The seeds of a group: the scene's, and one from its name that is the same everywhere (CRC-32)."""
+    """The seeds of a group: that of the scene, and the platform-independent CRC-32 of its name."""
     return scene.seed, zlib.crc32(group_name.encode())
 
 
 def random_for(scene: Scene, group_name: str) -> np.random.Generator:
-    """The random numbers of one group: other groups coming or going do not change them."""
+    """The random number generator of one group, independent of all other groups."""
     return np.random.default_rng(np.random.SeedSequence(seeds_of(scene, group_name)))
 
 
 def shortfall(scene: Scene, group_name: str, error: RegionFullError) -> str:
-    """The sentence for a group that does not fit, with the place of its count in the file."""
+    """Error message for a group that does not fit, with the source position of its count."""
     group = scene.particles[group_name]
     location, where = (
         scene.locate("particles", group_name, "count"),

@@ -1,4 +1,4 @@
-"""Groups of particles from files: which rows are whose, and the grains they make."""
+"""Particle groups from files: selection of the rows of each group, and their particles."""
 
 from dataclasses import replace
 
@@ -29,9 +29,9 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
 
 
 def rows_of(scene: Scene, name: str) -> ParticleTable:
-    """The rows of a group: those of its material where the file names materials, by name or number, else all.
+    """The rows of a group: all, or those of its material (name or number) if the file has a material column.
 
-    Raises SceneError.
+    Raises SceneError if no row matches.
     """
     table = table_of(scene, name)
     if table.material is None:
@@ -45,7 +45,7 @@ def rows_of(scene: Scene, name: str) -> ParticleTable:
 
 
 def unassigned_rows(scene: Scene) -> list[str]:
-    """A sentence for each file with rows of a material that no group takes from it."""
+    """An error message for each file with rows of a material that no group uses."""
     files: dict[str, list[str]] = {}
     for name, group in scene.particles.items():
         if isinstance(group.insert, FileInsertion) and (scene.folder / group.insert.file).exists():
@@ -59,16 +59,18 @@ def unassigned_rows(scene: Scene) -> list[str]:
             if unassigned.any():
                 row, material = table.line[unassigned][0], table.material[unassigned][0]
                 problems.append(
-                    f"{table.path}:{row}: this particle is of {material}, but no group takes those; add one."
+                    f"{table.path}:{row}: this particle is of {material}, but no group has this material; add one."
                 )
     return problems
 
 
 def particles_from_file(scene: Scene, name: str) -> ParticleData:
-    """The grains of a group from a file, as the file has them. Raises SceneError where it is another by now."""
+    """The particles of a group from its file. Raises SceneError if the file has changed."""
     rows, group = rows_of(scene, name), scene.particles[name]
     if len(rows) != group.count:
-        raise SceneError(f"{rows.path}: this file has changed: {group.count} particles were in it, now {len(rows)}.")
+        raise SceneError(
+            f"{rows.path}: this file has changed: it had {group.count} particles, and has {len(rows)} now."
+        )
     particles = particles_of(scene, name, rows.position, rows.radius)
     if group.fixed:
         return particles
@@ -77,5 +79,5 @@ def particles_from_file(scene: Scene, name: str) -> ParticleData:
 
 
 def _names_of(scene: Scene, material: str) -> list[str]:
-    """How a file may call a material: its name, or its number in the scene, from 0."""
+    """Names of a material in a file: its name, or its number in the scene, from 0."""
     return [material, str(list(scene.materials).index(material))]

@@ -1,4 +1,4 @@
-"""Particles read from a table: text with named columns in any usual dress, or a VTU frame."""
+"""Particle tables: text with named columns in common formats, or a VTU frame."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -15,13 +15,13 @@ from granflow.scene.units import UnitError, to_si
 from granflow.vtu_file import VtuError, read_vtu
 
 LARGEST_FILE = 2**30
-"""Bytes; some ten million particles."""
+"""Largest file size [B]: about ten million particles."""
 
 MOST_SHOWN = 20
-"""Problems of one file; those beyond are counted."""
+"""Largest number of problems shown per file; the message gives the number of the others."""
 
 RowProblem = tuple[int, str]
-"""Line, and what is wrong with it."""
+"""Line number and error message."""
 
 AXES = "xyz"
 COLUMN_NAMES = {
@@ -43,10 +43,10 @@ _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 @dataclass(frozen=True)
 class ParticleTable:
-    """Particles as a file has them, n of them.
+    """Arrays of the n particles of a file.
 
-    position (n, 3) [m], radius (n,) [m], velocity (n, 3) [m/s] and spin (n, 3) [rad/s] if it has them, material (n,)
-    texts if it has them, line (n,) where each stands; of a frame, its number from 0.
+    position (n, 3) [m], radius (n,) [m]; velocity (n, 3) [m/s], angular_velocity (n, 3) [rad/s] and material (n,)
+    (text), or None if the file does not have them; line (n,): line number, or for a frame the point number from 0.
     """
 
     path: Path
@@ -61,7 +61,7 @@ class ParticleTable:
         return len(self.radius)
 
     def subset(self, choose_by: np.ndarray) -> "ParticleTable":
-        """The rows at these indices, or where this is true."""
+        """The rows selected by indices or by a mask."""
         optional = (self.velocity, self.angular_velocity, self.material)
         velocity, angular_velocity, material = (None if each is None else each[choose_by] for each in optional)
         return ParticleTable(
@@ -76,11 +76,11 @@ class ParticleTable:
 
 
 def read_table(path: Path) -> ParticleTable:
-    """The particles in a file. Raises SceneError with a sentence for each bad row, up to `MOST_SHOWN`."""
+    """The particles in a file. Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`."""
     try:
         status = path.stat()
         if not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; name a table of particles.")
+            raise SceneError(f"{path}: this is not a regular file; give a table of particles.")
         if status.st_size > LARGEST_FILE:
             raise SceneError(f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table.")
         return _read(path, status.st_mtime_ns, status.st_size)
@@ -92,7 +92,7 @@ def read_table(path: Path) -> ParticleTable:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int, size: int) -> ParticleTable:
-    """A file as it was when it was `changed` last: reading it again costs nothing."""
+    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B]."""
     table, problems = _frame(path) if path.suffix.lower() == ".vtu" else _text(path)
     problems = [*problems, *_value_problems(table)]
     if problems:
@@ -100,25 +100,22 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
         more = len(problems) - MOST_SHOWN
         raise SceneError([*shown, *([f"{path}: {more} more rows have problems, which are not shown."] * (more > 0))])
     if not len(table):
-        raise SceneError(f"{path}: there is no particle in it.")
+        raise SceneError(f"{path}: the file contains no particles.")
     return table
 
 
 def _value_problems(table: ParticleTable) -> Iterator[RowProblem]:
-    """Numbers that are none, and radii of nothing."""
+    """Values that are not finite, and radii that are not positive."""
     for name in ("position", "radius", "velocity", "angular_velocity"):
         values = getattr(table, name)
         if values is not None:
             bad = ~np.isfinite(np.atleast_2d(values.T)).all(axis=0)
-            yield from ((int(line), f"the {name} holds what is no finite number.") for line in table.line[bad])
+            yield from ((int(line), f"the {name} is not finite.") for line in table.line[bad])
     yield from ((int(line), "the radius must be above 0.") for line in table.line[table.radius <= 0.0])
 
 
 def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
-    """Points of a VTU file with `radius` or `diameter`.
-
-    `velocity`, `angular_velocity` and `material` if they are there.
-    """
+    """Particles of a VTU file: points with `radius` or `diameter`, optionally velocities and `material`."""
     try:
         mesh = read_vtu(path, LARGEST_FILE)
     except VtuError as error:
@@ -126,11 +123,14 @@ def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     data = mesh.point_data
     known = [name for name in ("radius", "diameter") if name in data]
     if not known:
-        raise SceneError(f"{path}: its points have no array radius; they have {', '.join(data) or 'none'}.")
+        raise SceneError(f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}.")
     count = len(mesh.points)
     for name in (known[0], *COLUMN_NAMES):
         if name in data and data[name].size != count * (3 if name in COLUMN_NAMES else 1):
-            raise SceneError(f"{path}: the array {name} has {data[name].size // max(count, 1)} numbers for each point.")
+            raise SceneError(
+                f"{path}: the array {name} has {data[name].size // max(count, 1)} components per point, "
+                f"but {3 if name in COLUMN_NAMES else 1} are expected."
+            )
     radius = np.asarray(data[known[0]], float).reshape(count) * (0.5 if known[0] == "diameter" else 1.0)
     vectors = {name: np.asarray(data[name], float).reshape(count, 3) if name in data else None for name in COLUMN_NAMES}
     material = np.asarray(data["material"]).astype(str) if "material" in data else None
@@ -143,7 +143,7 @@ def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
 
 @dataclass(frozen=True)
 class _Heading:
-    """What the first line says: how lines are split, the columns of every quantity, and what brings them to SI."""
+    """Content of the header line: separator, column names, columns of each quantity, and factors to SI."""
 
     separator: str | None
     names: list[str]
@@ -151,7 +151,7 @@ class _Heading:
     factors: dict[str, list[float]]
 
     def cells(self, line: str) -> list[str]:
-        """The cells of a line; one that is empty at its end does not count."""
+        """The cells of a line, without an empty last cell."""
         cells = [cell.strip().strip('"') for cell in line.strip().split(self.separator)]
         return cells[:-1] if len(cells) == len(self.names) + 1 and not cells[-1] else cells
 
@@ -163,7 +163,9 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     rows = [(n, heading.cells(line)) for n, line in numbered]
     width = len(heading.names)
     problems = [
-        (n, f"it has {len(row)} values, but {width} columns are named.") for n, row in rows if len(row) != width
+        (n, f"the row has {len(row)} values, but the header has {width} columns.")
+        for n, row in rows
+        if len(row) != width
     ]
     complete_rows = [(n, row) for n, row in rows if len(row) == width]
     cells = [row for _, row in complete_rows]
@@ -185,7 +187,7 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
 def _column(
     rows: Sequence[tuple[int, list[str]]], column: int, heading: _Heading, problems: list[RowProblem]
 ) -> np.ndarray:
-    """One column as numbers (n,); a cell that is none becomes 0 and a problem."""
+    """One column as numbers (n,); an invalid cell becomes 0 and adds a problem."""
     cells = [row[column] for _, row in rows]
     if heading.separator != ",":
         cells = [cell.replace(",", ".") for cell in cells]
@@ -201,12 +203,12 @@ def _number(cell: str, row: tuple[int, list[str]], name: str, problems: list[Row
     try:
         return float(cell)
     except ValueError:
-        problems.append((row[0], f"{name} is {cell or 'empty'}, but a number is asked here."))
+        problems.append((row[0], f"{name} is {cell or 'empty'}, but a number is expected."))
         return 0.0
 
 
 def _heading(path: Path, lines: Sequence[str]) -> tuple[_Heading, int]:
-    """The line that names the columns, perhaps after a #, and how many lines that makes with those before it."""
+    """The header line, with or without a leading #, and the number of lines up to and including it."""
     nonempty = [(n, line) for n, line in enumerate(lines) if line.strip()]
     for n, line in islice(nonempty, 100):
         text = line.strip().lstrip("#")
@@ -220,20 +222,20 @@ def _heading(path: Path, lines: Sequence[str]) -> tuple[_Heading, int]:
             shown = " ".join(line.split())[:60]
             required = "x, y, z and r (or radius, or diameter)"
             raise SceneError(
-                f"{path}:{n + 1}: the first line must name the columns, among them {required}, but it is {shown}."
+                f"{path}:{n + 1}: the first line must be a header with the columns {required}, but it is {shown}."
             )
-    raise SceneError(f"{path}: there is no particle in it.")
+    raise SceneError(f"{path}: the file contains no particles.")
 
 
 def _names(text: str, separator: str | None) -> list[str]:
-    """Names of columns, each with its unit in brackets behind it."""
+    """Column names, each with its unit in brackets."""
     joined = re.sub(r"\s+(?=[\[(])", "", text.strip())
     names = [name.strip().strip('"') for name in joined.split(separator)]
     return names[:-1] if len(names) > 1 and not names[-1] else names
 
 
 def _columns(names: Sequence[str]) -> dict[str, list[int]]:
-    """Where every quantity stands that all components of are there."""
+    """Column numbers of each quantity whose components are complete."""
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", name).lower()) for name in names]
     wanted = {
         quantity: [
@@ -252,11 +254,11 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _factor(path: Path, line: int, name: str, quantity: str) -> float:
-    """What brings a column to SI, by the unit behind its name."""
+    """Factor of a column to SI, from the unit after its name."""
     unit = _UNIT.search(name)
     if unit is None or quantity == "material" or not unit[1].strip():
         return 1.0
     try:
         return to_si(f"1 {unit[1].strip()}", DIMENSIONS[quantity])
     except UnitError as error:
-        raise SceneError(f"{path}:{line}: the unit of {name} cannot be used: {error}.") from None
+        raise SceneError(f"{path}:{line}: the unit of {name} is invalid: {error}.") from None

@@ -1,4 +1,4 @@
-"""Periodic faces of the domain, for numpy: what goes out through one comes in through the one opposite."""
+"""Periodic boundary conditions of the domain on the host (numpy): wrapping, nearest images, Lees-Edwards shear."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """Axes of velocity and gradient, velocity of an image over what it is one of [m/s], time when it begins [s]."""
+    """Lees-Edwards shear: flow and gradient axes (0 to 2), velocity of the image above [m/s], start time [s]."""
 
     flow: int
     gradient: int
@@ -22,9 +22,9 @@ class ImageMotion:
 
 @dataclass(frozen=True)
 class PeriodicBox:
-    """Which axes of a box are periodic, its low corner (3,) [m] and its widths (3,) [m].
+    """Periodic axes of a box, its lower corner (3,) [m] and its widths (3,) [m].
 
-    `offset` [m]: how far the images above have moved, where the box is sheared; see `at`.
+    `offset` [m]: displacement of the image above in a Lees-Edwards box; see `at`.
     """
 
     axes: tuple[int, ...]
@@ -35,7 +35,7 @@ class PeriodicBox:
 
     @classmethod
     def of(cls, domain: Domain) -> "PeriodicBox":
-        """The border of a scene's domain at its start."""
+        """The periodic box of the domain of a scene at the start."""
         low, width, given = np.array(domain.min), np.subtract(domain.max, domain.min), domain.lees_edwards
         image_motion = None
         if given is not None:
@@ -44,11 +44,11 @@ class PeriodicBox:
         return cls(tuple(AXES.index(axis) for axis in domain.periodic), low, width, image_motion)
 
     def at(self, time: float) -> "PeriodicBox":
-        """The border at a time [s]."""
+        """The periodic box at a time [s]."""
         return self if self.image_motion is None else replace(self, offset=float(self.offsets(np.array([time]))[0]))
 
     def offsets(self, times: np.ndarray) -> np.ndarray:
-        """How far the images above have moved at times (n,) [s], less whole widths of the box (n,) [m]."""
+        """Displacements (n,) [m] of the image above at times (n,) [s], modulo the width of the box."""
         if self.image_motion is None:
             return np.zeros(len(times))
         width = self.width[self.image_motion.flow]
@@ -56,7 +56,7 @@ class PeriodicBox:
         return np.asarray(moved - width * np.round(moved / width))
 
     def speeds(self, times: np.ndarray) -> np.ndarray:
-        """Velocity of the images above at times (n,) [s], (n,) [m/s]."""
+        """Velocities (n,) [m/s] of the image above at times (n,) [s]."""
         return (
             np.zeros(len(times))
             if self.image_motion is None
@@ -77,13 +77,13 @@ class PeriodicBox:
         return float(self.width[self.image_motion.gradient])
 
     def wrap(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved by whole widths of the box into it, and by the offset through sheared faces."""
+        """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset."""
         return self._shifted(points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis]))[0]
 
     def wrap_with_velocity(
         self, points: np.ndarray, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) [m] in the box, and the velocities (n, 3) [m/s] that they have there at a time [s]."""
+        """Points (n, 3) [m] wrapped into the box, and their velocities (n, 3) [m/s] in it, at a time [s]."""
         shifted, image_counts = self.at(time)._shifted(
             points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
         )
@@ -94,7 +94,7 @@ class PeriodicBox:
         return shifted, shifted_velocity
 
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
-        """Images of points (n, 3) [m] that are nearest to the others (n, 3)."""
+        """Periodic images (n, 3) [m] of points (n, 3) nearest to the reference points (n, 3)."""
         return self._shifted(
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
         )[0]
@@ -102,7 +102,7 @@ class PeriodicBox:
     def _shifted(
         self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points moved by whole turns along every axis, the sheared one first, and the turns along that."""
+        """Points shifted by image counts along every axis, the gradient axis first, and the counts along that axis."""
         shifted, gradient_counts = np.array(points), np.zeros(len(points))
         for axis in sorted(self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient):
             image_counts = image_counts_of(axis, shifted[:, axis])
@@ -113,10 +113,10 @@ class PeriodicBox:
         return shifted, gradient_counts
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Spheres, centers (n, 3) and radii (n,) [m], and the images of those that reach out of the box."""
+        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face."""
         for axis in self.axes:
-            place = position[:, axis] - self.low[axis]
-            below, above = place < radius, place > self.width[axis] - radius
+            height = position[:, axis] - self.low[axis]
+            below, above = height < radius, height > self.width[axis] - radius
             shift = self.width[axis] * np.eye(3)[axis]
             position = np.concatenate([position, position[below] + shift, position[above] - shift])
             radius = np.concatenate([radius, radius[below], radius[above]])

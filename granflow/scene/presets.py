@@ -1,4 +1,4 @@
-"""Materials known by name, each with its source."""
+"""Material presets, each with its source."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ra
 
 @dataclass(frozen=True)
 class Preset:
-    """A material in SI units. `restitution_fit` is (sigma, psi) of Eq. 12 against itself, where it is known."""
+    """A material in SI units. `restitution_fit`: (sigma, psi) of Eq. 12 for contacts within the material, if known."""
 
     young_modulus: float
     poisson_ratio: float

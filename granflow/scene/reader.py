@@ -1,4 +1,4 @@
-"""Reads a scene: file to tree, overrides, schema, checks between the parts. All problems at once."""
+"""Scene reader: file to tree, overrides, schema, consistency checks. Reports all problems at once."""
 
 import os
 from collections.abc import Sequence
@@ -19,16 +19,15 @@ from granflow.scene.suggest import nearest
 from granflow.scene.validation import PartialScene, partial_scene_of
 from granflow.scene.yaml12 import parse
 
-_MAX_FILE_SIZE = 4 * 2**20  # bytes; reading that takes seconds
+_MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
 _MAX_SHOWN = 100  # problems
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read the scene in a YAML file.
 
-    The path in `start_from` counts from the file. Each override, "key.path=value", replaces or adds a value before
-    the scene is validated; the value is YAML.
-    Raises `SceneError` with every problem at once, in the order of the file.
+    The path in `start_from` is relative to the folder of the file. Each override, "key.path=value", replaces or adds
+    a value (YAML) before validation. Raises `SceneError` with all problems in the order of the file.
     """
     scene = scene_in(_document(Path(path)), overrides, Path(path).parent)
     scene._path = Path(path)
@@ -39,7 +38,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
 
 
 def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
-    """The directory that start_from names, its path counted from the file."""
+    """The directory in `start_from`, relative to the folder of the scene file."""
     try:
         return resolved(Path(path).parent / str(scene.start_from))
     except OSError as error:
@@ -48,9 +47,9 @@ def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene from text, such as that in a checkpoint; paths count from the folder of `source`.
+    """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
 
-    Raises as `load` does.
+    Raises the same errors as `load`.
     """
     try:
         return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
@@ -59,9 +58,9 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
 
 
 def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> Scene:
-    """Make the scene of a document that is read already; its paths count from `folder`. Raises as `load` does.
+    """The validated scene of a document; paths are relative to `folder`. Raises the same errors as `load`.
 
-    What rests on several of its parts, or on files, is not settled yet.
+    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet.
     """
     problems = list(document.problems)
     for override in overrides:
@@ -77,7 +76,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
 
 
 def _not_shown(problems: Sequence[Problem]) -> list[str]:
-    """A sentence about those beyond the ones that are shown."""
+    """A message with the number of problems that are not shown."""
     more = len(problems) - _MAX_SHOWN
     last = problems[-1].position
     return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
@@ -90,19 +89,19 @@ def _document(path: Path) -> Document:
         raise SceneError(str(error.problem)) from None
     if document.root.entries is None:
         shown = document.root.shown()
-        reason = "the file is empty" if shown == "empty" else "this is no mapping"
-        raise SceneError(f"{path}:1:1: {reason}, but a scene is keys with values, beginning with title: My scene.")
+        reason = "the file is empty" if shown == "empty" else "this is not a mapping"
+        raise SceneError(f"{path}:1:1: {reason}, but a scene is a mapping of keys to values, such as title: My scene.")
     return document
 
 
 def _text(path: Path) -> str:
     try:
         if path.is_dir():
-            raise SceneError(f"{path}: this is a directory; name the scene file in it.")
+            raise SceneError(f"{path}: this is a directory; give the scene file in it.")
         if path.exists() and not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; name a scene file.")
+            raise SceneError(f"{path}: this is not a regular file; give a scene file.")
         with path.open("rb") as file:
-            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel do not say how long they are
+            raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
         if len(raw) > _MAX_FILE_SIZE:
             raise SceneError(f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a scene.")
     except FileNotFoundError:
@@ -123,15 +122,15 @@ def _similar(path: Path) -> str:
 
 def _decoded(raw: bytes, path: Path) -> str:
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise SceneError(f"{path}:1:1: the file is in UTF-16; save it as UTF-8.")
+        raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         column = error.start - raw.rfind(b"\n", 0, error.start)
-        raise SceneError(f"{path}:{line}:{column}: the file is not text in UTF-8; save it as UTF-8.") from None
+        raise SceneError(f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8.") from None
     if "\0" in text:
-        raise SceneError(f"{path}: the file is binary; a scene is text in UTF-8.")
+        raise SceneError(f"{path}: the file is binary; a scene is UTF-8 text.")
     return text
 
 
@@ -145,7 +144,10 @@ def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
 
 
 def _resolved_law(scene: Scene) -> Scene:
-    """With a restitution number in every pair, a law may have nothing left to choose: zhou's is constant."""
+    """The scene with the parameters of the normal contact model that follow if every restitution is a number.
+
+    Example: `restitution_at` of zhou becomes constant.
+    """
     normal = scene.contact.normal
     has_fit = any(isinstance(pair.restitution, RestitutionFit) for pair in scene.pairs.values())
     if has_fit or not normal.fixed_by_numbers():

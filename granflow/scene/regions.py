@@ -1,4 +1,4 @@
-"""The regions particles are put into: where a whole sphere has room in a box or a cylinder."""
+"""Insertion regions: sampling of sphere centers so that the spheres lie entirely in a box or a cylinder."""
 
 from typing import Protocol
 
@@ -7,38 +7,38 @@ import numpy as np
 from granflow.scene.insertion_schema import BoxRegion, CylinderRegion
 
 SLACK = 1e-9
-"""Relative tolerance for things that fit exactly, such as ten 1 mm beads across 10 mm."""
+"""Relative tolerance for exact fits, such as ten spheres of 1 mm across 10 mm."""
 
 
 class RegionSampler(Protocol):
-    """A space into which spheres come, asked about points (n, 3) [m] and radii (n,) [m]."""
+    """An insertion region; arguments are points (n, 3) [m] and radii (n,) [m]."""
 
     volume: float
     radius_max: float  # of the largest sphere that fits
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Centers (n, 3) drawn evenly from where each sphere is wholly inside."""
+        """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside."""
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) about the points may meet it; never a false no."""
+        """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false negatives."""
 
 
 class PackingRegion(RegionSampler, Protocol):
-    """A region that is filled."""
+    """A region that a lattice or a random packing fills."""
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) at which the spheres are wholly inside."""
+        """The nearest centers (n, 3) [m] with the spheres entirely inside."""
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (n, 3) of a lattice with cells no smaller than `spacing` and how far each may shift (3, 3).
+        """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
 
-        Spheres of radius `margin` stay inside when shifted by any sum of the rows of the second array times numbers
-        in [-1, 1]. From the bottom (of the box, of the cylinder's axis) layer by layer.
+        Spheres of radius `margin` remain inside after a displacement by any sum of the vectors (rows) times numbers
+        in [-1, 1]. Order: in layers from the bottom of the box, or from the start of the axis of the cylinder.
         """
 
 
 class BoxSampler:
-    """A box along the axes."""
+    """A box with edges along the coordinate axes."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         self.low = np.asarray(low, dtype=np.float64)
@@ -47,16 +47,16 @@ class BoxSampler:
         self.radius_max = float((self.high - self.low).min()) / 2
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         margin = radius[:, None]
         return self.low + margin + random.random((len(radius), 3)) * (self.high - self.low - 2 * margin)
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """See Room; the cells are stretched to fill the box."""
+        """See `PackingRegion`; the cells are stretched to fill the box."""
         size = self.high - self.low
         cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
         cell = size / np.maximum(cells, 1)
@@ -65,13 +65,13 @@ class BoxSampler:
         return centers, np.diag(jitter * np.maximum(cell / 2 - margin, 0.0))
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         margin = reach[:, None]
         return np.all((points > self.low - margin) & (points < self.high + margin), axis=1)
 
 
 class CylinderSampler:
-    """A cylinder from one end of its axis to the other."""
+    """A solid cylinder between the two ends of its axis."""
 
     def __init__(self, start: np.ndarray, end: np.ndarray, radius: float) -> None:
         self.start = np.asarray(start, dtype=np.float64)
@@ -83,7 +83,7 @@ class CylinderSampler:
         self.frame = frame_along(along / self.length)
 
     def to_local(self, points: np.ndarray) -> np.ndarray:
-        """Coordinates (n, 3) across, across and along the axis."""
+        """Local coordinates (n, 3) [m]: two perpendicular to the axis, the third along it."""
         return (points - self.start) @ self.frame.T
 
     def from_local(self, local: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ class CylinderSampler:
         return self.start + local @ self.frame
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         share, turn, height = random.random((3, len(radius)))
         r = (self.radius - radius) * np.sqrt(share)
         angle = 2 * np.pi * turn
@@ -99,7 +99,7 @@ class CylinderSampler:
         return self.from_local(np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1))
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         local = self.to_local(points)
         r = np.linalg.norm(local[:, :2], axis=1)
         clearance = self.radius - radius
@@ -109,7 +109,7 @@ class CylinderSampler:
         return self.from_local(local)
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """See Room; the layers are stretched to fill the length, a layer is a square lattice about the axis."""
+        """See `PackingRegion`; layers are square lattices around the axis, stretched to fill the length."""
         axes = int(2 * self.radius / spacing * (1 + SLACK))
         layers = int(self.length / spacing * (1 + SLACK))
         height = self.length / max(layers, 1)
@@ -121,14 +121,14 @@ class CylinderSampler:
         return self.from_local(np.stack([x, y, z], axis=-1)[box]), shift[:, None] * self.frame
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See Room."""
+        """See `PackingRegion`."""
         local = self.to_local(points)
-        beside = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
-        return beside & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
+        is_within_radius = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
+        return is_within_radius & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
 
 
 class SlabSampler:
-    """A box on a rectangle, any way round: `depth` [m] along the first side times the second."""
+    """A box on a rectangle of any orientation: `depth` [m] along the cross product of the two sides."""
 
     def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
         lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
@@ -138,23 +138,23 @@ class SlabSampler:
         self.volume, self.radius_max = self.box.volume, self.box.radius_max
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See Opening."""
+        """See `RegionSampler`."""
         return np.asarray(self.corner + self.box.sample(radius, random) @ self.frame)
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See Opening."""
+        """See `RegionSampler`."""
         return self.box.reaches((points - self.corner) @ self.frame.T, reach)
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:
-    """Three perpendicular unit vectors as rows, the last one the given axis, right-handed."""
+    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis."""
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(axis, first), axis])
 
 
 def sampler_of(region: BoxRegion | CylinderRegion) -> BoxSampler | CylinderSampler:
-    """The room of a region in the scene."""
+    """The sampler of a region in the scene."""
     if isinstance(region, BoxRegion):
         return BoxSampler(np.array(region.box.min), np.array(region.box.max))
     tube = region.cylinder

@@ -1,7 +1,7 @@
-"""Settling a scene: what rests on several of its parts, or on files, becomes plain numbers, once after reading.
+"""Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Counts from masses and from streams that end, what files of particles hold, and equipment of another `scale`. A settled
-scene settles to itself; it is what a run writes down and goes on with.
+Resolves counts from masses and end times, summaries of particle files, and `scale`. Resolving is idempotent. The
+resolved scene is used for the run and saved with it.
 """
 
 from collections.abc import Iterator
@@ -24,13 +24,13 @@ from granflow.scene.schema import Scene
 from granflow.scene.size_sampling import count_for_volume
 
 ROUNDING_SHARE = 1e-9
-"""Share of a particle that is taken for rounding where a stream ends."""
+"""Tolerance for rounding at the end of an insertion, as a fraction of one particle."""
 
 
 def resolve_scene(scene: Scene, read: bool = False) -> Scene:
-    """The scene with every count, at scale 1. Raises SceneError.
+    """The scene with all counts, at scale 1. Raises SceneError.
 
-    `read`: have files of particles read again of which is said already what they hold, where they are there.
+    `read`: read existing particle files again even if the scene has their summary.
     """
     scene, remarks = _at_scale_1(scene)
     groups: dict[str, Group] = {}
@@ -50,7 +50,7 @@ def resolve_scene(scene: Scene, read: bool = False) -> Scene:
 
 
 def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[str]]:
-    """One group with its count, and what is to be said of it."""
+    """One group with its count, and remarks for the user."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if not isinstance(insertion, FileInsertion):
         return _with_count(scene, name), []
@@ -60,32 +60,33 @@ def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[st
 
 
 def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
-    """Equipment and amounts as the size says; expectations of size 1 are left out, unless they say otherwise."""
+    """The scaled scene at scale 1, and remarks; only expectations with `any_scale` remain."""
     if scene.scale == 1.0:
         return scene, []
     for name, group in scene.particles.items():
         if group.insert.kind in ("positions", "file"):
             raise SceneError(
-                f"{scene.locate('scale')}: scale is {scene.scale:g}, but the positions of particles.{name} are "
-                f"given one "
-                "by one; leave scale out."
+                f"{scene.locate('scale')}: scale is {scene.scale:g}, but particles.{name} has given positions, which "
+                "cannot be scaled; leave scale out."
             )
     scaled_scene = scaled(scene, scene.scale)
     kept = tuple(each for each in scene.expect if each.any_scale)
     prefix = f"scale {scene.scale:g}"
-    times = f"{scene.scale:g} times those written, numbers and masses of particles {scene.scale**3:.4g} times"
-    remarks = [f"{prefix}: lengths of the equipment are {times}; diameters, velocities and times are as written."]
+    factors = f"{scene.scale:g}, counts and masses of particles by {scene.scale**3:.4g}"
+    remarks = [
+        f"{prefix}: lengths of the equipment are multiplied by {factors}; diameters, velocities and times are not."
+    ]
     if len(kept) < len(scene.expect):
         remarks.append(
-            f"{prefix}: {len(scene.expect) - len(kept)} of expect were made for scale 1, and are not judged."
+            f"{prefix}: {len(scene.expect) - len(kept)} expectations apply to scale 1 only and are not evaluated."
         )
     return scaled_scene.model_copy(update={"scale": 1.0, "expect": kept}), remarks
 
 
 def scaled(part: Any, factor: float) -> Any:
-    """A part of a scene whose lengths are `factor` times as large, and whose amounts of particles its cube.
+    """A part of a scene with lengths multiplied by `factor`, and numbers of particles by its cube.
 
-    What grows, and with which power, stands in the types of the schema (Number.scaling).
+    The types of the schema define the exponent of each number (`Number.scaling`).
     """
     changes = {
         name: _scaled_value(getattr(part, name), _power(field), factor)
@@ -108,7 +109,7 @@ def _scaled_value(value: Any, power: int, factor: float) -> Any:
 
 
 def _power(field: FieldInfo) -> int:
-    """The power of the size with which the numbers of a field grow."""
+    """Exponent of the scale in the numbers of a field."""
 
     def powers(annotation: Any) -> Iterator[int]:
         if isinstance(annotation, Number):
@@ -120,21 +121,21 @@ def _power(field: FieldInfo) -> int:
 
 
 def _with_count(scene: Scene, name: str) -> Group:
-    """A group that states a count, a mass or an end, with the least of the counts that come of them."""
+    """A group with a count, a mass or an end time: its count is the smallest of the resulting counts."""
     group = scene.particles[name]
     counts = {key: count for key, count in _counts(scene, name)}
     key = min(counts, key=lambda key: counts[key])
     if counts[key] > LARGEST_COUNT:
         path = ("particles", name, *key.split("."))
         raise SceneError(
-            f"{scene.locate(*path)}: {'.'.join(path)} makes {float(counts[key]):.3g} particles, but at most "
-            f"{LARGEST_COUNT} can be numbered."
+            f"{scene.locate(*path)}: {'.'.join(path)} results in {float(counts[key]):.3g} particles, but the limit is "
+            f"{LARGEST_COUNT}."
         )
     return group.model_copy(update={"count_given": counts[key], "mass": None})
 
 
 def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
-    """How many particles every key asks for that says how many."""
+    """Number of particles that follows from each of the keys count, mass and insert.end, if given."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if group.count_given is not None:
         yield "count", group.count_given
@@ -155,7 +156,7 @@ def _count_of_mass(scene: Scene, name: str, mass: float) -> int:
 
 
 def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
-    """A group from a file, with what the file holds."""
+    """A group from a file with the summary of the file, and remarks."""
     group = scene.particles[name]
     rows = rows_of(scene, name)
     problems = [*_inconsistencies(scene, name, rows)]
@@ -172,7 +173,7 @@ def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group
 
 
 def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[str]:
-    """What the scene says of a group and its file does not keep to."""
+    """Contradictions between a group in the scene and the rows of its file."""
     group = scene.particles[name]
     if group.count_given not in (None, len(rows)) and scene.is_given("particles", name, "count"):
         location = scene.locate("particles", name, "count")
@@ -189,7 +190,7 @@ def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[s
 
 
 def _overlap(scene: Scene, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
-    """Largest overlap over the smaller radius, and a sentence on it; none where overlaps do not matter."""
+    """Largest overlap over the smaller radius, and remarks; 0 for fixed particles."""
     if scene.particles[name].fixed:
         return 0.0, []
     first, second = near_pairs(rows.position, rows.radius, 0.0)

@@ -1,7 +1,7 @@
-"""The scene file as frozen models: what a user may write, in SI once read.
+"""Schema of scene files as immutable models, in SI units after reading.
 
-Physics has no hidden defaults: what the outcome rests on must be written. What only the computation rests on has
-defaults, all of them in `RunSettings` and `Numerics`.
+Physical parameters have no hidden defaults: a scene must give all of them. Numerical parameters have defaults, all
+in `RunSettings` and `Numerics`.
 """
 
 import math
@@ -138,21 +138,21 @@ __all__ = [
 ]
 
 RIGHT_ANGLE_COSINE = 1e-6
-"""Largest cosine of an angle that counts as a right one."""
+"""Largest absolute cosine of an angle that is accepted as 90 deg."""
 
 LARGEST_OVERLAP = 0.8
-"""Largest overlap limit: beyond it a center could cross a thin wall between two steps (`granflow.plan.travel`)."""
+"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.travel`)."""
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
 AdaptiveOrFixedTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
-ShearRate = Annotated[float, Number("rate", noun="a rate of shear")]
+ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 LARGEST_CHUNK = 1_000_000
-"""Larger chunks give other threads nothing to do; and numbers of particles, rounded up to chunks, have 32 bits."""
+"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
 
 LARGEST_ANGLE = 0.9
-"""The bound on unloading must be stable: 4 theta^2 < 4 in a dense bed (`granflow.plan.time_step.stable_step`)."""
+"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
 
 UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
 ChunkSize = Annotated[
@@ -161,93 +161,95 @@ ChunkSize = Annotated[
 
 
 class LeesEdwards(Model):
-    """The images of the box across two periodic faces move along them: uniform shear without walls (Lees-Edwards)."""
+    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis."""
 
-    flow: Literal["x", "y", "z"] = Field(description="axis of the velocity")
-    gradient: Literal["x", "y", "z"] = Field(description="axis across which the velocity changes")
-    rate: ShearRate = Field(description="velocity over height [1/s]; negative: the other way")
-    start: Time = Field(0.0, description="time from which on the images move [s]")
+    flow: Literal["x", "y", "z"] = Field(description="flow axis, the direction of the velocity")
+    gradient: Literal["x", "y", "z"] = Field(description="gradient axis, along which the velocity changes")
+    rate: ShearRate = Field(description="shear rate, change of velocity per length [1/s]; may be negative")
+    start: Time = Field(0.0, description="time at which the shear begins [s]")
 
     def faults(self) -> Iterator[Fault]:
-        """Two axes."""
+        """The flow and gradient axes must differ."""
         if self.flow == self.gradient:
-            yield Fault(("gradient",), "flow is the same axis; give another")
+            yield Fault(("gradient",), "flow is the same axis; give another axis")
 
 
 class Domain(Box):
-    """The box that is simulated."""
+    """The simulated box."""
 
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], list_of(one=True)] = Field(
-        (), description="axes along which opposite faces are one, such as [x, y]"
+        (), description="axes with periodic boundary conditions, such as [x, y]"
     )
-    lees_edwards: LeesEdwards | None = Field(None, description="uniform shear through two periodic axes")
+    lees_edwards: LeesEdwards | None = Field(
+        None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
+    )
     on_exit: Literal["delete", "error", "expand"] = Field(
-        description="what becomes of particles whose center leaves the domain: delete (and count), error, or expand: "
-        "nothing, the domain grows with them"
+        description="action if the center of a particle leaves the domain: delete (and count), error (abort the run), "
+        "or expand (enlarge the domain)"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """A box with room in it, each axis once."""
+        """Positive volume, unique periodic axes, periodic axes of Lees-Edwards shear."""
         yield from super().faults()
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
-                yield Fault(("periodic", index), "it is there already; name each axis once")
+                yield Fault(("periodic", index), "this axis is a duplicate; give each axis once")
         for key in ("flow", "gradient") if self.lees_edwards else ():
             if getattr(self.lees_edwards, key) not in self.periodic:
                 yield Fault(
-                    ("lees_edwards", key), "domain.periodic does not have it; both axes of a shear are periodic"
+                    ("lees_edwards", key), "domain.periodic does not contain this axis; both axes must be periodic"
                 )
 
 
 class Stage(Model):
-    """A part of the run: it ends after a duration, or when the particles have come to rest."""
+    """A part of the run that ends after a duration, or when the particles are at rest."""
 
     name: Name = Field(description="name of the stage")
-    duration: PositiveTime | None = Field(None, description="how long it lasts [s]")
+    duration: PositiveTime | None = Field(None, description="duration [s]")
     kinetic_energy_below: Energy | None = Field(
-        None, description="ends when the mean kinetic energy per particle is below this [J]"
+        None, description="the stage ends if the mean kinetic energy per particle is below this value [J]"
     )
     max_duration: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
 
     def faults(self) -> Iterator[Fault]:
-        """A duration, or an energy with a longest duration."""
+        """Either a duration, or an energy with a maximum duration."""
         if self.duration is None and self.kinetic_energy_below is None:
             yield Fault((), "has no end: give duration, or kinetic_energy_below with max_duration", whole=True)
         elif self.duration is not None and self.kinetic_energy_below is not None:
             yield Fault(
-                ("duration",), "kinetic_energy_below is given too: keep one, or write max_duration for duration"
+                ("duration",), "kinetic_energy_below is given too: keep one, or replace duration by max_duration"
             )
         elif self.kinetic_energy_below is not None and self.max_duration is None:
             yield Fault(
-                ("max_duration",), "is missing: the longest duration of a stage that waits for rest", whole=True
+                ("max_duration",), "is missing: the longest duration of a stage with kinetic_energy_below", whole=True
             )
         elif self.duration is not None and self.max_duration is not None:
-            yield Fault(("max_duration",), "it goes only with kinetic_energy_below; leave it out")
+            yield Fault(("max_duration",), "it requires kinetic_energy_below; leave it out")
 
 
 class RunSettings(Model):
-    """How long and how finely to compute."""
+    """Duration, time step and precision of a run."""
 
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
     time_step: AdaptiveOrFixedTime = Field(
         "auto",
-        description="time step [s]; auto: from the stiffest contact; adaptive: from the stiffest contact there is now",
+        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest present one",
     )
     velocity_max: Speed | None = Field(
-        None, description="fastest approach expected [m/s]; left out: estimated from drop heights and speeds"
+        None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
     )
     precision: Literal["f64", "f32", "mixed"] = Field(
-        "f64", description="f64, f32, or mixed (positions in f64, the rest in f32)"
+        "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
     )
 
 
 class Numerics(Model):
-    """What the computation rests on; every value has a default."""
+    """Numerical parameters, all with defaults."""
 
-    time_step_fraction: Fraction = Field(0.05, description="time step over the shortest phase of a contact")
+    time_step_fraction: Fraction = Field(0.05, description="largest time step over the shortest contact phase")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
-    skin: AutoLength = Field("auto", description="how much further than contact neighbors are listed [m], or auto")
-    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the contact list, or auto")
+    skin: AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
+    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
     max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
     unloading_angle: UnloadingAngle = Field(
         0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
@@ -255,22 +257,21 @@ class Numerics(Model):
 
 
 class FlowMeterSpec(Model):
-    """A flow meter: the mass through a plane, or a disc or rectangle of it, with what was deleted there."""
+    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there."""
 
-    point: Point = Field(
-        description="a point on the plane; the center, if there is a radius, a corner, if there are sides [m]"
-    )
-    normal: Direction = Field(description="direction counted as forward; its length does not matter")
-    radius: PositiveLength | None = Field(None, description="radius around the point [m]; left out: the whole plane")
+    point: Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
+    normal: Direction = Field(description="direction of positive flow; its length does not matter")
+    radius: PositiveLength | None = Field(None, description="radius of the disc [m]; default: the whole plane")
     sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] | None = Field(
-        None, description="the two edges of a rectangle from the point, perpendicular to each other and the normal [m]"
+        None,
+        description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal",
     )
     group_by: Literal["material", "group"] | None = Field(
-        None, description="count every material, or group of particles, by itself too"
+        None, description="additional separate counts for each material or group"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """A disc or a rectangle; sides at right angles to each other and to the normal."""
+        """Either a disc or a rectangle; sides perpendicular to each other and to the normal."""
         if self.sides is None:
             return
         if self.radius is not None:
@@ -288,46 +289,49 @@ class FlowMeterSpec(Model):
 
 
 class Checkpoints(Model):
-    """How often the whole state is written, from which `granflow resume` goes on; at the end it always is."""
+    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end."""
 
-    wall_clock: PositiveTime = Field(600.0, description="wall clock between checkpoints [s]")
-    interval: PositiveTime | None = Field(None, description="simulated time between checkpoints [s], besides those")
-    keep: Count = Field(2, description="how many are kept, the newest ones")
+    wall_clock: PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
+    interval: PositiveTime | None = Field(
+        None, description="simulated time between additional checkpoints [s]; default: none"
+    )
+    keep: Count = Field(2, description="number of checkpoints that are kept, the newest ones")
 
 
 class Output(Model):
-    """What is written, and how often."""
+    """Selection and intervals of the output."""
 
     interval: PositiveTime = Field(description="time between VTU frames [s]")
     timeseries_interval: PositiveTime = Field(
-        default_factory=lambda given: given.get("interval"),  # none where the interval itself is wrong
-        description="time between rows of timeseries.csv [s]; left out: interval",
+        default_factory=lambda given: given.get("interval"),  # None if the interval is invalid
+        description="time between rows of timeseries.csv [s]; default: interval",
     )
     particles: Flag = Field(True, description="write particles_*.vtu")
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
-    energy_budget: Flag = Field(False, description="keep the energy ledger")
+    energy_budget: Flag = Field(False, description="compute the energy budget")
     wall_forces: FlagOrNames = Field(
-        False, description="measure force, torque and pressure of the grains on the walls: all, or those of a list"
+        False,
+        description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
     )
     flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
-    metrics: dict[Name, AnyMetric] = Field({}, description="indices of the bed by name, for timeseries.csv and expect")
-    checkpoint: Checkpoints = Field(Checkpoints(), description="how often the whole state is written")
+    metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
+    checkpoint: Checkpoints = Field(Checkpoints(), description="interval and number of checkpoints")
 
 
 class ExpectationSpec(Model):
-    """What the finished run is held to: one comparison of one quantity, in SI."""
+    """An expectation for the results of a run: one comparison of one quantity, in SI units."""
 
-    quantity: Text = Field(description="what is compared, such as mass_flow.outlet")
+    quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
     between: Annotated[tuple[AnyQuantity, AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
         None, description="smallest and largest value"
     )
-    below: AnyQuantity | None = Field(None, description="it must be below this")
-    above: AnyQuantity | None = Field(None, description="it must be above this")
-    equals: AnyQuantity | None = Field(None, description="it must equal this, within the tolerance")
+    below: AnyQuantity | None = Field(None, description="upper limit of the quantity")
+    above: AnyQuantity | None = Field(None, description="lower limit of the quantity")
+    equals: AnyQuantity | None = Field(None, description="expected value, within the tolerance")
     tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_scale: Flag = Field(False, description="judge it whatever the size of the scene, not only at scale 1")
+    any_scale: Flag = Field(False, description="true: evaluate at every scale of the scene; false: only at scale 1")
 
     def faults(self) -> Iterator[Fault]:
         """Exactly one comparison, with a tolerance for equals."""
@@ -339,39 +343,42 @@ class ExpectationSpec(Model):
         if self.equals is not None and self.tolerance is None:
             yield Fault(("tolerance",), "is missing: the largest relative difference from equals", whole=True)
         if self.equals is None and self.tolerance is not None:
-            yield Fault(("tolerance",), "it goes only with equals; leave it out")
+            yield Fault(("tolerance",), "it requires equals; leave it out")
         if self.between is not None and self.between[0] > self.between[1]:
-            yield Fault(("between",), "the smaller value comes first")
+            yield Fault(("between",), "the first value must be the smaller one")
 
 
 class Scene(Model):
-    """Everything a run rests on, in SI units."""
+    """A complete scene, the input of a run, in SI units."""
 
-    title: Text = Field(description="one line that says what this is")
-    description: Text | None = Field(None, description="what should be seen")
-    seed: Seed = Field(1, description="seed of everything random")
+    title: Text = Field(description="title of the scene, one line")
+    description: Text | None = Field(None, description="description of the scene and its expected behavior")
+    seed: Seed = Field(1, description="seed of all random numbers")
     scale: Positive = Field(
-        1.0, description="makes equipment so many times larger, and particles more by its cube; they stay as they are"
+        1.0,
+        description="factor of equipment lengths; particle counts scale with its cube, particle sizes do not change",
     )
     gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, MaterialPair] = Field(
-        description="pairs of materials, each key two names with a dash between"
+        description="contact properties of material pairs; each key is two names joined by a hyphen"
     )
-    contact: Contact = Field(description="the laws of contact, {normal: zhou, tangential: mindlin, rolling: none}")
+    contact: Contact = Field(description="contact models, {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(
-        None, description="directory of an earlier run, whose last particles stand in for those of groups named alike"
+        None, description="directory of an earlier run; its last particles replace those of groups with the same name"
     )
-    outlets: dict[Name, Outlet] = Field({}, description="where particles are deleted and counted, by name")
-    domain: Domain = Field(description="the box that is simulated")
-    stages: Annotated[tuple[Stage, ...], list_of()] = Field((), description="parts of the run, in order")
-    run: RunSettings = Field(RunSettings(), description="how long and how finely to compute")
-    numerics: Numerics = Field(Numerics(), description="settings of the computation, all with defaults")
-    output: Output = Field(description="what is written, and how often")
+    outlets: dict[Name, Outlet] = Field(
+        {}, description="outlets by name: regions in which particles are deleted and counted"
+    )
+    domain: Domain = Field(description="the simulated box")
+    stages: Annotated[tuple[Stage, ...], list_of()] = Field((), description="stages of the run, in order")
+    run: RunSettings = Field(RunSettings(), description="duration, time step and precision")
+    numerics: Numerics = Field(Numerics(), description="numerical parameters, all with defaults")
+    output: Output = Field(description="selection and intervals of the output")
     expect: Annotated[tuple[ExpectationSpec, ...], list_of()] = Field(
-        (), description="what the finished run is held to"
+        (), description="expectations for the results of the finished run"
     )
 
     _path: Path = PrivateAttr(Path())
@@ -380,67 +387,67 @@ class Scene(Model):
     _remarks: tuple[str, ...] = PrivateAttr(())
 
     def __eq__(self, other: object) -> bool:
-        """Scenes are equal that say the same, wherever they were read."""
+        """Equality of the values; the source of the scenes does not matter."""
         return isinstance(other, Scene) and self.__dict__ == other.__dict__
 
     __hash__ = None  # type: ignore[assignment]
 
     @property
     def path(self) -> Path:
-        """The file this scene was read from; an empty path if there is none."""
+        """The file of this scene; an empty path without a file."""
         return self._path
 
     @property
     def folder(self) -> Path:
-        """The folder that paths in the scene count from; where the scene comes from no file, the present one."""
+        """The folder to which paths in the scene are relative; without a file, the working directory."""
         return self._folder
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was made of the scene as it was written, a sentence each: another size, overlaps in files."""
+        """Remarks of the reader, one sentence each: a scale other than 1, overlaps in particle files."""
         return self._remarks
 
     @property
     def schedule(self) -> tuple[Stage, ...]:
-        """The stages; where the scene has none, one stage "run" that lasts `run.duration`."""
+        """The stages; for a scene without stages, one stage "run" of `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
 
     def flow_meter_parts(self, name: str) -> tuple[str, ...]:
-        """Names of the materials, or groups, that a flow meter counts by themselves."""
+        """Names of the materials or groups with separate counts in a flow meter."""
         group_by = self.output.flow_meters[name].group_by
         return () if group_by is None else tuple(self.materials if group_by == "material" else self.particles)
 
     @property
     def measured_walls(self) -> tuple[str, ...]:
-        """Names of the walls whose loads are measured, in the order of the walls."""
+        """Names of the walls with measured forces, in the order of the walls."""
         requested = self.output.wall_forces
         return tuple(name for name in self.walls if requested is True or (requested and name in requested))
 
     def pair(self, first: str, second: str) -> MaterialPair:
-        """The pair of two materials, named in either order. Raises KeyError where the scene has none."""
+        """The pair of two materials in either order. Raises KeyError if the scene does not have it."""
         return self.pairs[self.pair_key(first, second)]
 
     def pair_key(self, first: str, second: str) -> str:
-        """The key under `pairs` for two materials, named in either order."""
+        """The key in `pairs` for two materials in either order."""
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
 
     def text(self) -> str:
-        """The scene as it is run, as YAML with every default filled in; it loads again to an equal scene."""
+        """The resolved scene as YAML with all defaults; the text loads to an equal scene."""
         return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
 
     def is_given(self, *key_path: str | int) -> bool:
-        """Whether the file, or an override, says this key itself; False for what a default or a preset filled in."""
+        """Whether the file or an override gives this key; False for values from a default or a preset."""
         return self._document is not None and self._document.find(key_path) is not None
 
     def locate(self, *key_path: str | int) -> str:
-        """Where the value of that key stood, as `file:line:column`, for the head of a problem."""
+        """Source position of the value of a key, as `file:line:column`, for error messages."""
         if self._document is None:
             return self.path.name or "scene"
         return str(self._document.value_position(key_path))
 
     def where(self, *key_path: str | int) -> str:
-        """Where that key stood, as `file:line`; for what the file left out, where the part around it stood."""
+        """Source position of a key, as `file:line`; for a missing key, of the nearest existing parent key."""
         if self._document is None:
             return self.path.name or "scene"
         return self._document.where(key_path)

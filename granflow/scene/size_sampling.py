@@ -1,4 +1,4 @@
-"""Diameters drawn from the size distributions of the scene."""
+"""Sampling of diameters from the size distributions of the scene."""
 
 import math
 from collections.abc import Callable
@@ -9,15 +9,15 @@ import numpy as np
 from granflow.scene.groups import ClassSizes, LogNormalSizes, NormalSizes, SizeSpec, UniformSizes
 
 MAX_COUNTED = 10_000_000
-"""Particles up to which a mass is counted out one by one; of more, it is the mean of some that says how many."""
+"""Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""
 
 SAMPLE = 10_000
 
 
 def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
-    """Exactly `count` diameters (count,) [m] in random order; a list is taken as it stands.
+    """Exactly `count` diameters (count,) [m] in random order; a list keeps its order.
 
-    Cut-offs are those of the truncated distribution: what lies beyond is never drawn, nothing is moved onto them.
+    Normal and log-normal distributions are truncated: values beyond the limits are excluded, not clamped.
     """
     if isinstance(sizes, ClassSizes):
         diameter = np.array([each.diameter for each in sizes.classes])
@@ -35,9 +35,9 @@ def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> 
 
 
 def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.random.Generator]) -> int:
-    """How many diameters, as `draw_diameters` gives them, have the sum of cubes nearest to `cubes` [m^3]; 1 at least.
+    """Number of diameters from `draw_diameters` whose sum of cubes is nearest to `cubes` [m^3]; at least 1.
 
-    `random` makes the generator that they will be drawn with, anew at every call.
+    `random` returns a new generator with the seed of the later draw at each call.
     """
     if isinstance(sizes, ClassSizes):
         return max(round(min(cubes / mean_cube(sizes), 1e18)), 1)
@@ -50,13 +50,13 @@ def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.rand
 
 
 def mean_cube(sizes: ClassSizes) -> float:
-    """Mean of the cubes of the diameters of classes [m^3]."""
+    """Mean cube of the diameter of size classes [m^3]."""
     share = number_shares(sizes)
     return float(share @ np.array([each.diameter for each in sizes.classes]) ** 3)
 
 
 def number_shares(sizes: ClassSizes) -> np.ndarray:
-    """Shares of the classes by number (k,), with the sum 1: those by mass go through the volume, n ~ share / d^3."""
+    """Number fractions (k,) of the classes, with the sum 1; mass fractions w are converted by n ~ w / d^3."""
     share = np.array([each.fraction for each in sizes.classes])
     if sizes.by == "mass":
         share = share / np.array([each.diameter for each in sizes.classes]) ** 3
@@ -64,9 +64,9 @@ def number_shares(sizes: ClassSizes) -> np.ndarray:
 
 
 def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
-    """Diameters (count,) [m] in the order of arrival, classes in turn: each keeps its share all along.
+    """Diameters (count,) [m] in the order of insertion; classes alternate, so that their fractions are constant.
 
-    The j-th of n of a class comes at the share (j + 1/2) / n of the stream.
+    Particle j of the n particles of a class is at the fraction (j + 1/2) / n of the sequence.
     """
     if not isinstance(sizes, ClassSizes):
         return draw_diameters(sizes, count, random)
@@ -79,7 +79,7 @@ def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) 
 def truncated_normal(
     normal: NormalDist, low: float, high: float, count: int, random: np.random.Generator
 ) -> np.ndarray:
-    """Values (count,) of a normal law given that they lie in [low, high], by the inverse of its distribution."""
+    """Values (count,) of a normal distribution truncated to [low, high], by inversion of the distribution function."""
     share = random.uniform(normal.cdf(low), normal.cdf(high), count)
     inside = np.clip(share, np.finfo(float).tiny, 1 - np.finfo(float).epsneg)  # inv_cdf is undefined at 0 and 1
     drawn = np.fromiter(map(normal.inv_cdf, inside.tolist()), dtype=np.float64, count=count)
@@ -87,7 +87,7 @@ def truncated_normal(
 
 
 def class_counts(sizes: ClassSizes, count: int) -> np.ndarray:
-    """How many particles (k,) of each class: whole numbers with the sum `count`, by the largest remainders."""
+    """Number of particles (k,) of each class: integers with the sum `count`, by the largest-remainder method."""
     exact = count * number_shares(sizes)
     whole = np.floor(exact).astype(np.int64)
     largest_remainders = np.argsort(whole - exact, kind="stable")

@@ -1,4 +1,4 @@
-"""Units: text such as "4 mm" or "0.31 GPa" to SI numbers, rounded once."""
+"""Units: conversion of text such as "4 mm" or "0.31 GPa" to SI numbers with a single rounding."""
 
 import difflib
 import math
@@ -12,13 +12,13 @@ _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IG
 _COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
 _PI = Fraction(math.pi)
 _STANDARD_GRAVITY = "9.80665"
-_LONGEST_EXACT = 100  # characters; more digits than this are rounded before the unit is applied
+_LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
 _LARGEST = Fraction(10) ** 300
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of physical quantity: how to call it, one example, and its units as multiples of SI."""
+    """A physical dimension: noun and example for messages, and its units as multiples of the SI unit."""
 
     noun: str
     example: str
@@ -26,7 +26,7 @@ class Dimension:
 
 
 def _unit_table(text: str) -> dict[str, Fraction]:
-    """Read "m 1, mm 1e-3, ..." into a table of exact factors; the SI unit stands first."""
+    """Exact factors from "m 1, mm 1e-3, ..."; the SI unit is first."""
     pairs = (entry.split() for entry in text.split(","))
     return {name: Fraction(factor) for name, factor in pairs}
 
@@ -71,26 +71,26 @@ _ANY = Dimension("a number or text with a unit", "2 t/h", {})
 
 
 class UnitError(ValueError):
-    """Text that is no quantity of the dimension asked; the message goes after "X is Y, but "."""
+    """Text that is not a quantity of the expected dimension; the message follows "X is Y, but "."""
 
 
 def dimension_of(name: str) -> Dimension:
-    """Give the dimension of that name; "any" takes the units of all."""
+    """The dimension with the given name; "any" accepts all units."""
     return _ANY if name == "any" else DIMENSIONS[name]
 
 
 def to_si(text: str, dimension: str) -> float:
-    """Turn text such as "4 mm" into the SI number of that dimension; text without a unit is SI.
+    """Convert text such as "4 mm" to an SI number of the given dimension; text without a unit is SI.
 
     The product of number and factor is rounded once, so "4 mm" is the same float as 0.004.
-    Raises `UnitError` where the text is no number, or the unit is unknown or of another dimension.
+    Raises `UnitError` if the text is not a number, or the unit is unknown or of another dimension.
     """
     expected = dimension_of(dimension)
     if _COMMA.search(text):
-        raise UnitError(f"a decimal point is asked here, not a comma: {text.replace(',', '.')}")
+        raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
     match = _AMOUNT.fullmatch(text)
     if match is None:
-        raise UnitError(f"{expected.noun} is asked here, such as {expected.example}")
+        raise UnitError(f"{expected.noun} is expected, such as {expected.example}")
     number, unit = match.groups()
     plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
     factor = _factor(unit, dimension)
@@ -115,17 +115,17 @@ def _any_factor(unit: str) -> Fraction:
     factors = {d.units[unit] for d in DIMENSIONS.values() if unit in d.units}
     if len(factors) == 1:
         return factors.pop()
-    trouble = "means more than one thing" if factors else "is not a unit known here"
-    raise UnitError(f"{unit} {trouble}; leave the unit out to write the value in SI")
+    trouble = "is ambiguous" if factors else "is not a known unit"
+    raise UnitError(f"{unit} {trouble}; give the value in SI without a unit")
 
 
 def _wrong_unit(unit: str, expected: Dimension) -> str:
     matching = [d.noun for d in DIMENSIONS.values() if unit in d.units]
     if not expected.units or expected is DIMENSIONS["number"]:
-        return f"{expected.noun} without a unit is asked here, such as {expected.example}"
+        return f"{expected.noun} without a unit is expected, such as {expected.example}"
     if matching:
-        return f"{unit} measures {matching[0]} and {expected.noun} is asked here, such as {expected.example}"
+        return f"{unit} measures {matching[0]} and {expected.noun} is expected, such as {expected.example}"
     near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
     known = ", ".join(name for name in expected.units if name.isascii())
     hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"{unit} is not a unit known here{hint}; {expected.noun} is written in {known}, such as {expected.example}"
+    return f"{unit} is not a known unit{hint}; units of {expected.noun} are {known}, such as {expected.example}"

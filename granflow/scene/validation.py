@@ -1,4 +1,4 @@
-"""The parts of a scene that are right by themselves, for the checks between parts while others are still wrong."""
+"""Partial scenes: the valid parts of a scene with errors, for consistency checks between these parts."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from granflow.scene.schema import Scene
 
 @dataclass(frozen=True)
 class PartialScene:
-    """A scene, perhaps with parts missing.
+    """A scene that may lack parts.
 
-    `scene` has the sections named in `complete`, and of the sections with names the entries that are right.
+    `scene` has the sections in `complete`, and the valid entries of sections with named entries.
     """
 
     document: Document
@@ -26,24 +26,24 @@ class PartialScene:
 
     @classmethod
     def of(cls, document: Document, scene: Scene) -> "PartialScene":
-        """The draft of a scene that passed its schema."""
+        """The partial scene of a scene that satisfies the schema: all sections are complete."""
         sections: dict[KeyPath, Any] = {(name,): getattr(scene, name) for name in Scene.model_fields}
         return cls(document, scene, frozenset(Scene.model_fields), sections)
 
     def names(self, section: str) -> tuple[str, ...]:
-        """All names in a section of the file, also of entries that are wrong; of bad names also the good form."""
+        """All names in a section of the file, including invalid entries, and names in lowercase."""
         node = self.document.root.child(section)
         names = tuple(node.entries) if node is not None and node.entries else ()
         return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
 
     def faults(self) -> Iterator[tuple[KeyPath, Fault]]:
-        """What is wrong between the fields of each part that is right otherwise."""
+        """Inconsistencies between the fields of each valid part."""
         for path, part in self.parts.items():
             yield from _faults(part, path)
 
 
 def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScene:
-    """Validate each section by itself, entry by entry where it has entries, and keep what is right."""
+    """Validate each section, or each entry of a section, separately and keep the valid parts."""
     parts: dict[KeyPath, Any] = {}
     sections: dict[str, Any] = {}
     complete = set()
@@ -67,7 +67,7 @@ def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScen
 
 
 def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
-    """The valid parts of a section by their keys, and whether that is all of it."""
+    """The valid parts of a section by key, and whether the section is complete."""
     origin = get_origin(Scene.model_fields[name].annotation)
     entries: list[tuple[KeyPath, Any]] = [((), value)]
     if origin is dict:
@@ -96,7 +96,7 @@ def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
 
 
 def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
-    """Faults of a value and of all models within."""
+    """Faults of a value and of all models in it."""
     if isinstance(value, Model):
         for fault in value.faults():
             yield (*path, *fault.path), fault

@@ -1,4 +1,4 @@
-"""What checks between the parts of a scene find."""
+"""Results of the consistency checks between the parts of a scene."""
 
 from collections.abc import Callable, Iterable, Iterator
 
@@ -12,7 +12,7 @@ Check = Callable[[PartialScene], Iterator[Violation]]
 
 
 def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Violation:
-    """A name that is not among the known ones, with the one that was probably meant."""
+    """The violation for an unknown name, with the closest known name or a list of all."""
     names = list(known)
     suggestion = nearest(name, names)
     if suggestion:

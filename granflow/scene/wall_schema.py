@@ -1,4 +1,4 @@
-"""Schema of walls and of how they move."""
+"""Schema of walls and their motion."""
 
 import math
 from collections.abc import Iterator
@@ -40,11 +40,11 @@ from granflow.scene.fields import (
 )
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
-_PERPENDICULAR = 1e-9  # largest cosine between two sides called perpendicular
+_PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
 
 
 def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
-    """What is wrong with the two `sides` of a rectangle: they have lengths, and stand at a right angle."""
+    """Faults of the two `sides` of a rectangle: they must have lengths above 0 and be perpendicular."""
     a, b = sides
     lengths = math.hypot(*a), math.hypot(*b)
     for i, length in enumerate(lengths):
@@ -52,7 +52,7 @@ def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
             yield Fault(("sides", i), "a side must have a length above 0")
     if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
         angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
-        yield Fault(("sides",), f"the two sides must be perpendicular and these stand at {angle:.4g} degrees")
+        yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
 
 
 def _dot(a: Vector3, b: Vector3) -> float:
@@ -60,17 +60,15 @@ def _dot(a: Vector3, b: Vector3) -> float:
 
 
 class TimedMotion(Model):
-    """A motion that lasts from `start` to `end`, or through stages; left out: all the time."""
+    """A motion from `start` to `end` or during stages; by default during the whole run."""
 
     kind: str = Field(description="kind of motion")
-    start: Time | None = Field(None, description="time at which the motion begins [s]; left out: the beginning")
-    end: Time | None = Field(None, description="time at which the motion ends [s]; left out: never")
-    stages: Names | None = Field(
-        None, description="stages during which it moves; its clock starts with the first of them"
-    )
+    start: Time | None = Field(None, description="time at which the motion begins [s]; default: start of the run")
+    end: Time | None = Field(None, description="time at which the motion ends [s]; default: end of the run")
+    stages: Names | None = Field(None, description="stages with this motion; its time starts at the first of them")
 
     def faults(self) -> Iterator[Fault]:
-        """Times or stages, not both; the end after the start."""
+        """Either times or stages; the end after the start."""
         if self.stages is not None and (self.start is not None or self.end is not None):
             yield Fault(("stages",), "start or end is given too: keep either the times or the stages")
         elif self.end is not None and self.end <= (self.start or 0.0):
@@ -78,23 +76,23 @@ class TimedMotion(Model):
 
 
 class VibrationSpec(TimedMotion):
-    """Sinusoidal motion along a direction, from the position that the scene gives, t seconds after the start.
+    """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
 
         displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
         velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
 
     The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
-    oscillation is -amplitude * sin(phase) from the given position. At the end the wall stops where it is.
+    oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
     """
 
     kind: Literal["vibration"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the motion; its length does not matter")
-    amplitude: UnscaledLength | None = Field(None, description="amplitude, half of peak to peak [m]")
+    amplitude: UnscaledLength | None = Field(None, description="amplitude, half of the peak-to-peak value [m]")
     frequency: Frequency | None = Field(None, description="frequency [Hz]")
     angular_frequency: PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
     gamma: Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
     phase: Angle = Field(
-        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the middle of its stroke"
+        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
     )
 
     def faults(self) -> Iterator[Fault]:
@@ -138,34 +136,36 @@ class RotationSpec(TimedMotion):
 
 
 class ServoSpec(TimedMotion):
-    """A wall that holds a force: it moves along its direction, faster the more the force on the grains falls short."""
+    """A servo wall: its velocity is proportional to the difference between prescribed and measured force."""
 
     kind: Literal["servo"] = Field(description="kind of motion")
-    direction: Direction = Field(description="direction in which the wall presses; its length does not matter")
-    force: PositiveForce | None = Field(None, description="force on the grains that is held [N]")
-    pressure: Pressure | None = Field(None, description="that force over the area of the wall [Pa]")
+    direction: Direction = Field(description="direction of the force on the particles; its length does not matter")
+    force: PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
+    pressure: Pressure | None = Field(
+        None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
+    )
     velocity_max: Speed = Field(description="largest speed of the wall [m/s]")
     gain: Positive | None = Field(
-        None, description="speed for every newton that is missing [m/(s N)]; left out: from stiffness and time step"
+        None, description="velocity over force difference [m/(s N)]; default: from stiffness and time step"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """A force or a pressure."""
+        """Exactly one of force and pressure."""
         yield from super().faults()
         if self.force is None and self.pressure is None:
-            yield Fault((), "has nothing to hold: give force or pressure", whole=True)
+            yield Fault((), "has no prescribed force: give force or pressure", whole=True)
         elif self.force is not None and self.pressure is not None:
             yield Fault(("pressure",), "force is given too: keep one of them")
 
 
 class FreeWallSpec(TimedMotion):
-    """A rigid wall with mass, free along one direction: moved by grains, gravity and a force of its own."""
+    """A free wall: a rigid body that contact forces, gravity and a given force move along one direction."""
 
     kind: Literal["free"] = Field(description="kind of motion")
-    direction: Direction = Field(description="direction in which it can move; its length does not matter")
+    direction: Direction = Field(description="direction of the motion; its length does not matter")
     mass: Mass = Field(description="mass of the wall [kg]")
-    force: Force = Field(0.0, description="further force along the direction [N]")
-    damping: Damping = Field(0.0, description="force against its velocity, over the velocity [kg/s]")
+    force: Force = Field(0.0, description="additional force along the direction [N]")
+    damping: Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
 MotionSpec = Annotated[
@@ -179,19 +179,19 @@ MotionSpec = Annotated[
 
 
 class Wall(Model):
-    """What every wall has, whatever its shape."""
+    """Properties of walls of every shape."""
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
-    appears_at: Time | None = Field(None, description="time at which the wall appears [s]; left out: the beginning")
-    vanishes_at: Time | None = Field(None, description="time at which the wall vanishes [s]; left out: never")
-    stages: Names | None = Field(None, description="stages in which the wall is there; left out: all")
+    appears_at: Time | None = Field(None, description="time at which the wall appears [s]; default: start of the run")
+    vanishes_at: Time | None = Field(None, description="time at which the wall vanishes [s]; default: never")
+    stages: Names | None = Field(None, description="stages in which the wall is present; default: all")
     motion: Annotated[tuple[MotionSpec, ...], list_of(one=True), ShortForm()] = Field(
-        (), description="how the wall moves: one motion or a list of them"
+        (), description="motion of the wall: one motion or a list of motions"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Times or stages, not both; at most one rotation."""
+        """Either times or stages; at most one rotation."""
         if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
             yield Fault(("stages",), "appears_at or vanishes_at is given too: keep either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
@@ -202,24 +202,24 @@ class Wall(Model):
 
 
 class Plane(Wall):
-    """An infinite plane with a solid half space behind it: particles live on the side of the normal."""
+    """An infinite plane; the half space behind it is solid, the particles are on the side of the normal."""
 
     shape: Literal["plane"] = Field(description="shape of the wall")
     point: Point = Field(description="a point on the plane [m]")
-    normal: Direction = Field(description="normal, towards the particles; its length does not matter")
+    normal: Direction = Field(description="normal, toward the particles; its length does not matter")
 
 
 class Rectangle(Wall):
-    """A flat rectangle that works from both sides."""
+    """A thin, flat, two-sided rectangle."""
 
     shape: Literal["rectangle"] = Field(description="shape of the wall")
     corner: Point = Field(description="one corner [m]")
     sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] = Field(
-        description="the two edges from that corner, perpendicular vectors [m]"
+        description="the two edge vectors from that corner, perpendicular [m]"
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Sides with lengths, at a right angle."""
+        """The edges must have lengths above 0 and be perpendicular."""
         yield from super().faults()
         yield from side_faults(self.sides)
 
@@ -231,35 +231,35 @@ class AxialWall(Wall):
     to: Point = Field(description="the other end of the axis [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """An axis with a length."""
+        """The axis must have a length above 0."""
         yield from super().faults()
         if self.from_ == self.to:
             yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
 
 
 class Cylinder(AxialWall):
-    """A thin tube without ends, touched from inside and outside."""
+    """A thin two-sided cylinder without end faces."""
 
     shape: Literal["cylinder"] = Field(description="shape of the wall")
     radius: PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
-    """A thin cone frustum without ends, touched from inside and outside."""
+    """A thin two-sided cone frustum without end faces."""
 
     shape: Literal["cone"] = Field(description="shape of the wall")
     radius_from: NotNegativeLength = Field(description="radius at `from` [m]")
     radius_to: NotNegativeLength = Field(description="radius at `to` [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """One end wider than a point."""
+        """At least one radius must be above 0."""
         yield from super().faults()
         if self.radius_from == self.radius_to == 0:
             yield Fault(("radius_to",), "radius_from is 0 too: one of them must be above 0")
 
 
 class Disc(Wall):
-    """A thin round disc, with or without a round hole, that works from both sides."""
+    """A thin, two-sided disc, optionally with a circular hole at its center."""
 
     shape: Literal["disc"] = Field(description="shape of the wall")
     center: Point = Field(description="center [m]")
@@ -268,36 +268,38 @@ class Disc(Wall):
     hole_radius: NotNegativeLength = Field(0.0, description="radius of the hole [m]; 0: no hole")
 
     def faults(self) -> Iterator[Fault]:
-        """A hole smaller than the disc."""
+        """The hole must be smaller than the disc."""
         yield from super().faults()
         if self.hole_radius >= self.radius:
             yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
 
 
 class RotationStep(Model):
-    """A turn about an axis through the origin, right-handed."""
+    """A right-handed rotation about an axis through the origin."""
 
     axis: Direction = Field(description="direction of the axis; its length does not matter")
     angle: Angle = Field(description="angle [rad], such as 90 deg")
 
 
 class MeshWall(Wall):
-    """Triangles from a file, touched from both sides: scaled, then turned, then shifted."""
+    """Two-sided triangles from a file, transformed in this order: scale, rotate, translate."""
 
     shape: Literal["mesh"] = Field(description="shape of the wall")
-    file: FileName = Field(description="STL, OBJ, PLY, VTK or VTU file; its path counts from the scene's folder")
-    scale: MeshScale = Field(1.0, description="factor from the file's units to meters: 0.001 for millimeters")
-    rotate: Annotated[tuple[RotationStep, ...], list_of(one=True), ShortForm()] = Field(
-        (), description="how the mesh is turned about the origin: one turn or a list of them, one after the other"
+    file: FileName = Field(
+        description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene, without .."
     )
-    translate: Point = Field((0.0, 0.0, 0.0), description="how far it is shifted [m]")
+    scale: MeshScale = Field(1.0, description="factor from the length unit of the file to m, such as 0.001 for mm")
+    rotate: Annotated[tuple[RotationStep, ...], list_of(one=True), ShortForm()] = Field(
+        (), description="rotation of the mesh about the origin: one rotation, or a list in order of application"
+    )
+    translate: Point = Field((0.0, 0.0, 0.0), description="displacement of the mesh [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """A file in the scene's folder, or below it."""
+        """The file must lie in the folder of the scene, or below it."""
         yield from super().faults()
         path = PurePath(self.file)
         if path.is_absolute() or ".." in path.parts or not path.parts:
-            yield Fault(("file",), "the file must lie in the scene's folder, or below it; give its path from there")
+            yield Fault(("file",), "the file must be in the folder of the scene or below it; give a relative path")
 
 
 AnyWall = Annotated[

@@ -1,4 +1,4 @@
-"""Writes a scene back as YAML, every default filled in, that loads again to an equal scene."""
+"""Writes a scene as YAML with all defaults; the text loads to an equal scene."""
 
 import json
 import re
@@ -6,12 +6,12 @@ from typing import Any
 
 from granflow.scene.yaml12 import resolve
 
-_WIDTH = 110  # of a line that holds a whole mapping or list
+_WIDTH = 110  # characters of the longest line with a whole mapping or list
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
 
 
 def to_yaml(value: Any, indent: int = 0) -> str:
-    """YAML text of plain data (dict, list or tuple, str, bool, int, float): what is short on one line."""
+    """YAML text of plain data (dict, list or tuple, str, bool, int, float); short values are on one line."""
     pad = " " * indent
     if isinstance(value, dict):
         return "".join(f"{pad}{key}:{_below(each, indent)}" for key, each in value.items())
@@ -19,7 +19,7 @@ def to_yaml(value: Any, indent: int = 0) -> str:
 
 
 def _below(value: Any, indent: int) -> str:
-    """The value of a key: on the same line if it fits, else on the lines below."""
+    """The value of a key: on the same line if it fits, else indented below."""
     line = _inline(value)
     if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
         return f" {line}\n"
@@ -45,7 +45,7 @@ def _inline(value: Any) -> str:
 
 
 def _escaped(character: str) -> str:
-    """A character as it stands between double quotes in YAML."""
+    """A character with the escape that double-quoted YAML text requires."""
     if character in '"\\':
         return "\\" + character
     return character if character.isprintable() else f"\\U{ord(character):08x}"

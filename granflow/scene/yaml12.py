@@ -1,7 +1,7 @@
-"""Reads YAML 1.2 text into a `Document`.
+"""Parser of YAML 1.2 text into a `Document`.
 
-Only the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no tags, no merge
-keys. A duplicate key is a problem; so is an alias that contains itself, or aliases that multiply beyond reason.
+Supports the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no tags, no merge
+keys. Errors: duplicate keys, aliases that contain themselves, and aliases that add too many values.
 """
 
 import itertools
@@ -26,10 +26,10 @@ from ruamel.yaml.events import (
 from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
 
 MAX_DEPTH = 40  # a scene is at most 9 deep
-_MAX_ALIASED = 100_000  # nodes that aliases may add
-_MAX_VALUES = 250_000  # sixty thousand positions; as many errors take 0.7 GB
+_MAX_ALIASED = 100_000  # largest number of nodes added by aliases
+_MAX_VALUES = 250_000  # 60 000 positions; the same number of errors takes 0.7 GB
 _MAX_KEYS = 5000  # in one mapping
-_MAX_INTEGER_DIGITS = 400  # digits; longer ones are beyond every float
+_MAX_INTEGER_DIGITS = 400  # longer integers exceed the range of float
 _YAML_TAGS = "tag:yaml.org,2002:"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _NULL = re.compile(r"|~|null|Null|NULL")
@@ -43,9 +43,9 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 
 def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
-    """Read YAML 1.2 text. Without `with_positions`, every place is the source alone (for overrides).
+    """Read YAML 1.2 text. Without `with_positions`, all positions are the source only (for overrides).
 
-    Raises `DocumentError` for what cannot be read on: wrong syntax, tags, aliases of themselves, several documents.
+    Raises `DocumentError` for errors that prevent reading: syntax errors, tags, recursive aliases, several documents.
     """
     return _Composer(source, with_positions).compose(text)
 
@@ -79,12 +79,12 @@ class _Composer:
         return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
-        """Refuse characters that YAML has no room for."""
+        """Reject characters that YAML does not allow."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
             position = self._position(len(lines), len(lines[-1]) + 1)
             code = f"U+{ord(found.group()):04X}"
-            raise DocumentError(Problem(position, f"the control character {code} stands here; delete it."))
+            raise DocumentError(Problem(position, f"the text contains the control character {code}; delete it."))
 
     def _position(self, line: int, column: int) -> SourcePosition:
         return SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
@@ -107,13 +107,13 @@ class _Composer:
         if isinstance(event, AliasEvent):
             return self._alias(event)
         if depth > MAX_DEPTH:
-            raise self._error(event, f"this is nested more than {MAX_DEPTH} deep, far more than any scene needs")
+            raise self._error(event, f"this is nested more than {MAX_DEPTH} levels deep, too deep for a scene")
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
-            raise self._error(event, f"the tag {tag} is not used in scenes; leave it out")
+            raise self._error(event, f"the tag {tag} is not supported in scenes; leave it out")
         self.count += 1
         if self.count > _MAX_VALUES:
-            raise self._error(event, f"there are more than {_MAX_VALUES} values by here, too many for a scene")
+            raise self._error(event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene")
         if event.anchor:
             self.anchors[event.anchor] = None
         node = self._untagged(event, events, depth)
@@ -130,11 +130,13 @@ class _Composer:
         return self._mapping(event, events, depth)
 
     def _quoted(self, event: ScalarEvent) -> str:
-        """Quoted text, with escaped halves of a character (as JSON writes them) put together."""
+        """Quoted text; pairs of escaped surrogates (as in JSON) are joined to one character."""
         try:
             return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
         except UnicodeDecodeError:
-            raise self._error(event, "half a character is escaped here; write the character itself") from None
+            raise self._error(
+                event, "this text has an escaped surrogate without its pair; write the character itself"
+            ) from None
 
     def _alias(self, event: AliasEvent) -> Node:
         if event.anchor not in self.anchors:
@@ -144,7 +146,7 @@ class _Composer:
             raise self._error(event, f"the alias *{event.anchor} contains itself")
         self.aliased += node.size
         if self.aliased > _MAX_ALIASED:
-            raise self._error(event, f"aliases add more than {_MAX_ALIASED} values by here; write fewer")
+            raise self._error(event, f"aliases add more than {_MAX_ALIASED} values up to here; use fewer aliases")
         return node
 
     def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
@@ -159,15 +161,15 @@ class _Composer:
             if isinstance(event := next(events), MappingEndEvent):
                 break
             if count == _MAX_KEYS:
-                raise self._error(event, f"there are more than {_MAX_KEYS} keys in one mapping, too many for a scene")
+                raise self._error(event, f"this mapping has more than {_MAX_KEYS} keys, too many for a scene")
             key = self._key(event)
             entry = MappingEntry(self._at(event), self._node(next(events), events, depth + 1))
             if entry.node.is_empty:
-                entry.node.position = entry.key_position  # the parser puts it at whatever comes next
+                entry.node.position = entry.key_position  # the parser reports the position of the next token
             if key in entries:
                 first = entries[key].key_position
                 self.problems.append(
-                    Problem(entry.key_position, f"{key} is given twice here, first at line {first.line}. Keep one.")
+                    Problem(entry.key_position, f"{key} is a duplicate of the key at line {first.line}. Keep one.")
                 )
             else:
                 entries[key] = entry
@@ -176,14 +178,14 @@ class _Composer:
 
     def _key(self, event: Any) -> str:
         if not isinstance(event, ScalarEvent) or event.tag:
-            raise self._error(event, "a key is plain text, such as radius")
+            raise self._error(event, "a key must be plain text, such as radius")
         if event.value == "<<" and event.style is None:
             raise self._error(event, "the merge key << is not part of YAML 1.2; write the keys out")
         return event.value
 
 
 def resolve(text: str) -> Any:
-    """Turn plain text into the value YAML 1.2 gives it: `012` is 12, `1e-5` is 0.00001, `yes` is text."""
+    """The YAML 1.2 value of plain text: `012` is 12, `1e-5` is 0.00001, `yes` is text."""
     if _NULL.fullmatch(text):
         return None
     if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
@@ -200,7 +202,7 @@ def resolve(text: str) -> Any:
 
 
 def _starts_helps_more(error: MarkedYAMLError) -> bool:
-    """Whether the place where something begins helps more than the place where the parser gave up."""
+    """Whether the start of the construct is a more useful position than the point of failure of the parser."""
     context = str(error.context)
     return "simple key" in context or "flow" in context or "quoted" in context
 
@@ -208,11 +210,11 @@ def _starts_helps_more(error: MarkedYAMLError) -> bool:
 def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
     problem, context = str(error.problem or error.context), str(error.context)
     if r"\t" in problem or "'\t'" in problem:
-        return "a tab stands here, but YAML is indented with spaces. Replace the tab by spaces."
+        return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."
     if "mapping values are not allowed" in problem:
         return (
-            "a second key begins here, or this line is indented unlike the one above. "
-            "Give each key a line of its own, and put text with a colon in quotes."
+            "a second key begins here, or the indentation differs from the line above. "
+            "Write each key on a separate line, and put text with a colon in quotes."
         )
     if "simple key" in context:
         return f'"{line}" has no colon. Write key: value, with a space after the colon.'

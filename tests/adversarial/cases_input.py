@@ -108,8 +108,8 @@ def tables() -> list[Case]:
     return [
         table("empty", "an empty file", "", "no particle|empty"),
         table("header_only", "column names without rows", "x,y,z,r\n", "no particle"),
-        table("no_names", "numbers without column names", "1,2,3,4\n", "must name the columns"),
-        table("missing_column", "no column for z", "x,y,r\n1,2,3\n", "must name the columns"),
+        table("no_names", "numbers without column names", "1,2,3,4\n", "must be a header with the columns"),
+        table("missing_column", "no column for z", "x,y,r\n1,2,3\n", "must be a header with the columns"),
         table("text", "a word where a number belongs", ROWS + "a,0,0.01,0.002\n", r"beads.csv:4: x is a", quick=True),
         table("nan", "NaN as a position", ROWS + "nan,0,0.01,0.002\n", r"beads.csv:4: .*finite"),
         table("huge_number", "1e400 as a radius", ROWS + "0,0,0.01,1e400\n", r"beads.csv:4: .*finite"),

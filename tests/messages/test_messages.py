@@ -45,13 +45,13 @@ def test_a_bad_scene_says_what_is_wrong(case, tmp_path):
 
 
 FILES = [
-    (b"", ":1:1: the file is empty, but a scene is keys with values, beginning with title: My scene."),
-    (b"# nothing\n", ":1:1: the file is empty, but a scene is keys with values, beginning with title: My scene."),
-    (b"- a\n", ":1:1: this is no mapping, but a scene is keys with values, beginning with title: My scene."),
-    (b"hopper", ":1:1: this is no mapping, but a scene is keys with values, beginning with title: My scene."),
-    ("title: x\n".encode("utf-16"), ":1:1: the file is in UTF-16; save it as UTF-8."),
-    (b"title: x\nseed: \xff\n", ":2:7: the file is not text in UTF-8; save it as UTF-8."),
-    (b"title: x\0\n", ": the file is binary; a scene is text in UTF-8."),
+    (b"", ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
+    (b"# nothing\n", ":1:1: the file is empty, but a scene is a mapping of keys to values, such as title: My scene."),
+    (b"- a\n", ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
+    (b"hopper", ":1:1: this is not a mapping, but a scene is a mapping of keys to values, such as title: My scene."),
+    ("title: x\n".encode("utf-16"), ":1:1: the file is encoded in UTF-16; save it as UTF-8."),
+    (b"title: x\nseed: \xff\n", ":2:7: the file is not valid UTF-8 text; save it as UTF-8."),
+    (b"title: x\0\n", ": the file is binary; a scene is UTF-8 text."),
 ]
 
 
@@ -70,7 +70,7 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_a_directory(tmp_path):
-    assert sentences(tmp_path) == [f"{tmp_path}: this is a directory; name the scene file in it."]
+    assert sentences(tmp_path) == [f"{tmp_path}: this is a directory; give the scene file in it."]
 
 
 def test_a_bom_is_no_problem(tmp_path):
@@ -109,26 +109,26 @@ def test_all_at_once_in_the_order_of_the_file(tmp_path):
 
 
 OVERRIDES = [
-    ("foo", "an override is written key.path=value, such as run.duration=2."),
-    ("=3", "an override is written key.path=value, such as run.duration=2."),
-    ("run..duration=3", "an override is written key.path=value, such as run.duration=2."),
-    ("seed=", "seed is given no value; write it after the equals sign."),
-    ("sead=3", "sead is not known here. Did you mean seed?"),
+    ("foo", "an override has the form key.path=value, such as run.duration=2."),
+    ("=3", "an override has the form key.path=value, such as run.duration=2."),
+    ("run..duration=3", "an override has the form key.path=value, such as run.duration=2."),
+    ("seed=", "seed has no value; write it after the equals sign."),
+    ("sead=3", "sead is not a known key. Did you mean seed?"),
     ("runn.precision=f32", "runn is not in the scene. Did you mean run?"),
-    ("walls.tube.radus=3 cm", "walls.tube.radus is not known here. Did you mean radius?"),
+    ("walls.tube.radus=3 cm", "walls.tube.radus is not a known key. Did you mean radius?"),
     ("walls.tub.radius=3 cm", "walls.tub is not in the scene. Did you mean tube?"),
     (
         "walls.tube.radius=3 Pa",
-        "walls.tube.radius is 3 Pa, but Pa measures a pressure and a length is asked here, such as 4 mm.",
+        "walls.tube.radius is 3 Pa, but Pa measures a pressure and a length is expected, such as 4 mm.",
     ),
-    ("stages.5.duration=3", "stages is a list of items 0 to 2, so 5 is not in it."),
-    ("stages.first.duration=3", "stages is a list of items 0 to 2, so first is not in it."),
+    ("stages.5.duration=3", "stages is a list of items 0 to 2, so the index 5 is invalid."),
+    ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
     (
-        "contact.normal.restitution_at=max_overlap",
-        "contact.normal is zhou, which has nothing inside to set; set contact.normal as a whole.",
+        "contact.normal.restitution_at=peak",
+        "contact.normal is zhou, which has no keys; set contact.normal as a whole.",
     ),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
-    ("seed=!!python/name:os 3", "the tag !!python/name:os is not used in scenes; leave it out."),
+    ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; leave it out."),
     (
         "pairs.steel-glass.friction=-1",
         "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0.",

@@ -27,11 +27,11 @@ def changed(**overrides):
     [
         ({"output__interval": "1 ms"}, "output.interval was 0.0028571428571428571 and is 0.001"),
         ({"walls__gate__stages": "[fill, shake]"}, "walls.gate.stages was [fill] and is [fill, shake]"),
-        ({"walls__floor__motion__0__end": "1 s"}, "walls.floor.motion.0.end was left out and is 1.0"),
+        ({"walls__floor__motion__0__end": "1 s"}, "walls.floor.motion.0.end was not given and is 1.0"),
         ({"stages__2__duration": "1 s"}, "stages.2.duration was 0.006666666666666667 and is 1.0"),
         ({"numerics__max_overlap": "0.5"}, "numerics.max_overlap was 0.3 and is 0.5"),
         ({"output__checkpoint__keep": "5"}, "output.checkpoint.keep was 100 and is 5"),
-        ({"expect": "[{quantity: particle_count, above: 3}]"}, "expect was [] and is left out"),
+        ({"expect": "[{quantity: particle_count, above: 3}]"}, "expect was [] and is not given"),
     ],
 )
 def test_what_may_change(override, message):

@@ -269,16 +269,16 @@ def test_a_link_to_a_scene_is_that_scene(tmp_path):
 
 TOO_MUCH = {
     "walls:\n" + "".join(f"  w{n}: 1\n" for n in range(5001)): (
-        ":5002:3: there are more than 5000 keys in one mapping, too many for a scene.",
+        ":5002:3: this mapping has more than 5000 keys, too many for a scene.",
     ),
     "seed: [" + "0, " * 250_000 + "0]": (
-        ":1:750002: there are more than 250000 values by here, too many for a scene.",
+        ":1:750002: the file has more than 250000 values up to here, too many for a scene.",
     ),
     "materials:\n" + "".join(f"  m{n}: {{}}\n" for n in range(51)): (
-        ":1:1: materials has 51 entries, but a scene holds at most 50 of them.",
+        ":1:1: materials has 51 entries, but the limit is 50.",
     ),
     "title: x\n" + "".join(f"k{n}: 1\n" for n in range(200)): (
-        ":93:1: k91 is not known here.",
+        ":93:1: k91 is not a known key.",
         ":201:1: this is the last of 108 more problems, which are not shown.",
     ),
 }

@@ -47,21 +47,21 @@ def test_velocity_spin_and_material(tmp_path):
 
 
 BAD = {
-    "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: it has 3 values, but 4 columns are named."],
-    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is asked", "3: y is empty, but a number is asked"],
+    "x,y,z,r\n0,0,0,1\n0,0,1\n": ["3: the row has 3 values, but the header has 4 columns."],
+    "x,y,z,r\n0,0,abc,1\n0,,0,1\n": ["2: z is abc, but a number is", "3: y is empty, but a number is"],
     "x y z r\n0 nan 0 1\n0 0 0 inf\n": [
-        "2: the position holds what is no finite number.",
-        "3: the radius holds what is no finite number.",
+        "2: the position is not finite.",
+        "3: the radius is not finite.",
     ],
     "x y z r\n0 0 0 0\n0 0 0 -1\n": ["2: the radius must be above 0.", "3: the radius must be above 0."],
     "0,0,0,1\n": [
-        "1: the first line must name the columns, among them x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
+        "1: the first line must be a header with the columns x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
     ],
-    "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] cannot be used: furlong is not a unit known here"],
-    "x,y,z,r\n": [" there is no particle in it."],
-    "": [" there is no particle in it."],
+    "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] is invalid: furlong is not a known unit"],
+    "x,y,z,r\n": [" the file contains no particles."],
+    "": [" the file contains no particles."],
     "x y z r\n" + "0 0 0\n" * (MOST_SHOWN + 5): [
-        *(f"{n}: it has 3 values, but 4 columns are named." for n in range(2, MOST_SHOWN + 2)),
+        *(f"{n}: the row has 3 values, but the header has 4 columns." for n in range(2, MOST_SHOWN + 2)),
         " 5 more rows have problems, which are not shown.",
     ],
 }  # fmt: skip

@@ -84,7 +84,7 @@ def initial_radius(scene):
 
 def test_too_much_is_refused(tmp_path):
     beads = f"    mass: 1e20 kg\n    diameter: {UNIFORM}\n    insert: {{kind: pack, {REGION}}}\n"
-    assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass makes ")
+    assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass results in ")
 
 
 FILE = "    insert: {kind: file, file: start.csv}\n"
@@ -117,7 +117,7 @@ def test_rows_go_to_the_group_of_their_material(tmp_path):
     assert {name: group.count for name, group in scene.particles.items()} == {"beads": 1, "shot": 2}
     assert initial_particles(scene).position[:, 0].tolist() == [0.01, 0.0, 0.02]
     assert problems(tmp_path, FILE, start=rows) == [
-        "start.csv:2: this particle is of steel, but no group takes those; add one."
+        "start.csv:2: this particle is of steel, but no group has this material; add one."
     ]
     assert problems(tmp_path, FILE, start=rows.replace("glass", "1")) == [
         "beads.yaml:17:15: no row of start.csv is of glass; its materials are 1, steel."
@@ -127,10 +127,8 @@ def test_rows_go_to_the_group_of_their_material(tmp_path):
 MISFITS = {
     "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
-    FILE.replace(
-        "start.csv", "../x"
-    ): "18:32: particles.beads.insert.file is ../x, but the file must lie in the scene's "
-    "folder, or below it; give its path from there.",
+    FILE.replace("start.csv", "../x"): "18:32: particles.beads.insert.file is ../x, but the file must be in the "
+    "folder of the scene or below it; give a relative path.",
 }
 
 
@@ -177,13 +175,13 @@ def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
     )  # fmt: skip
     assert [each.quantity for each in two.expect] == ["energy_error"] and len(one.expect) == 2
     assert two.remarks == (
-        "scale 2: lengths of the equipment are 2 times those written, numbers and masses of particles 8 times; "
-        "diameters, velocities and times are as written.",
-        "scale 2: 1 of expect were made for scale 1, and are not judged.",
+        "scale 2: lengths of the equipment are multiplied by 2, counts and masses of particles by 8; "
+        "diameters, velocities and times are not.",
+        "scale 2: 1 expectations apply to scale 1 only and are not evaluated.",
     )
     assert scene_of(two.text(), "as run") == two, "a run goes on with what was made"
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
-        "--set scale=2: scale is 2, but the positions of particles.beads are given one by one; leave scale out."
+        "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave scale out."
     ]
 
 

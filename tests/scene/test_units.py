@@ -42,7 +42,7 @@ def test_what_is_no_length(text):
 
 
 def test_a_unit_of_two_kinds_is_refused_where_any_is_asked():
-    with pytest.raises(UnitError, match="g means more than one thing"):
+    with pytest.raises(UnitError, match="g is ambiguous"):
         to_si("2 g", "any")
 
 

@@ -31,7 +31,7 @@ def test_collision_reaches_the_closed_forms_of_the_law(taichi_f64, law):
         ("zhou", {"restitution": 1.5}, r"restitution is 1.5, but must be in \[0, 1\]"),
         ("zhou", {"velocity": 1e30}, "velocity is 1e[+]30 m/s, but the overlap would reach .* m, more than the radius"),
         ("thornton", {"settings": ["yield_ratio=-1"]}, "yield_ratio is -1, but a ratio must be above 0"),
-        ("thornton", {"settings": ["yeld_ratio=1"]}, "is not known here. Did you mean yield_ratio?"),
+        ("thornton", {"settings": ["yeld_ratio=1"]}, "is not a known key. Did you mean yield_ratio?"),
     ],
 )
 def test_unsupported_input_of_a_contact_model_is_rejected(taichi_f64, law, given, sentence):
