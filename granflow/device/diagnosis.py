@@ -49,9 +49,7 @@ class CandidatePairs:
     surface: np.ndarray
 
 
-def diagnose(
-    code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool
-) -> Diagnosis:
+def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool) -> Diagnosis:
     """Diagnosis of an abort at `time` [s], with the contact pair of the largest overlap, if there is a contact.
 
     `step_taken`: true if a step was taken; false if only the initial forces were computed.
