@@ -105,12 +105,12 @@ def test_what_was_measured_is_in_the_file_although_a_later_point_fails(tmp_path,
     check = module("gpu_check")
     monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: 100 * size)
     run = run_of(tmp_path, {"measure": POINT}, part="bench", sizes=[1000, 10**7])
-    check.setup(run, 1000, "f64", {})
+    check.bench(run, 1000, "f64", {})
     assert json.loads(run.options.out.read_text())["points"] == [{"precision": "f64"} | POINT]
-    check.setup(run, 10**7, "f64", {})
+    check.bench(run, 10**7, "f64", {})
     assert "10000000 spheres in f64: fields of 1.0 GB are more than 70% of the 1.0 GB free" in run.result["left_out"]
     # 50 s for 1000 spheres, 1 s of them under the clock: 49 s a thousand for 100 000 are more than 600 s.
-    check.setup(run, 100_000, "f64", {"f64": (1000, 50.0)})
+    check.bench(run, 100_000, "f64", {"f64": (1000, 50.0)})
     assert run.result["left_out"][-1].startswith("100000 spheres in f64: about 4901 s are needed")
     assert len(run.result["points"]) == 1
 

@@ -61,7 +61,7 @@ def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
     same = {
         "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
         "sizes": sizes, "precision": precision, "skin": skin,
-        "time_step": cases.TIME_STEP, "insert": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
+        "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
     }  # fmt: skip
     if case.kind == "bed":
         return (MATERIAL + BED).format(**same, x=x, y=y, x_high=x + 0.01, y_high=y + 0.01, duration=1)
