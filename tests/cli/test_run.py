@@ -127,7 +127,7 @@ def test_an_expectation_that_is_not_met_and_a_warning(home):
     )
     assert unmet.returncode == 1, unmet.stderr
     assert "NOT AS EXPECTED: particle_count is 10, but should be equal to 11." in unmet.stdout
-    assert unmet.stderr.count("granflow: warning: beads-beads: restitution 0.8 is asked for") == 1
+    assert unmet.stderr.count("granflow: warning: glass-glass: the restitution at 0.886 m/s is 0.8, but") == 1
 
 
 def test_a_guard_stops_the_run_after_writing_the_state(home):
