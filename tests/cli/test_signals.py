@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+pytestmark = [pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"), pytest.mark.slow]  # needs idle cores
 
 LIMIT = 1.0
 """Seconds from the signal to the end of the process."""

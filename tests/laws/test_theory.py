@@ -52,7 +52,7 @@ def test_recovery_is_the_root_of_equation_8(e):
 
 @pytest.mark.parametrize("e", [-0.01, 1.01])
 def test_recovery_refuses_what_is_no_restitution(e):
-    with pytest.raises(ValueError, match=r"lies in \[0, 1\]"):
+    with pytest.raises(ValueError, match=r"must be in \[0, 1\]"):
         theory.recovery(e)
 
 

@@ -26,7 +26,7 @@ SECONDS, WAITING = 20, 200
 MEMORY = 2**30
 """Bytes that one input may take."""
 
-FREE = 300_000_000
+FREE = 120_000_000
 """Memory [bytes] that the machine is made to have, so that no great pack is placed: that takes time by right."""
 
 PLACE = re.compile(r".*scene\.yaml(:\d+:\d+)?: \S.*[.?]")
