@@ -126,9 +126,9 @@ def test_sliding_impact_of_a_small_ball(taichi_f64):
     k = theory.hertz_stiffness(STEEL["young_modulus"] / (1.0 - STEEL["poisson_ratio"] ** 2), radius)
     largest = theory.overlap_max(k, last["mass"][0], speed)
     arm = 1.0 - theory.LOADING_DURATION / 1.8 * largest / radius
-    slip = last["velocity"][:, 0] - radius * last["spin"][:, 1]
+    slip = last["velocity"][:, 0] - radius * last["angular_velocity"][:, 1]
     np.testing.assert_allclose(last["velocity"][:, 2], speed, rtol=1e-4)
-    np.testing.assert_allclose(radius * last["spin"][:, 1] / (friction * speed), 5.0 * arm, rtol=1e-3)
+    np.testing.assert_allclose(radius * last["angular_velocity"][:, 1] / (friction * speed), 5.0 * arm, rtol=1e-3)
     np.testing.assert_allclose(slip / (friction * speed), ratio - 2.0 - 5.0 * arm, rtol=0.0, atol=1e-3 * 7.0)
 
 
@@ -140,7 +140,7 @@ def test_sliding_impact_with_spin(taichi_f64):
     scene = oblique(2.0 * radius, ALLOY_OBLIQUE, restitution, friction, normal_velocity, np.zeros(3), before / radius)
     last = run_and_sample(scene, 1.0, until=1.2e-3)[-1].particles
     assert np.allclose(last["velocity"][:, 2], restitution * normal_velocity, rtol=1e-3)
-    slip = radius * last["spin"][:, 1] - last["velocity"][:, 0]
+    slip = radius * last["angular_velocity"][:, 1] - last["velocity"][:, 0]
     np.testing.assert_allclose(slip, before - loss, atol=1e-3 * loss)
 
 
@@ -157,4 +157,4 @@ def test_equal_balls_with_opposite_spins_part_without_turning(taichi_f64):
     last = run_and_sample(scene, 1.0, until=1.5e-3)[-1].particles
     np.testing.assert_allclose(last["velocity"][:, 0], 0.1 * ways[:, 0], rtol=0.005)
     assert not last["velocity"][:, 1:].any()
-    np.testing.assert_array_equal(last["spin"], spin)
+    np.testing.assert_array_equal(last["angular_velocity"], spin)

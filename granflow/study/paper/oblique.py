@@ -115,14 +115,14 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
     groups: dict[str, Any] = {"spheres": {
         "material": "sphere", "diameter": 2.0 * setup.radius,
         "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
-        "spin": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
+        "angular_velocity": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
         "insert": {"kind": "positions", "positions": places.tolist()},
     }}  # fmt: skip
     walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
     if partner is not None:
         below = np.stack([zeros, places[:, 1], zeros - partner], axis=1)
-        pair_ids = {"kind": "positions", "positions": below.tolist()}
-        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": pair_ids}, {}
+        partner_insertion = {"kind": "positions", "positions": below.tolist()}
+        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
     pair = {"restitution": setup.restitution, "friction": setup.friction}
     return Scene.model_validate({
