@@ -58,7 +58,7 @@ class FieldGrid(GridSpec):
     """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files."""
 
     width: Width = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
-    cut_off: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
+    cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
     interval: PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
     stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
     quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(

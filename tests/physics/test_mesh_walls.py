@@ -179,7 +179,7 @@ def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
     }  # fmt: skip
     output = {"interval": 1.0, "wall_forces": True, "contacts": True}
     scene = build_scene(
-        {"balls": particle_group(positions)}, walls=walls, output=output, run={"duration": 1e-6, "velocity_max": 0.1}
+        {"balls": particle_group(positions)}, walls=walls, output=output, run={"duration": 1e-4, "velocity_max": 0.1}
     )
     run_to_end(scene, out=folder / "out")
     forces = 4.0 / 3.0 * 1e8 / (2.0 * (1.0 - 0.25**2)) * np.sqrt(0.005) * overlaps**1.5
