@@ -131,8 +131,8 @@ def test_files_lie_in_the_scenes_folder(tmp_path):
         with pytest.raises(SceneError) as error:
             plan_of(folder, path)
         assert str(error.value) == (
-            f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {path}, but the file must lie in the scene's folder, "
-            "or below it; give its path from there."
+            f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {path}, but the file must be in the folder of the "
+            "scene or below it; give a relative path."
         )
 
 

@@ -93,7 +93,7 @@ def test_extremes_that_make_the_step_tiny_are_refused(changes):
 
 def test_chunks_larger_than_a_million_are_refused():
     scene(numerics={"chunk_size": 1_000_000})
-    with pytest.raises(ValueError, match=r"a chunk size lies in \[1, 1e\+06\]"):
+    with pytest.raises(ValueError, match=r"a chunk size must be in \[1, 1e\+06\]"):
         scene(numerics={"chunk_size": 1_000_001})
 
 

@@ -81,7 +81,7 @@ def test_other_indices_may_be_asked_for(out, tmp_path, capsys):
 def test_what_cannot_be_measured_is_said(out, tmp_path, capsys):
     nothing = ["--set", "output.metrics={}", "--set", "output.fields={}"]
     assert main(["analyze", str(out), *nothing]) == 2
-    assert "Nothing is asked for" in capsys.readouterr().err
+    assert "Nothing to analyze" in capsys.readouterr().err
     assert main(["analyze", str(tmp_path)]) == 2
     assert "is not the directory of a run" in capsys.readouterr().err
     for name in ("particles.pvd", "particles_0000.vtu", "scene_as_run.yaml"):

@@ -164,7 +164,7 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
     expected = [
         ":2: restitution is 0,5, but a decimal point is expected, not a comma: 0.5.",
         ":3: velocity is x, but a velocity is expected, such as 3 m/s.",
-        ":3: restitution is 1.2, but a restitution coefficient lies in [0, 1].",
+        ":3: restitution is 1.2, but a restitution coefficient must be in [0, 1].",
         ":4: velocity is -3, but it must be above 0.",
         ":4: restitution is nan, but a number is required; remove the row if nothing was measured.",
         ":5: velocity is empty, but a number is required; remove the row if nothing was measured.",

@@ -94,7 +94,7 @@ def test_frames_are_named_by_place_number_or_time(run, words, numbers):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is asked"), ("3 mm", "give last, first, all")],
+    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"), ("3 mm", "give last, first, all")],
 )
 def test_a_frame_that_there_is_not_is_refused(run, words, sentence):
     with pytest.raises(GranflowError, match=sentence):

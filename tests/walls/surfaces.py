@@ -36,7 +36,7 @@ def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
 @cache
 def kernel_for(kind, dtype, parameter_dtype):
     """A kernel that runs the device functions of a kind over arrays."""
-    closest, bare_distance = kind.closest, kind.bare_distance
+    closest, bare_distance = kind.closest, kind.surface_distance
 
     @ti.kernel
     def measure(

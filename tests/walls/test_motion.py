@@ -36,7 +36,7 @@ def moved(points, motions, times):
 
 def test_a_vibration_moves_as_its_schema_says():
     """The formulas in the schema, evaluated; the wall of the plan follows them from the position in the scene."""
-    described = json_schema()["$defs"]["Vibration"]["description"]
+    described = json_schema()["$defs"]["VibrationSpec"]["description"]
     formulas = dict(line.strip().split(":", 1) for line in described.splitlines() if ": " in line and "*" in line)
     assert set(formulas) >= {"displacement", "velocity"}
     amplitude, angular_frequency, start = 2e-3, 90.0, 0.01
