@@ -25,7 +25,7 @@ from granflow.scene import Scene, load
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "scenes.md", ROOT / "scenes"
 COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
-COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "analysis")
+COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "measured")
 
 
 def names() -> list[str]:
