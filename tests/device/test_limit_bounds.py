@@ -19,6 +19,9 @@ FLOOR, SHEET = -0.9, 0.0
 STEP, SKIN = 2e-5, 2e-4
 """Time step [s] and skin [m]."""
 
+STEP_LIMIT = 0.2 * RADIUS
+"""Displacement [m] in one step that a particle or a wall may not exceed."""
+
 LOW, HIGH = np.array([-0.1, -0.2, -1.0]), np.array([0.4, 0.5, 0.6])
 """Corners of the domain [m]."""
 
@@ -93,7 +96,7 @@ def test_a_center_outside_any_face_of_the_domain_stops_the_run(contacts, side):
         positions[0][2] = middle[2] if axis != 2 else positions[0][2]
         if axis == 2 and side is LOW:
             continue  # below the floor
-        assert limit_exceeded(contacts, positions) == (None if axis is None else "left"), axis
+        assert limit_exceeded(contacts, positions) == (None if axis is None else "left_domain"), axis
 
 
 # ---------------------------------------------------------------- displacement
@@ -123,12 +126,15 @@ def test_a_displacement_of_half_a_skin_requests_a_rebuild(flying):
     assert after_one_step(flying, 0.5 * SKIN * (1 + NEAR)) == (None, True)
 
 
-def test_a_displacement_of_a_whole_skin_in_one_step_stops_the_run(flying):
-    assert after_one_step(flying, SKIN * (1 - NEAR)) == (None, True)
-    assert after_one_step(flying, SKIN * (1 + NEAR))[0] == "travel"
+def test_a_displacement_of_a_fifth_of_the_radius_in_one_step_stops_the_run(flying):
+    assert after_one_step(flying, STEP_LIMIT * (1 - NEAR)) == (None, True)
+    assert after_one_step(flying, STEP_LIMIT * (1 + NEAR))[0] == "displacement"
 
 
-@pytest.mark.parametrize(("speed", "limit"), [(np.nan, "lost"), (np.inf, "travel"), (-np.inf, "travel"), (0.0, None)])
+@pytest.mark.parametrize(
+    ("speed", "limit"),
+    [(np.nan, "not_finite"), (np.inf, "displacement"), (-np.inf, "displacement"), (0.0, None)],
+)
 def test_a_position_that_is_not_finite_stops_the_run(flying, speed, limit):
     assert after_one_step(flying, STEP * speed)[0] == limit
 
@@ -150,6 +156,6 @@ def test_the_displacement_of_a_driven_wall_has_the_same_limits(taichi_f64):
 
     assert after(0.5 * SKIN * (1 - NEAR)) == (None, False)
     assert after(0.5 * SKIN * (1 + NEAR)) == (None, True)
-    assert after(SKIN * (1 - NEAR)) == (None, True)
-    assert after(SKIN * (1 + NEAR))[0] == "wall"
+    assert after(STEP_LIMIT * (1 - NEAR)) == (None, True)
+    assert after(STEP_LIMIT * (1 + NEAR))[0] == "wall"
     simulation.free()
