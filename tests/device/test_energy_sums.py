@@ -32,7 +32,8 @@ def test_mechanical_energy_of_two_particles():
 def totals(brought, removed=0.5, **changes):
     losses = GIVEN | changes
     field = SimpleNamespace(to_numpy=lambda: np.array([[losses[name] for name in LOSSES]]))
-    state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), drive=None)
+    state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), wall_dynamics=None)
+    state.backend = SimpleNamespace(precision="f64")
     return energy_budget_totals(state, Accounting(inserted_energy=brought, removed_energy=removed), ENERGIES, MEASURED)
 
 
