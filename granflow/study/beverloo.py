@@ -2,7 +2,7 @@
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
-with the orifice D, the grains' diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
+with the orifice D, the particle diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
 as large ones; for every k the best C, and the best exponent if that is asked for, follow from a straight line.
 """
 
