@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -109,15 +110,16 @@ def test_the_scene_as_run_runs_the_same(home, done):
 
 
 def test_an_earlier_run_is_kept_unless_forced_and_until_ends_early(home, done):
-    (home / "out" / "beads" / "notes.txt").write_text("mine")
-    assert granflow(home, "run", "beads.yaml", "--until", "20 ms").returncode == 2
-    assert len(frames(home / "out" / "beads")) == 6
-    forced = granflow(home, "run", "beads.yaml", "--until", "20 ms", "--overwrite")
+    kept = shutil.copytree(home / "out" / "beads", home / "kept")
+    (kept / "notes.txt").write_text("mine")
+    assert granflow(home, "run", "beads.yaml", "--out", "kept", "--until", "20 ms").returncode == 2
+    assert len(frames(kept)) == 6
+    forced = granflow(home, "run", "beads.yaml", "--out", "kept", "--until", "20 ms", "--overwrite")
     assert forced.returncode == 0, forced.stderr
     assert "Expectations are not evaluated: --until ended the run at 0.02" in forced.stdout
     assert "as expected" not in forced.stdout
-    assert len(frames(home / "out" / "beads")) == 3
-    assert (home / "out" / "beads" / "notes.txt").exists()
+    assert len(frames(kept)) == 3
+    assert (kept / "notes.txt").exists()
 
 
 def test_an_expectation_that_is_not_met_and_a_warning(home):

@@ -31,7 +31,7 @@ def chute(**parts):
         "outlets": {
             "side": {"box": {"min": [0.0, -1.0, -0.05], "max": [1.0, 1.0, 0.001]}},
             "below": {"half_space": {"point": [0, 0, -0.02], "normal": [0, 0, -3]}},
-            "nowhere": {"disc": {"point": [0, 0, 0.1], "normal": [0, 0, 1], "radius": 0.01}},
+            "nowhere": {"disc": {"center": [0, 0, 0.1], "normal": [0, 0, 1], "radius": 0.01}},
         },
         "gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3, "restitution": 0.7},
         "run": {"duration": 0.25, "velocity_max": 3.0, "time_step": 1e-5}, "numerics": {"chunk_size": 32},

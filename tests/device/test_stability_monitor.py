@@ -32,7 +32,7 @@ def gas(**parts):
 
 @pytest.mark.parametrize("energy", [False, True])
 def test_a_good_run_is_not_warned_of(taichi_f64, energy):
-    output = {"interval": 1.0, "energy": energy}
+    output = {"interval": 1.0, "energy_budget": energy}
     assert not warned(gas(pair={"restitution": 1.0, "friction": 0.3}, gravity=[0, 0, -9.81], output=output))
 
 
@@ -51,7 +51,7 @@ def doubled_speeds(simulation, snapshot):
 @pytest.mark.parametrize("energy", [False, True])
 def test_energy_from_nowhere_is_warned_of(taichi_f64, energy):
     """Four times the kinetic energy is three times the energy put in more, less what is in contacts."""
-    output = {"interval": 1.0, "energy": energy}
+    output = {"interval": 1.0, "energy_budget": energy}
     scene = gas(pair={"restitution": 1.0}, numerics={"max_overlap": 0.8}, output=output)
     warnings = warned(scene, doubled_speeds)
     share = float(warnings["energy"].partition("energy error is ")[2].partition("%")[0])

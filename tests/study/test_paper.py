@@ -71,7 +71,7 @@ def test_figure_1_and_the_table(device):
     assert outcomes.duration == pytest.approx(diameters * scales * time_scale, rel=5e-3)
     figure_data = residual.residual_figure(outcomes, FEW)
     assert figure_data.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
-    assert all(deviation.met for deviation in figure_data.deviations)
+    assert all(deviation.is_within_target for deviation in figure_data.deviations)
 
 
 def test_figure_2_is_within_what_the_paper_says():
@@ -100,7 +100,7 @@ def test_figures_3_to_5(device):
         springs = mass * SPEEDS**2 / largest**2  # the whole kinetic energy is stored at dmax
         assert columns["spring_simulated"][mine] == pytest.approx(springs, rel=1e-3)
     plates = velocity.restitution_figure(columns), velocity.duration_figure(columns)
-    assert all(deviation.met for figure_data in plates for deviation in figure_data.deviations)
+    assert all(deviation.is_within_target for figure_data in plates for deviation in figure_data.deviations)
 
 
 def test_the_papers_estimate_of_a_spring(device):
@@ -135,7 +135,7 @@ def test_accuracy_at_200_steps(device, monkeypatch):
     monkeypatch.setattr(accuracy, "RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
     monkeypatch.setattr(accuracy, "PHASES", 4)
     figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run(device))
-    assert all(deviation.met for deviation in figure_data.deviations)
+    assert all(deviation.is_within_target for deviation in figure_data.deviations)
     at = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
           for steps in (50, 400)}  # fmt: skip
     assert np.all(at[400] < at[50] / 8.0**1.5)

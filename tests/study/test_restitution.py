@@ -79,7 +79,7 @@ def test_reached_is_what_a_run_of_the_scene_reaches(taichi_f64):
     group = scene.particles["beads"].model_copy(
         update={
             "velocity": (0.0, 0.0, -2.0),
-            "insert": scene.particles["beads"].insertion.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
+            "insert": scene.particles["beads"].insert.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
         }
     )
     last, simulation = run_to_end(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
@@ -154,7 +154,7 @@ def test_the_verb_shows_a_table_and_writes_numbers(tmp_path, taichi_f64, capsys)
     row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.30000 +([\d.]+) +([+-][\d.]+)( \*)?")
     shown = [found.groups() for line in capsys.readouterr().out.splitlines() if (found := row.match(line))]
     lines = (tmp_path / "out" / "restitution.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "pair,velocity,asked,least,most,difference"
+    assert lines[0] == "pair,velocity,requested,min_reached,max_reached,difference"
     assert len(lines) - 1 == len(shown) == 2 * 13
     for line, (velocity, reached, percent, star) in zip(lines[1:], shown, strict=True):
         numbers = [float(cell) for cell in line.split(",")[1:]]
