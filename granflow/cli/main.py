@@ -48,8 +48,10 @@ def _verb(options: argparse.Namespace) -> int:
             return options.verb(options)
     except GranflowError as error:
         return print_refusal(error)
-    except OSError as error:
-        return _print_file_error(error)
+    except MemoryError:
+        return print_error("not enough memory: use fewer particles, or raise the memory limit of the process.")
+    except ImportError as error:
+        return print_error(f"a library cannot be loaded ({error}): install granflow again, or raise memory limits.")
     except KeyboardInterrupt as stop:
         return print_error("interrupted.", exit_code_of(stop))
 

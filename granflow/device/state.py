@@ -11,7 +11,7 @@ from granflow.device.clock import Clock
 from granflow.device.limits import NO_PARTICLE
 from granflow.device.mesh_fields import MeshFields
 from granflow.plan import Plan
-from granflow.plan.capacities import BOUNDS, history_capacity
+from granflow.plan.capacities import BOUNDS, IMPULSE_SIZE, LOSSES, history_capacity
 from granflow.walls.catalog import surface_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT, Shape
@@ -287,16 +287,6 @@ class Control:
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
         self.abort_particle[0] = NO_PARTICLE
-
-
-LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
-"""Terms of the energy budget that each chunk sums [J]."""
-
-PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
-
-
-IMPULSE_SIZE = 7
-"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force (1)."""
 
 
 class State:

@@ -37,8 +37,8 @@ def mean_above(above, rate, time_step):
     """
     half = 0.5 * ti.abs(rate) * time_step
     inside = ti.min(ti.max(above + half, 0.0), 2.0 * half)
-    smallest = 1e-30  # [m], avoids division by zero at zero rate, where the interval is empty
-    return ti.max(above - half, 0.0) + inside * inside / ti.max(4.0 * half, smallest)
+    divisor = ti.select(half > 0.0, 4.0 * half, 1.0)  # at zero rate the interval is empty
+    return ti.max(above - half, 0.0) + inside * inside / divisor
 
 
 def build_step_mean(power: float) -> Any:

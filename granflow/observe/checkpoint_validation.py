@@ -8,13 +8,11 @@ from granflow.observe.checkpoint import Checkpoint
 from granflow.observe.checkpoint_neighbors import check_neighbors
 from granflow.observe.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
 from granflow.plan import Plan
+from granflow.plan.capacities import IMPULSE_SIZE, LOSSES
 from granflow.scene import Scene
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
-
-LOSS_KINDS, IMPULSE_SIZE = 5, 7
-"""Number of dissipated energies in the energy budget, and of impulse components per wall, as on the device."""
 
 COUNTS = ("inserted_count", "deleted_count")
 MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
@@ -199,7 +197,7 @@ def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
     features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
     shapes: dict[str, tuple[int, ...]] = {}
     if features.energy_budget:
-        shapes["losses"] = (chunks, LOSS_KINDS)
+        shapes["losses"] = (chunks, len(LOSSES))
     if features.energy_budget and features.periodic != "none":
         shapes["boundary_work"] = (chunks,)
     if measured:

@@ -24,6 +24,13 @@ BOUNDS = 1024
 EXTRA_PER_PARTICLE = 6
 """List entries above twice the mean if each particle is a chunk and lists all of its partners."""
 
+LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
+"""Terms of the energy budget that each chunk sums [J]."""
+
+PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
+
+IMPULSE_SIZE = 7
+"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force (1)."""
 
 SHARE_AT_MESHES = 0.1
 """Share of the particles of a bed that are near a mesh wall."""

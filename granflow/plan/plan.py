@@ -29,7 +29,13 @@ from granflow.plan.outlets import PlannedOutlet, planned_outlets
 from granflow.plan.resolution import coordinate_limit, refuse_coarse
 from granflow.plan.size_classes import diameter_range, size_classes
 from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
-from granflow.plan.travel import STEP_SHARE, refuse_fast_images, refuse_fast_start, refuse_fast_walls
+from granflow.plan.travel import (
+    STEP_SHARE,
+    refuse_fast_images,
+    refuse_fast_rotation,
+    refuse_fast_start,
+    refuse_fast_walls,
+)
 from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 from granflow.scene import Scene
@@ -300,6 +306,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for velocities [m/s] at which contacts can be missed from the start."""
     refuse_fast_start(plan.scene, initial_speeds(plan.scene), plan.time_step, plan.radius_min)
+    refuse_fast_rotation(plan.scene, plan.time_step)
     limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
     refuse_fast_walls(plan.scene, wall_speeds, plan.longest_time_step, limit)
     refuse_fast_images(plan.scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from granflow.errors import SceneError
 from granflow.scene import Scene
 from granflow.scene.schema import LARGEST_OVERLAP
@@ -35,6 +37,19 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
             place = scene.locate("particles", name, *(["velocity"] if given else []))
             statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
             raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
+
+
+def refuse_fast_rotation(scene: Scene, step: float) -> None:
+    """Raise SceneError if the surface of a particle moves by more than the same share of its radius in a step [s]."""
+    for name, group in scene.particles.items():
+        rate = float(np.linalg.norm(np.atleast_2d(group.angular_velocity), axis=1).max())
+        if rate * step > STEP_SHARE:
+            place = scene.locate("particles", name, "angular_velocity")
+            raise SceneError(
+                f"{place}: particles.{name} starts with {rate:.3g} rad/s, "
+                f"which is {rate * step:.3g} rad per step of {step:.3g} s, above the limit of {STEP_SHARE:g} rad. Use "
+                f"at most {STEP_MARGIN * STEP_SHARE / step:.2g} rad/s, or lower run.time_step."
+            )
 
 
 def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float) -> None:

@@ -125,6 +125,18 @@ def test_particles_are_refused_that_start_above_the_limit():
             plan_for(scene)
 
 
+def test_rotation_above_the_limit_per_step_is_rejected():
+    """The surface moves w R dt per step: 0.2 R at w = 0.2 / 10 us = 20 000 rad/s."""
+    for rate, message in ((19_990.0, ""), (20_010.0, "starts with 2e.04 rad/s, which is 0.2 rad per step of 1e-05 s")):
+        group = particle_group([[0, 0, 0.1]], angular_velocity=[0, rate, 0])
+        scene = build_scene({"spun": group}, run={"duration": 1.0, "velocity_max": 1.0, "time_step": 1e-5})
+        if message:
+            with pytest.raises(SceneError, match=message):
+                plan_for(scene)
+        else:
+            plan_for(scene)
+
+
 def moving(kind, speed, **parts):
     motion = {
         "translation": {"kind": "translation", "velocity": [0, 0, speed]},
