@@ -215,11 +215,11 @@ MUTATIONS = (
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
-        "displacement of a driven wall",
+        "displacement of a free wall",
         "granflow/device/wall_dynamics.py",
         "if not step_displacement <= step_limit:",
         "if not step_displacement <= 2.0 * step_limit:",
-        (f"{LIMITS}test_the_displacement_of_a_driven_wall_has_the_same_limits",),
+        (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
     Mutation(
@@ -269,7 +269,7 @@ MUTATIONS = (
         "granflow/device/pair_force.py",
         "-arm * moment, -arm_partner * moment",
         "-arm * moment, arm_partner * moment",
-        ("tests/device/test_conservation.py::test_momentum_of_a_closed_cloud_is_kept_to_rounding",),
+        ("tests/device/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
     ),
     # Neighbor list, periodic images, walls
     Mutation(
@@ -277,14 +277,14 @@ MUTATIONS = (
         "granflow/device/periodic_box.py",
         "ti.select(branch[axis] < -half, width",
         "ti.select(branch[axis] < -width, width",
-        (f"{PERIODIC}test_rows_hold_exactly_the_near_pairs_of_nearest_images",),
+        (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(
         "neighbors of the next index",
         "granflow/device/neighbor_list.py",
         "if j > i or (j < first)",
         "if j > i + 1 or (j < first)",
-        ("tests/device/test_neighbor_list.py::test_rows_hold_exactly_the_near_pairs",),
+        ("tests/device/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(
         "plane",
