@@ -75,13 +75,13 @@ def test_energy_error_above_half_a_percent_in_two_rows_causes_a_warning(errors, 
     assert ("energy" in monitor.warnings) == warns
 
 
-@pytest.mark.parametrize(("potential_change", "supplied"), [(0.0, 5.0), (-3.0, 8.0), (4.0, 5.0)])
-def test_supplied_energy_does_not_depend_on_the_origin(potential_change, supplied):
+@pytest.mark.parametrize(("height", "put"), [(0.0, 5.0), (-3.0, 8.0), (4.0, 5.0)])
+def test_supplied_energy_does_not_depend_on_the_origin(height, put):
     """A particle of 2 kg in a field of 1 m/s2 starts with 5 J: a fall of 1.5 m adds 3 J, a rise adds none."""
     for origin in (0.0, 1e3):
         accounting = Accounting(inserted_energy=5.0 + 2.0 * origin)
-        largest = max(put_in(accounting, 2.0 * origin), put_in(accounting, 2.0 * origin + potential_change))
-        assert largest == pytest.approx(supplied)
+        largest = max(put_in(accounting, 2.0 * origin), put_in(accounting, 2.0 * origin + height))
+        assert largest == pytest.approx(put)
         assert put_in(accounting, 2.0 * origin + 5.0, (2.0, -7.0)) == pytest.approx(2.0)
 
 

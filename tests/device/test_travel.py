@@ -123,7 +123,7 @@ def test_initial_velocity_above_the_limit_is_rejected():
             plan_for(scene)
 
 
-def scene_with_moving_wall(kind, speed, **parts):
+def moving(kind, speed, **parts):
     motion = {
         "translation": {"kind": "translation", "velocity": [0, 0, speed]},
         "vibration": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": speed / 628.3, "frequency": 100.0},
@@ -138,16 +138,16 @@ def scene_with_moving_wall(kind, speed, **parts):
 @pytest.mark.parametrize("kind", ["translation", "vibration", "rotation"])
 def test_wall_velocity_above_the_limit_is_rejected(kind):
     """A paddle that rotates about its center reaches 0.5 m; half of the skin is larger than a fifth of the radius."""
-    plan_for(scene_with_moving_wall(kind, 0.999 * FASTEST))
+    plan_for(moving(kind, 0.999 * FASTEST))
     with pytest.raises(SceneError, match=r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"):
-        plan_for(scene_with_moving_wall(kind, 1.001 * FASTEST))
+        plan_for(moving(kind, 1.001 * FASTEST))
 
 
 def test_wall_displacement_above_half_a_skin_is_rejected():
     """Half of a 1 mm skin is 0.5 mm: above it, neighbors are missing in the first step after a rebuild."""
     thin = {"skin": 0.001}
     for share, refused in ((0.499, False), (0.501, True)):
-        scene = scene_with_moving_wall("translation", share * FASTEST).model_copy(deep=True)
+        scene = moving("translation", share * FASTEST).model_copy(deep=True)
         scene = scene.model_copy(update={"numerics": scene.numerics.model_copy(update=thin)})
         if refused:
             with pytest.raises(SceneError, match="above the limit of 0.0005 m"):
