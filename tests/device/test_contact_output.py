@@ -9,7 +9,7 @@ EPS = np.finfo(float).eps
 
 
 def separating_block(chunk_size=512, pair=None, **parts):
-    """Snapshots of a block of spinning particles between rough walls that overlap initially and then separate."""
+    """Snapshots of spinning particles between rough walls; the block overlaps initially and then separates."""
     rng = np.random.default_rng(6)
     positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
     group = particle_group(

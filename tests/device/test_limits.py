@@ -100,7 +100,7 @@ def test_f32_run_aborts_where_positions_are_not_resolved():
 
 
 def flight(height):
-    """Message of the abort, or "", of a particle that flies 4 m from a height [m] and leaves an expanding domain.
+    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an expanding domain.
 
     In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 = 8192 m and 0.98 mm beyond; the limit is 0.5 mm.
     """

@@ -23,9 +23,9 @@ AT_WALL = theory.hertz_stiffness(MODULUS, RADIUS)
 FLOOR = plane([0, 0, 0], [0, 0, 1])
 
 
-def lid(piston_height, motion, size=0.04):
+def lid(height, motion, size=0.04):
     return {
-        "shape": "rectangle", "corner": [-size / 2, -size / 2, piston_height], "sides": [[size, 0, 0], [0, size, 0]],
+        "shape": "rectangle", "corner": [-size / 2, -size / 2, height], "sides": [[size, 0, 0], [0, size, 0]],
         "material": "glass", "motion": motion,
     }  # fmt: skip
 

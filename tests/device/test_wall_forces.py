@@ -36,7 +36,7 @@ def shaken_box():
 
 
 def momenta(particles):
-    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of |m v_a|."""
+    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of all |m v_i|."""
     p = particles
     inertia = 0.4 * (p["mass"] * p["radius"] ** 2)[:, None]
     linear = p["mass"][:, None] * p["velocity"]
