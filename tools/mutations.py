@@ -41,14 +41,14 @@ MUTATIONS = (
         "granflow/laws/theory.py",
         "return 4.0 / 3.0 * modulus",
         "return 2.0 / 3.0 * modulus",
-        (f"{STEP}test_step_is_a_fraction_of_the_shortest_phase",),
+        (f"{STEP}test_step_is_a_fraction_of_the_shortest_contact_phase",),
     ),
     Mutation(
         "largest overlap",
         "granflow/laws/theory.py",
         "return (1.25 * mass",
         "return (1.2 * mass",
-        (f"{STEP}test_stable_step_carries_the_densest_packing",),
+        (f"{STEP}test_stable_step_holds_for_the_densest_packing",),
     ),
     Mutation(
         "recovery",
@@ -62,42 +62,42 @@ MUTATIONS = (
         "granflow/laws/theory.py",
         "np.sqrt(1.25 * k * np.sqrt(largest)",
         "np.sqrt(k * np.sqrt(largest)",
-        (f"{STEP}test_least_restitution_is_where_the_unloading_tangent_meets_its_bound",),
+        (f"{STEP}test_least_restitution_follows_from_the_unloading_stiffness_bound",),
     ),
     Mutation(
         "normal modes",
         "granflow/plan/time_step.py",
         "SLIDING_MODES = 4.0, 20.0",
         "SLIDING_MODES = 2.0, 20.0",
-        (f"{STEP}test_stable_step_carries_the_densest_packing",),
+        (f"{STEP}test_stable_step_holds_for_the_densest_packing",),
     ),
     Mutation(
         "sliding modes",
         "granflow/plan/time_step.py",
         "SLIDING_MODES = 4.0, 20.0",
         "SLIDING_MODES = 4.0, 10.0",
-        (f"{STEP}test_friction_shortens_the_stable_step_to_that_of_spheres_that_turn_on_each_other",),
+        (f"{STEP}test_friction_reduces_the_stable_step_by_the_rotational_modes",),
     ),
     Mutation(
         "Rayleigh time",
         "granflow/plan/time_step.py",
         "(0.1631 * nu + 0.8766)",
         "(0.1631 * nu + 0.6766)",
-        (f"{STEP}test_rayleigh_time_limits_what_is_slow",),
+        (f"{STEP}test_rayleigh_fraction_limits_the_step",),
     ),
     Mutation(
         "refusal of an unstable step",
         "granflow/plan/time_step.py",
         "if value > stable:",
         "if value > 100.0 * stable:",
-        (f"{STEP}test_given_step_above_the_bound_is_refused_with_its_place_and_the_right_number",),
+        (f"{STEP}test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_step",),
     ),
     Mutation(
         "one warning per material pair",
         "granflow/plan/plan.py",
         "occurs = name != other_name or group.count > 1",
         "occurs = True",
-        (f"{STEP}test_contacts_that_cannot_occur_are_not_warned_about",),
+        (f"{STEP}test_contacts_that_cannot_occur_cause_no_warning",),
     ),
     # Motions of walls
     Mutation(
@@ -215,11 +215,11 @@ MUTATIONS = (
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
-        "displacement of a driven wall",
+        "displacement of a free wall",
         "granflow/device/wall_dynamics.py",
         "if not step_displacement <= step_limit:",
         "if not step_displacement <= 2.0 * step_limit:",
-        (f"{LIMITS}test_the_displacement_of_a_driven_wall_has_the_same_limits",),
+        (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
     Mutation(
@@ -269,7 +269,7 @@ MUTATIONS = (
         "granflow/device/pair_force.py",
         "-arm * moment, -arm_partner * moment",
         "-arm * moment, arm_partner * moment",
-        ("tests/device/test_conservation.py::test_momentum_of_a_closed_cloud_is_kept_to_rounding",),
+        ("tests/device/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
     ),
     # Neighbor list, periodic images, walls
     Mutation(
@@ -277,14 +277,14 @@ MUTATIONS = (
         "granflow/device/periodic_box.py",
         "ti.select(branch[axis] < -half, width",
         "ti.select(branch[axis] < -width, width",
-        (f"{PERIODIC}test_rows_hold_exactly_the_near_pairs_of_nearest_images",),
+        (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(
         "neighbors of the next index",
         "granflow/device/neighbor_list.py",
         "if j > i or (j < first)",
         "if j > i + 1 or (j < first)",
-        ("tests/device/test_neighbor_list.py::test_rows_hold_exactly_the_near_pairs",),
+        ("tests/device/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(
         "plane",

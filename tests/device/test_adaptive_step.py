@@ -1,4 +1,4 @@
-"""A time step that follows the scene: chosen as the plan would, exact where the leapfrog is, and the same bits."""
+"""The adaptive time step: equal to the planned step at the present velocity, exact in free flight, bit-identical."""
 
 import hashlib
 
@@ -26,13 +26,13 @@ def adaptive(scene, **run):
 
 
 def pair_at(gap, velocity, **run):
-    """Two spheres with a gap between them that closes at a velocity; the plan reckons with 4 m/s."""
+    """Two particles with a gap [m] that closes at `velocity` [m/s]; the planned velocity is 4 m/s."""
     positions = [[-RADIUS - 0.5 * gap, 0, 0], [RADIUS + 0.5 * gap, 0, 0]]
     group = particle_group(positions, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]])
     return build_scene({"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run)
 
 
-def step_after_first_look(scene):
+def first_adapted_step(scene):
     simulation = Simulation(scene)
     simulation.run(until=1e-9)
     step = simulation.engine.time_step
@@ -41,34 +41,34 @@ def step_after_first_look(scene):
     return step, plan
 
 
-def planned(plan, velocity):
+def planned_step(plan, velocity):
     numerics = plan.scene.numerics
     bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
     return choose_time_step(None, pair_cases_of(plan.scene), plan.law, velocity, *bounds).value
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])
-def test_step_is_that_of_the_plan_for_the_approach_there_is(taichi_f64, velocity):
-    """With the margin, and no longer or shorter than one rung of the table allows."""
-    step, plan = step_after_first_look(pair_at(1e-5, velocity))
+def test_step_equals_the_planned_step_for_the_present_velocity(taichi_f64, velocity):
+    """Within one level of the table, at the present velocity times the margin."""
+    step, plan = first_adapted_step(pair_at(1e-5, velocity))
     assert (
-        planned(plan, VELOCITY_MARGIN * velocity * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
+        planned_step(plan, VELOCITY_MARGIN * velocity * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
         <= step
-        <= planned(plan, VELOCITY_MARGIN * velocity)
+        <= planned_step(plan, VELOCITY_MARGIN * velocity)
     )
 
 
-def test_an_overlap_counts_as_the_velocity_that_it_took_up(taichi_f64):
-    """At rest at the largest overlap of an impact at 1 m/s (Zhou 2011, Eq. 5) the step is that for 1 m/s."""
+def test_overlap_counts_as_the_impact_velocity_that_causes_it(taichi_f64):
+    """At rest at the maximum overlap of an impact at 1 m/s (Zhou 2011, Eq. 5), the step equals that for 1 m/s."""
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * SOFT["density"]
     k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.5 * RADIUS)
-    squeezed, _ = step_after_first_look(pair_at(-float(theory.overlap_max(k, 0.5 * mass, 1.001)), 0.0))
-    moving, _ = step_after_first_look(pair_at(1e-5, 1.001))
-    assert squeezed == moving
+    overlapping, _ = first_adapted_step(pair_at(-float(theory.overlap_max(k, 0.5 * mass, 1.001)), 0.0))
+    approaching, _ = first_adapted_step(pair_at(1e-5, 1.001))
+    assert overlapping == approaching
 
 
-def test_step_lengthens_when_nothing_is_near_and_the_parabola_stays_exact(taichi_f64):
-    """The leapfrog is exact for a constant acceleration, and must stay so where the step changes."""
+def test_step_grows_in_free_flight_and_the_parabola_stays_exact(taichi_f64):
+    """The leapfrog is exact for a constant acceleration, also where the step changes."""
     start, throw, gravity = np.array([0.0, 0.0, 0.4]), np.array([0.3, 0.0, 2.0]), np.array([0.5, 0.0, -9.81])
     group = particle_group([start], 2.0 * RADIUS, velocity=throw)
     scene = build_scene(
@@ -79,13 +79,13 @@ def test_step_lengthens_when_nothing_is_near_and_the_parabola_stays_exact(taichi
     engine = simulation.engine
     assert engine.time_step > 1.2 * simulation.plan.time_step
     assert engine.mean_time_step == pytest.approx(last.time / engine.step_count)
-    insertion = start + throw * last.time + 0.5 * gravity * last.time**2
-    np.testing.assert_allclose(last.particles["position"][0], insertion, rtol=0.0, atol=1e-12)
+    expected = start + throw * last.time + 0.5 * gravity * last.time**2
+    np.testing.assert_allclose(last.particles["position"][0], expected, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(last.particles["velocity"][0], throw + gravity * last.time, rtol=0.0, atol=1e-11)
 
 
-def test_collision_under_a_changing_step_reaches_its_restitution(taichi_f64):
-    """Slow spheres after fast ones: the step grows behind the first collision, both rebound as asked (0.8)."""
+def test_collisions_with_a_changing_step_reach_their_restitution(taichi_f64):
+    """A slow collision follows a fast one: the step grows in between, and both pairs rebound with e = 0.8."""
     positions = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [[1e-5, 0.02 * side, 0] for side in (0, 1)]
     velocity = [[3.0, 0, 0], [0.02, 0, 0], [0, 0, 0], [0, 0, 0]]
     scene = build_scene(
@@ -94,12 +94,12 @@ def test_collision_under_a_changing_step_reaches_its_restitution(taichi_f64):
     )  # fmt: skip
     last, simulation = run_to_end(scene)
     assert simulation.engine.time_step > 1.5 * simulation.plan.time_step
-    parting = last.particles["velocity"][2:, 0] - last.particles["velocity"][:2, 0]
-    np.testing.assert_allclose(parting / [3.0, 0.02], 0.8, rtol=1e-3)
+    separation_velocity = last.particles["velocity"][2:, 0] - last.particles["velocity"][:2, 0]
+    np.testing.assert_allclose(separation_velocity / [3.0, 0.02], 0.8, rtol=1e-3)
 
 
 def fingerprint(threads, in_parallel):
-    """Digest, steps done and present time step of a busy run."""
+    """Digest, number of steps and present time step [s] of a run with many contacts."""
     if in_parallel:
         stepper.SINGLE_WORKER_PARTICLES = 0
     simulation = Simulation(adaptive(complex_scene(), duration=0.01), threads=threads)
@@ -109,13 +109,13 @@ def fingerprint(threads, in_parallel):
     return [digest.hexdigest(), simulation.engine.step_count, simulation.engine.time_step]
 
 
-def test_bits_do_not_depend_on_threads():
+def test_results_are_bit_identical_for_any_thread_count():
     one, two = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint, 2, True)
     assert one[1] > 3 * STEPS_BETWEEN_UPDATES
     assert one == two
 
 
-def test_a_scene_without_it_has_no_table(taichi_f64):
+def test_constant_time_step_has_no_level_table(taichi_f64):
     plain, simulation = run_to_end(pair_at(1e-5, 0.4, time_step="auto", duration=1e-4))
     assert simulation.plan.adaptive_time_step is None
     assert plain.time == simulation.engine.step_count * simulation.plan.time_step

@@ -1,4 +1,4 @@
-"""Every first guess of a capacity may be 1: rows, kept history and all that goes with them grow, bit for bit."""
+"""Capacities of neighbor lists and saved history may start at 1: they grow without changing a bit."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from granflow.simulation import Simulation
 ARRAYS = ("position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
 
 
-def crushed(chunk_size):
-    """Spheres packed closely and rain onto them, over a floor that comes up: ever more contacts."""
+def compressed_bed(chunk_size):
+    """Closely packed particles and rain, compressed by a rising floor: the number of contacts grows."""
     rng = np.random.default_rng(5)
     walls = box(0.04)
     walls["low_z"] |= {"motion": {"kind": "translation", "velocity": [0.0, 0.0, 1.0]}}
@@ -32,31 +32,31 @@ def crushed(chunk_size):
 
 
 def run_and_sample(scene):
-    """All snapshots every millisecond, contacts too, the last one, and the simulation."""
-    seen = []
-    simulation = Simulation(scene, observers=[every(1e-3, seen.append, ("particles", "totals", "contacts"))])
+    """Snapshots with contacts every millisecond and at the end, and the simulation."""
+    snapshots = []
+    simulation = Simulation(scene, observers=[every(1e-3, snapshots.append, ("particles", "totals", "contacts"))])
     simulation.run()
-    seen.append(simulation.snapshot(contacts=True))
+    snapshots.append(simulation.snapshot(contacts=True))
     simulation.free()
-    return seen, simulation
+    return snapshots, simulation
 
 
 @pytest.mark.parametrize("chunk_size", [1, pytest.param(16, marks=pytest.mark.slow)])
-def test_slots_and_kept_slots_that_start_at_one_end_in_the_same_bits(taichi_f64, monkeypatch, chunk_size):
-    scene = crushed(chunk_size)
+def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monkeypatch, chunk_size):
+    scene = compressed_bed(chunk_size)
     monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
-    plenty, roomy = run_and_sample(scene)
-    assert roomy.engine.timing.growth_count == 0
-    assert max(snapshot.totals["contact_count"] for snapshot in plenty) > 40
+    reference, reference_run = run_and_sample(scene)
+    assert reference_run.engine.timing.growth_count == 0
+    assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
 
     monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 1))
     monkeypatch.setattr(capacities, "SPARE", 1)
     assert capacities.history_capacity(1) == 1
-    grown, cramped = run_and_sample(scene)
-    assert cramped.engine.timing.growth_count > 0
-    assert cramped.engine.state.neighbors.list_capacity_per_chunk < 40 * chunk_size
-    assert len(grown) == len(plenty)
-    for one, other in zip(grown, plenty, strict=True):
+    grown, growing_run = run_and_sample(scene)
+    assert growing_run.engine.timing.growth_count > 0
+    assert growing_run.engine.state.neighbors.list_capacity_per_chunk < 40 * chunk_size
+    assert len(grown) == len(reference)
+    for one, other in zip(grown, reference, strict=True):
         assert one.totals == other.totals
         for name in ARRAYS:
             np.testing.assert_array_equal(one.particles[name], other.particles[name])
@@ -65,30 +65,32 @@ def test_slots_and_kept_slots_that_start_at_one_end_in_the_same_bits(taichi_f64,
 
 
 @pytest.mark.slow
-def test_history_that_finds_no_room_when_it_is_set_aside_grows_too(taichi_f64, monkeypatch):
-    """Rows long enough, but with room to keep the history of a single slot of each chunk."""
-    scene = crushed(16)
+def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkeypatch):
+    """The list capacity suffices, but the history capacity holds one entry per chunk."""
+    scene = compressed_bed(16)
     monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
-    plenty, _ = run_and_sample(scene)
+    reference, _ = run_and_sample(scene)
     monkeypatch.setattr(capacities, "HISTORY_SHARE", 1 / 640)
     monkeypatch.setattr(capacities, "SPARE", 0)
     assert capacities.history_capacity(640) == 1
-    monkeypatch.setattr("granflow.device.stepper.list_capacity_for", lambda saved: grow_share(monkeypatch, saved))
-    grown, cramped = run_and_sample(scene)
-    assert cramped.engine.timing.growth_count > 0
+    monkeypatch.setattr(
+        "granflow.device.stepper.list_capacity_for", lambda saved: raise_history_share(monkeypatch, saved)
+    )
+    grown, growing_run = run_and_sample(scene)
+    assert growing_run.engine.timing.growth_count > 0
     for name in ARRAYS:
-        np.testing.assert_array_equal(grown[-1].particles[name], plenty[-1].particles[name])
+        np.testing.assert_array_equal(grown[-1].particles[name], reference[-1].particles[name])
 
 
-def grow_share(monkeypatch, saved):
-    """Instead of longer rows, a share of them that holds sixteen times what must be kept."""
+def raise_history_share(monkeypatch, saved):
+    """Keeps the list capacity and raises the history capacity to sixteen times the number of saved entries."""
     monkeypatch.setattr(capacities, "HISTORY_SHARE", 16 * saved / 640)
     return 640
 
 
 @pytest.mark.parametrize("extent", [1.0, 1e6, 1e30])
 @pytest.mark.parametrize("side", [1e-3, 1e-30])
-def test_the_search_grid_fits_into_its_cells_however_far_apart_the_particles_are(extent, side):
+def test_cell_grid_respects_the_cell_limit_for_any_extent(extent, side):
     limit = 8192
     grid = CellGrid.over(np.zeros(3), np.full(3, extent), side, limit)
     assert 1 <= grid.cell_count <= limit

@@ -1,4 +1,4 @@
-"""Momentum, angular momentum and energy of closed systems; third law to the last bit."""
+"""Momentum, angular momentum and energy of closed systems; Newton's third law to the last bit."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ MATERIALS = {
 
 
 def cloud(count, seed=1):
-    """Two kinds of spheres on a loose lattice, all flying at the middle with spins at random."""
+    """Particles of two materials on a loose lattice that fly to the center with random angular velocities."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(count ** (1.0 / 3.0)))
     positions = 0.011 * (np.argwhere(np.ones((side, side, side)))[:count] - 0.5 * (side - 1))
@@ -31,7 +31,7 @@ def cloud(count, seed=1):
 
 
 def momenta(snapshot):
-    """Momentum and angular momentum about the origin, each (3,), and the root of the sum of squares of its terms."""
+    """Momentum and angular momentum about the origin, each (3,), and the norms of their terms."""
     p = snapshot.particles
     linear = p["mass"][:, None] * p["velocity"]
     inertia = 0.4 * p["mass"] * p["radius"] ** 2
@@ -40,29 +40,29 @@ def momenta(snapshot):
 
 
 @pytest.mark.parametrize("rolling", ["none", "epsd"])
-def test_momentum_of_a_closed_cloud_is_kept_to_rounding(taichi_f64, rolling):
-    """Forces and torques cancel exactly, so that only rounding is left, half an ulp in every step.
+def test_momentum_of_a_closed_system_is_conserved_to_rounding(taichi_f64, rolling):
+    """Forces and torques cancel exactly, so each step adds rounding errors of half an ulp only.
 
-    Velocities are rounded while there is contact, at random: six standard deviations grow with the root of the
-    steps. Positions are rounded in free flight, by the same in every step, at random between particles only.
+    Velocities are rounded randomly during contact: six standard deviations grow with the square root of the number of
+    steps. In free flight, the rounding error of a position is the same in each step and random between particles.
     """
     pair = {"restitution": 0.7, "friction": 0.5} | ({"rolling_friction": 0.2} if rolling != "none" else {})
     scene = build_scene(
         cloud(1000), pair=pair, rolling=rolling, materials=MATERIALS,
         numerics={"chunk_size": 128}, run={"duration": 0.006, "velocity_max": 5.0},
     )  # fmt: skip
-    seen = run_and_sample(scene, 0.002)
-    collided = np.any(seen[-1].particles["velocity"] != seen[0].particles["velocity"], axis=1)
+    snapshots = run_and_sample(scene, 0.002)
+    collided = np.any(snapshots[-1].particles["velocity"] != snapshots[0].particles["velocity"], axis=1)
     assert collided.sum() > 900
-    linear, angular, *_ = momenta(seen[0])
-    for snapshot in seen[1:]:
+    linear, angular, *_ = momenta(snapshots[0])
+    for snapshot in snapshots[1:]:
         now = momenta(snapshot)
         assert np.linalg.norm(now[0] - linear) <= 6.0 * 0.5 * EPS * np.sqrt(snapshot.step) * now[2]
         assert np.linalg.norm(now[1] - angular) <= 6.0 * 0.5 * EPS * snapshot.step * now[3]
 
 
-def pair_case_pairs(count=40):
-    """Pairs far apart from each other that collide obliquely, spinning, of unequal sizes and materials."""
+def colliding_pairs(count=40):
+    """Distant pairs of unequal radius and material that collide obliquely with random angular velocities."""
     rng = np.random.default_rng(3)
     middle = 0.04 * np.argwhere(np.ones((4, 4, 4)))[:count] - 0.08
     normal = rng.normal(size=(count, 3))
@@ -80,26 +80,27 @@ def pair_case_pairs(count=40):
 
 
 def pair_forces(chunk_size, rolling):
+    """Forces on the first and on the second partners, torques and velocities, each (times, particles, 3)."""
     pair = {"restitution": {"sigma": 1.0, "psi": 0.5, "limit_velocity": 3.0}, "friction": 0.3, "rolling_friction": 0.1}
     scene = build_scene(
-        pair_case_pairs(), pair=pair, rolling=rolling, materials=MATERIALS,
+        colliding_pairs(), pair=pair, rolling=rolling, materials=MATERIALS,
         numerics={"chunk_size": chunk_size}, run={"duration": 0.0008, "velocity_max": 2.0},
     )  # fmt: skip
-    seen = run_and_sample(scene, 0.0001)
-    half = seen[0].particles["id"].size // 2
-    force = column(seen, "force")
-    return force[:, :half], force[:, half:], column(seen, "torque"), column(seen, "velocity")
+    snapshots = run_and_sample(scene, 0.0001)
+    half = snapshots[0].particles["id"].size // 2
+    force = column(snapshots, "force")
+    return force[:, :half], force[:, half:], column(snapshots, "torque"), column(snapshots, "velocity")
 
 
 @pytest.mark.parametrize("rolling", ["epsd", "cdt"])
-def test_action_is_reaction_to_the_last_bit(taichi_f64, rolling):
-    """Whether the pair is worked out once, within one chunk, or from both sides, across two chunks of one each."""
-    both_sides, once = pair_forces(1, rolling), pair_forces(512, rolling)
-    assert np.count_nonzero(both_sides[0].any(axis=2).any(axis=0)) >= 35
-    np.testing.assert_array_equal(both_sides[0], -both_sides[1])
-    np.testing.assert_array_equal(once[0], -once[1])
-    for one, other in zip(both_sides, once, strict=True):
-        np.testing.assert_array_equal(one, other)
+def test_forces_on_both_partners_are_exactly_opposite(taichi_f64, rolling):
+    """A pair within one chunk is computed once; a pair across two chunks of one particle is computed twice."""
+    computed_twice, computed_once = pair_forces(1, rolling), pair_forces(512, rolling)
+    assert np.count_nonzero(computed_twice[0].any(axis=2).any(axis=0)) >= 35
+    np.testing.assert_array_equal(computed_twice[0], -computed_twice[1])
+    np.testing.assert_array_equal(computed_once[0], -computed_once[1])
+    for from_both_sides, from_one_side in zip(computed_twice, computed_once, strict=True):
+        np.testing.assert_array_equal(from_both_sides, from_one_side)
 
 
 def bouncing_box(time_step, normal="zhou", rolling="epsd"):
@@ -118,8 +119,8 @@ def bouncing_box(time_step, normal="zhou", rolling="epsd"):
 
 
 @pytest.mark.parametrize(("normal", "rolling"), [("zhou", "epsd"), ("zhou", "cdt"), ("hertz", "epsd")])
-def test_energy_energy_budget_closes_better_with_a_shorter_step(taichi_f64, normal, rolling):
-    """First order in the step: an eighth of it leaves about an eighth of the error or less."""
+def test_energy_error_is_of_first_order_in_the_time_step(taichi_f64, normal, rolling):
+    """The error is of first order in the time step: an eighth of the step leaves an eighth of the error or less."""
     coarse, fine = (run_to_end(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))
     dissipated = "plastic_dissipation" if normal == "zhou" else "damping_dissipation"
     for part in ("friction_dissipation", "rolling_dissipation", dissipated):

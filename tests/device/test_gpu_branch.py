@@ -1,4 +1,4 @@
-"""What kernels do on a GPU, tried on the CPU: every chunk one particle, every task one chunk, no queue of chunks."""
+"""The GPU code path, executed on the CPU: one particle per chunk, one chunk per task, no chunk queue."""
 
 import hashlib
 
@@ -10,7 +10,7 @@ ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "
 
 
 def falling_lattice():
-    """A lattice falls into a shaken box: friction, rolling, a moving wall, the ledger, searches."""
+    """A lattice falls into a vibrating box: friction, rolling friction, a moving wall, energy budget, rebuilds."""
     walls = box(0.06)
     walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
     rng = np.random.default_rng(4)
@@ -33,7 +33,7 @@ def falling_lattice():
 def fingerprint(as_on_gpu):
     from granflow.device import backend, stepper
 
-    stepper.SINGLE_WORKER_PARTICLES = 0  # a scene this small would be stepped on one thread
+    stepper.SINGLE_WORKER_PARTICLES = 0  # by default, a scene of this size uses one worker
     if as_on_gpu:
         backend.Backend.on_cpu = property(lambda self: False)
     last, simulation = run_to_end(falling_lattice(), threads=2)
@@ -41,9 +41,9 @@ def fingerprint(as_on_gpu):
     return digest.hexdigest(), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
 
 
-def test_the_branch_for_gpus_gives_the_bits_of_the_one_for_cpus():
+def test_gpu_code_path_is_bit_identical_to_the_cpu_code_path():
     cpu, gpu = in_subprocess(fingerprint, False), in_subprocess(fingerprint, True)
-    assert gpu[1] == 1 and cpu[1] > 1, "another branch ran"
+    assert gpu[1] == 1 and cpu[1] > 1, "the code paths differ"
     assert cpu[2] > 20
     assert gpu[0] == cpu[0]
     assert gpu[2:] == cpu[2:]

@@ -1,4 +1,4 @@
-"""Every limit of a run from both sides, in each code path that checks it."""
+"""Each limit of a run, tested just below and just above it, in each code path that checks it."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
     """Name of the limit that a state exceeds (None: none), positions and velocities by id; kernels are reused."""
     state = simulation.engine.state
     state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
-    state.count = simulation.plan.particle_capacity  # a particle outside the domain was sorted behind the others
+    state.count = simulation.plan.particle_capacity  # the previous sort moved a particle outside the domain to the end
     for index, number in enumerate(state.particles.id.to_numpy()[: state.count]):
         if positions is not None:
             state.particles.position[index] = list(positions[number])
@@ -46,7 +46,7 @@ def limit_exceeded(simulation, positions=None, velocities=None, steps=0):
 
 
 def touching(pair=0.01, floor=0.01, mesh=0.01):
-    """Positions of two unequal spheres, one on a plane, one on a mesh; overlaps over the smaller radius."""
+    """Positions of two particles in contact, one on a plane, one on a mesh; overlaps relative to the smaller radius."""
     return np.array([
         [0.0, 0.0, 0.3],
         [RADIUS + SMALLER * (1 - pair), 0.0, 0.3],
@@ -57,7 +57,7 @@ def touching(pair=0.01, floor=0.01, mesh=0.01):
 
 @pytest.fixture(scope="module", params=[1, 8], ids=["scalar", "batched"])
 def contacts(request, taichi_f64, tmp_path_factory):
-    """The four spheres; chunks of one particle use the scalar path, larger ones the batched path."""
+    """The four particles; chunks of one particle use the scalar path, larger chunks the batched path."""
     folder = tmp_path_factory.mktemp("mesh")
     write(folder / "sheet.ply", *sheet(3))
     radii = (RADIUS, SMALLER, RADIUS, RADIUS)
@@ -80,15 +80,15 @@ def contacts(request, taichi_f64, tmp_path_factory):
 
 @pytest.mark.parametrize("contact", ["pair", "floor", "mesh"])
 def test_the_overlap_limit_holds_for_each_kind_of_contact(contacts, contact):
-    """The limit is a share of the smaller radius."""
+    """The limit is a fraction of the smaller radius."""
     limit = contacts.plan.max_overlap
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 - NEAR)})) is None
     assert limit_exceeded(contacts, touching(**{contact: limit * (1 + NEAR)})) == "overlap"
 
 
 @pytest.mark.parametrize("side", [LOW, HIGH], ids=["low", "high"])
-def test_a_center_outside_any_face_of_the_domain_stops_the_run(contacts, side):
-    """The corner of the domain is clear of the walls: the mesh ends at 0.5 m and begins at -0.5 m."""
+def test_a_center_outside_any_face_of_the_domain_aborts_the_run(contacts, side):
+    """The corners of the domain are clear of the walls: the mesh extends from -0.5 m to 0.5 m."""
     middle, positions = 0.5 * (LOW + HIGH), touching()
     for axis in (None, 0, 1, 2):
         inside = np.array([1 - NEAR if axis != each else 1 + NEAR for each in range(3)])
@@ -103,8 +103,8 @@ def test_a_center_outside_any_face_of_the_domain_stops_the_run(contacts, side):
 
 
 @pytest.fixture(scope="module")
-def flying(taichi_f64):
-    """One sphere without contacts."""
+def free_particle(taichi_f64):
+    """One particle without contacts."""
     run = {"duration": 1.0, "time_step": STEP, "velocity_max": 1.0}
     simulation = prepared_simulation(
         build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, numerics={"skin": SKIN}, run=run)
@@ -113,33 +113,33 @@ def flying(taichi_f64):
     simulation.free()
 
 
-def after_one_step(flying, displacement):
-    """The limit that a step of so many meters exceeds, and whether it requested a rebuild of the neighbor list."""
-    rebuilds = flying.engine.timing.rebuild_count + 1  # that of the refresh
-    found = limit_exceeded(flying, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]], steps=1)
-    return found, flying.engine.timing.rebuild_count > rebuilds
+def after_one_step(free_particle, displacement):
+    """Limit that a step of `displacement` [m] exceeds, and whether the step requests a neighbor-list rebuild."""
+    rebuilds = free_particle.engine.timing.rebuild_count + 1  # that of the refresh
+    found = limit_exceeded(free_particle, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]], steps=1)
+    return found, free_particle.engine.timing.rebuild_count > rebuilds
 
 
-def test_a_displacement_of_half_a_skin_requests_a_rebuild(flying):
-    """Two particles that approach by more than half a skin each can touch before the list contains them."""
-    assert after_one_step(flying, 0.5 * SKIN * (1 - NEAR)) == (None, False)
-    assert after_one_step(flying, 0.5 * SKIN * (1 + NEAR)) == (None, True)
+def test_a_displacement_of_half_a_skin_requests_a_rebuild(free_particle):
+    """If two particles approach by more than half a skin each, they can touch before the list contains them."""
+    assert after_one_step(free_particle, 0.5 * SKIN * (1 - NEAR)) == (None, False)
+    assert after_one_step(free_particle, 0.5 * SKIN * (1 + NEAR)) == (None, True)
 
 
-def test_a_displacement_of_a_fifth_of_the_radius_in_one_step_stops_the_run(flying):
-    assert after_one_step(flying, STEP_LIMIT * (1 - NEAR)) == (None, True)
-    assert after_one_step(flying, STEP_LIMIT * (1 + NEAR))[0] == "displacement"
+def test_a_displacement_of_a_fifth_of_the_radius_in_one_step_aborts_the_run(free_particle):
+    assert after_one_step(free_particle, STEP_LIMIT * (1 - NEAR)) == (None, True)
+    assert after_one_step(free_particle, STEP_LIMIT * (1 + NEAR))[0] == "displacement"
 
 
 @pytest.mark.parametrize(
     ("speed", "limit"),
     [(np.nan, "not_finite"), (np.inf, "displacement"), (-np.inf, "displacement"), (0.0, None)],
 )
-def test_a_position_that_is_not_finite_stops_the_run(flying, speed, limit):
-    assert after_one_step(flying, STEP * speed)[0] == limit
+def test_a_position_that_is_not_finite_aborts_the_run(free_particle, speed, limit):
+    assert after_one_step(free_particle, STEP * speed)[0] == limit
 
 
-def test_the_displacement_of_a_driven_wall_has_the_same_limits(taichi_f64):
+def test_the_displacement_of_a_free_wall_has_the_same_limits(taichi_f64):
     """A free wall without forces keeps its velocity, which is set before each step."""
     scene = build_scene(
         {"ball": particle_group([0.0, 0.0, 0.5])},

@@ -1,4 +1,4 @@
-"""Meshes on the device: as the numpy twin says, the same bits on any threads, and on after a checkpoint."""
+"""Mesh contacts on the device: equal to the numpy reference; bit-identical for any thread count and on restart."""
 
 import shutil
 from pathlib import Path
@@ -23,7 +23,7 @@ from granflow.walls.shape import FAR_AWAY
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The folder that scenes without a file look for meshes in."""
+    """Working directory, in which scenes without a file look for meshes."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -33,17 +33,17 @@ def wall(file, **more):
 
 
 def all_meshes(folder):
-    """A plan with a cube, a hilly sheet and a tube, all turned so that no coordinate is round."""
-    turn = {"axis": [1, 2, 3], "angle": 0.7}
+    """A plan with a cube, a bumpy sheet and a tube, all rotated so that no coordinate is round."""
+    rotation = {"axis": [1, 2, 3], "angle": 0.7}
     for name, surface in (("cube", cube()), ("hills", sheet(5, bumps=0.03)), ("tube", tube(20, rings=3))):
         write(folder / f"{name}.ply", *surface)
-    walls = {name: wall(f"{name}.ply", rotate=turn) for name in ("cube", "hills", "tube")}
+    walls = {name: wall(f"{name}.ply", rotate=rotation) for name in ("cube", "hills", "tube")}
     domain = {"min": [-5.0] * 3, "max": [5.0] * 3, "on_exit": "error"}
     return plan_for(build_scene({"b": particle_group([0.0, 0.0, 4.0], 0.3)}, walls=walls, domain=domain))
 
 
-def test_the_device_finds_what_the_reference_finds(taichi_f64, folder):
-    """The same triangle answers, with the same gap and normal, to rounding; what may answer nearby is listed."""
+def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
+    """Owner, gap and normal agree with the reference to rounding; all possible owners nearby are found."""
     plan = all_meshes(folder)
     state = State(plan, backend.start("cpu", "f64", 2))
     geometry = build_mesh_geometry(state)
@@ -81,27 +81,27 @@ def test_the_device_finds_what_the_reference_finds(taichi_f64, folder):
         expected, direction = reference_contact(mesh.adjacency, triangles, repeated)
         distance = bare_distance(mesh.adjacency.vertex[triangles], repeated)
         np.testing.assert_allclose(gap[:, own].reshape(-1), expected, rtol=0.0, atol=2e-15)
-        answered = expected < FAR_AWAY
-        found = normal[:, own].reshape(-1, 3)[answered & (expected > 0.0)]
-        np.testing.assert_allclose(found, direction[answered & (expected > 0.0)], rtol=0.0, atol=1e-13)
+        owned = expected < FAR_AWAY
+        found = normal[:, own].reshape(-1, 3)[owned & (expected > 0.0)]
+        np.testing.assert_allclose(found, direction[owned & (expected > 0.0)], rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(bare[:, own].reshape(-1), distance, rtol=0.0, atol=2e-15)
-        later, _ = reference_contact(mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
-        assert np.all(near[:, own].reshape(-1)[(later < FAR_AWAY) | answered] == 1)
-        assert near[:, own].mean() < 0.7, "most are ruled out"
+        gap_after_move, _ = reference_contact(mesh.adjacency, triangles, np.repeat(moved, mesh.triangle_count, axis=0))
+        assert np.all(near[:, own].reshape(-1)[(gap_after_move < FAR_AWAY) | owned] == 1)
+        assert near[:, own].mean() < 0.7, "most triangles are excluded"
     state.free()
 
 
-SHAKEN = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 5e-4, "frequency": 80.0}
-TURNING = {"kind": "rotation", "point": [0, 0, 0.019], "axis": [1, 0, 0], "angular_velocity": 20.0}
+VIBRATION = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 5e-4, "frequency": 80.0}
+ROTATION = {"kind": "rotation", "point": [0, 0, 0.019], "axis": [1, 0, 0], "angular_velocity": 20.0}
 
 
-def stirred(out):
-    """A scene in that folder: grains over a shaken floor of hills, with a cube of plates turning among them."""
+def mixing_scene(out):
+    """A scene in the folder `out`: particles over a vibrating bumpy floor with a rotating cube of plates among them."""
     out.mkdir(exist_ok=True)
     write(out / "hills.ply", *sheet(12, 0.1, bumps=5e-4))
     points, corners = cube()
     write(out / "cube.stl", points - 0.5, corners)
-    block = wall("cube.stl", scale=0.02, translate=[0, 0, 0.019], motion=[TURNING])
+    block = wall("cube.stl", scale=0.02, translate=[0, 0, 0.019], motion=[ROTATION])
     sides = {f"{name}{end}": plane([0.025 * (2 * end - 1) * (axis == k) for k in range(3)],
                                    [(1 - 2 * end) * (axis == k) for k in range(3)])
              for axis, name in enumerate("xy") for end in (0, 1)}  # fmt: skip
@@ -113,8 +113,8 @@ def stirred(out):
         positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.2, positions.shape)
     )
     scene = build_scene(
-        {"grains": particles},
-        walls={"hills": wall("hills.ply", motion=[SHAKEN]), "block": block, **sides},
+        {"particles": particles},
+        walls={"hills": wall("hills.ply", motion=[VIBRATION]), "block": block, **sides},
         rolling="epsd",
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
         gravity=[0.0, 0.0, -9.81],
@@ -131,32 +131,34 @@ def stirred(out):
     return scene
 
 
-def run_and_go_on(folder, threads, precision):
-    """State at the end of a run, and of one gone on from its first checkpoint; contacts, spin of the first grain."""
+def run_and_resume(folder, threads, precision):
+    """Final states of a run and of one resumed from its first checkpoint, contact and rotation checks, energy error."""
     stepper.SINGLE_WORKER_PARTICLES = 0
-    first, again = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
-    simulation = Simulation(stirred(first), out=first, threads=threads, precision=precision)
+    first, resumed_folder = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
+    simulation = Simulation(mixing_scene(first), out=first, threads=threads, precision=precision)
     simulation.run()
     last = simulation.snapshot()
-    touched = [last.totals["contact_count"], abs(last.particles["angular_velocity"][0]).max()]
+    contacts_and_rotation = [last.totals["contact_count"], abs(last.particles["angular_velocity"][0]).max()]
     simulation.free()
-    shutil.copytree(first, again)
-    middle = read_checkpoint(sorted(again.glob("checkpoint_*.npz"))[0])
-    simulation = Simulation(stirred(again), out=again, threads=threads, precision=precision, resume=middle)
+    shutil.copytree(first, resumed_folder)
+    checkpoint = read_checkpoint(sorted(resumed_folder.glob("checkpoint_*.npz"))[0])
+    simulation = Simulation(
+        mixing_scene(resumed_folder), out=resumed_folder, threads=threads, precision=precision, resume=checkpoint
+    )
     simulation.run()
     totals = simulation.snapshot().totals
     simulation.free()
-    return [last_state(first), last_state(again), touched, totals["energy_error"]]
+    return [last_state(first), last_state(resumed_folder), contacts_and_rotation, totals["energy_error"]]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
-def test_bits_do_not_depend_on_threads_nor_on_stopping(tmp_path, precision):
-    """Two moving meshes among planes, friction and rolling springs, the ledger kept."""
-    one, two = (in_subprocess(run_and_go_on, str(tmp_path), n, precision, seconds=500) for n in (1, 2))
-    whole, resumed, touched, energy_error = one
+def test_results_are_bit_identical_for_any_thread_count_and_after_restart(tmp_path, precision):
+    """Two moving meshes among planes, with friction, rolling springs and the energy budget."""
+    one, two = (in_subprocess(run_and_resume, str(tmp_path), n, precision, seconds=500) for n in (1, 2))
+    whole, resumed, contacts_and_rotation, energy_error = one
     assert whole == resumed
     assert one == two
-    assert min(touched) > 0, "grains lie on the floor, one has been turned by the block"
+    assert min(contacts_and_rotation) > 0, "particles touch the floor, and the block rotates one of them"
     assert energy_error < 0.02

@@ -1,4 +1,4 @@
-"""Periodic axes: nearest images everywhere, no seam at the border, nothing gained or lost by passing it."""
+"""Periodic axes: minimum images, no seam at the boundary, conservation of momentum and energy across it."""
 
 import numpy as np
 import pytest
@@ -29,8 +29,8 @@ def domain(size, axes):
 
 
 @pytest.mark.parametrize("axes", ["xyz", "y"])
-def test_rows_hold_exactly_the_near_pairs_of_nearest_images(taichi_f64, axes):
-    """Against a search over all pairs; with eight cells along x, three along y, and two, both neighbors, along z."""
+def test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images(taichi_f64, axes):
+    """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along z."""
     size, skin = np.array([0.15, 0.06, 0.037]), 0.002
     rng = np.random.default_rng(5)
     positions, diameter = size * rng.random((500, 3)), rng.uniform(0.004, 0.016, 500)
@@ -46,19 +46,21 @@ def test_rows_hold_exactly_the_near_pairs_of_nearest_images(taichi_f64, axes):
     pairs = tree.query_pairs(0.018, output_type="ndarray")
     distance = positions[pairs[:, 0]] - positions[pairs[:, 1]]
     distance -= np.where(periodic, np.round(distance / size) * size, 0.0)
-    close = np.linalg.norm(distance, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
-    rows = neighbors_of(simulation.engine)
-    within = [tuple(sorted(row[:2])) for row in rows if row[2]]
-    across = [row[:2] for row in rows if not row[2]]
+    is_candidate = np.linalg.norm(distance, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
+    entries = neighbors_of(simulation.engine)
+    within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]
+    across = [entry[:2] for entry in entries if not entry[2]]
     assert len(within) == len(set(within)) > 100
     assert len(across) == len(set(across)) > 100
     assert {(j, i) for i, j in across} == set(across)
-    assert set(within) | {tuple(sorted(pair)) for pair in across} == {tuple(pair) for pair in pairs[close].tolist()}
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == {
+        tuple(pair) for pair in pairs[is_candidate].tolist()
+    }
     simulation.free()
 
 
 def gas(shift, **run):
-    """Rough spheres that begin close on a lattice, fly into each other and go through every face of a 4 cm box."""
+    """Rough particles that start on a close lattice, collide and cross every face of a box of 4 cm."""
     rng = np.random.default_rng(3)
     positions = 0.01 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
     velocity = rng.normal(0.0, 0.3, positions.shape)
@@ -70,36 +72,33 @@ def gas(shift, **run):
     )  # fmt: skip
 
 
-def test_moving_everything_by_half_a_box_changes_nothing(taichi_f64):
-    """Histories, spins and energies, too: only rounding tells the lattice at the border from one in the middle."""
-    (middle, simulation), (periodic_box, _) = run_to_end(gas(0.0)), run_to_end(gas([0.02, 0.017, 0.0]))
+def test_shifting_all_particles_by_half_a_box_changes_rounding_only(taichi_f64):
+    """A lattice across the boundary and one in the middle agree to rounding, including angular velocities."""
+    (middle, simulation), (shifted, _) = run_to_end(gas(0.0)), run_to_end(gas([0.02, 0.017, 0.0]))
     assert simulation.engine.timing.rebuild_count > 4
     assert middle.totals["friction_dissipation"] > 1e-3
     for name in ("velocity", "angular_velocity", "force"):
         largest = np.abs(middle.particles[name]).max()
-        np.testing.assert_allclose(middle.particles[name], periodic_box.particles[name], atol=1e-6 * largest, rtol=0)
-    separation = (periodic_box.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
+        np.testing.assert_allclose(middle.particles[name], shifted.particles[name], atol=1e-6 * largest, rtol=0)
+    separation = (shifted.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
     np.testing.assert_allclose(separation, np.round(separation), atol=1e-9)
-    assert np.all((periodic_box.particles["position"] >= 0.0) & (periodic_box.particles["position"] <= 0.04))
+    assert np.all((shifted.particles["position"] >= 0.0) & (shifted.particles["position"] <= 0.04))
 
 
-def test_a_gas_keeps_its_momentum_and_its_energy_is_accounted_for(taichi_f64):
+def test_gas_conserves_momentum_and_closes_its_energy_budget(taichi_f64):
     *_, last = run_and_sample(gas(0.013), 0.01, contacts=True)
     mass = last.particles["mass"][:, None]
     scale = np.sum(mass * np.abs(last.particles["velocity"]))
     np.testing.assert_allclose(np.sum(mass * last.particles["velocity"], axis=0), 0.0, atol=1e-13 * scale)
     np.testing.assert_allclose(last.particles["force"].sum(axis=0), 0.0, atol=1e-9)
     assert abs(last.totals["energy_error"]) < 1e-3
-    lines = last.contacts["position_i"] - last.contacts["position_j"]
-    np.testing.assert_allclose(np.linalg.norm(lines, axis=1), 0.0099 - last.contacts["overlap"], rtol=1e-9)
-    assert np.any(np.abs(last.contacts["position_j"] - 0.02) > 0.02), "some contacts reach through the border"
+    branches = last.contacts["position_i"] - last.contacts["position_j"]
+    np.testing.assert_allclose(np.linalg.norm(branches, axis=1), 0.0099 - last.contacts["overlap"], rtol=1e-9)
+    assert np.any(np.abs(last.contacts["position_j"] - 0.02) > 0.02), "some contacts cross the boundary"
 
 
-def test_who_falls_through_the_box_comes_in_at_the_top(taichi_f64):
-    """Free fall: t = sqrt(2 s / g) after s; gravity gives m g L at every turn, and a meter counts forward only.
-
-    A second ball rests on nothing but its own flight along x at constant height over a floor that ends at the border.
-    """
+def test_particle_that_falls_out_of_the_box_reenters_at_the_top(taichi_f64):
+    """Free fall over s takes t = sqrt(2 s / g); gravity adds m g L per crossing; the meter counts no wrap."""
     size, drop = 0.1, 0.62
     duration = float(np.sqrt(2.0 * drop / GRAVITY))
     scene = build_scene(
@@ -119,23 +118,23 @@ def test_who_falls_through_the_box_comes_in_at_the_top(taichi_f64):
     assert simulation._observers[0].results()["middle"]["flow_count"] == 6
 
 
-def test_there_is_no_seam_in_a_floor_that_ends_at_the_border(taichi_f64):
-    """A ball that slides over the border keeps the height of one that stays in the middle, to the last bit."""
+def test_floor_that_ends_at_the_boundary_has_no_seam(taichi_f64):
+    """A particle that slides across the boundary keeps the height of one in the middle, to the last bit."""
     floor = {"shape": "rectangle", "corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
     group = particle_group([[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     scene = build_scene(
         {"balls": group}, walls={"floor": floor}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([0.1] * 3, "xy"),
         run={"duration": 0.03, "velocity_max": 2.0, "time_step": 1e-5}, numerics={"skin": 0.002},
     )  # fmt: skip
-    seen = run_and_sample(scene, 1e-4)
-    cell_of_point, moment = column(seen, "position"), times(seen)
-    assert np.ptp(cell_of_point[:, 1, 2]) > 1e-5, "both bounce"
-    np.testing.assert_array_equal(cell_of_point[:, 0, 2], cell_of_point[:, 1, 2])
-    np.testing.assert_allclose(cell_of_point[:, 0, 0], (0.09 + moment) % 0.1, atol=1e-12)
+    snapshots = run_and_sample(scene, 1e-4)
+    position, time = column(snapshots, "position"), times(snapshots)
+    assert np.ptp(position[:, 1, 2]) > 1e-5, "both particles bounce"
+    np.testing.assert_array_equal(position[:, 0, 2], position[:, 1, 2])
+    np.testing.assert_allclose(position[:, 0, 0], (0.09 + time) % 0.1, atol=1e-12)
 
 
-def test_a_box_too_narrow_for_nearest_images_is_refused():
-    """A grain could touch two images of another within two largest diameters and twice the skin: 21 mm and 2 mm."""
+def test_box_too_narrow_for_minimum_images_is_rejected():
+    """Below two maximum diameters plus twice the skin, 21 mm + 2 mm, a particle can touch two images of another."""
     group = {"balls": particle_group([[0.01, 0.01, 0.01]], 0.0105)}
     parts = {"numerics": {"skin": 0.001}, "pair": {}}
     plan_for(build_scene(group, domain=domain([0.02301] * 3, "xyz"), **parts))
@@ -155,21 +154,21 @@ def test_a_box_too_narrow_for_nearest_images_is_refused():
         ({"shape": "disc", "center": [0.001, 0.05, 0.05], "normal": [1, 0, 0], "radius": 0.01}, False),
     ],
 )
-def test_walls_run_through_the_border_or_keep_clear_of_it(wall, fits):
+def test_wall_that_differs_at_the_ends_of_a_periodic_axis_is_rejected(wall, fits):
     scene = build_scene(
         {"ball": particle_group([[0.05] * 3])},
-        walls={"it": {"material": "glass"} | wall},
+        walls={"wall": {"material": "glass"} | wall},
         domain=domain([0.1] * 3, "x"),
     )
     if fits:
         assert plan_for(scene).walls
     else:
-        with pytest.raises(SceneError, match="walls.it differs between the two ends of the periodic axis x"):
+        with pytest.raises(SceneError, match="walls.wall differs between the two ends of the periodic axis x"):
             plan_for(scene)
 
 
-def test_who_is_placed_keeps_clear_of_images():
-    """A sphere at a corner of the box has seven images, which a pack and a lattice must not meet."""
+def test_packing_does_not_overlap_periodic_images():
+    """A particle at a corner of the box has seven images, which the packing must not overlap."""
     scene = build_scene(
         {
             "corner": particle_group([[0.001, 0.099, 0.001]], 0.04),
@@ -191,9 +190,9 @@ def test_who_is_placed_keeps_clear_of_images():
     assert np.count_nonzero(np.linalg.norm(particles.position[1:] - particles.position[0], axis=1) - gaps > 0.026) > 10
 
 
-def test_an_endless_wall_does_not_turn_in_a_domain_that_grows():
-    turning = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
+def test_unbounded_rotating_wall_is_rejected_in_an_expanding_domain():
+    rotation = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
     parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"}}
-    floor = plane([0, 0, 0], [0, 0, 1], motion=turning)
+    floor = plane([0, 0, 0], [0, 0, 1], motion=rotation)
     with pytest.raises(SceneError, match="walls.floor is unbounded and rotates"):
         plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, walls={"floor": floor}, **parts))

@@ -1,4 +1,4 @@
-"""The largest distance per step: no center crosses a thin wall unnoticed, on any code path and in any precision."""
+"""Limit of the displacement per step: no center crosses a thin wall, on any code path and in any precision."""
 
 import re
 from pathlib import Path
@@ -16,27 +16,27 @@ from granflow.simulation import Simulation
 RADIUS, SHARE = 0.005, 0.2
 STEP = 1e-5
 FASTEST = SHARE * RADIUS / STEP
-"""100 m/s: speed [m/s] at which a particle moves a fifth of the radius in one step."""
+"""Speed [m/s] at which a particle moves a fifth of its radius in one step: 100 m/s."""
 
 FAST = {"run": {"duration": 2.4e-3, "velocity_max": 1.0, "time_step": STEP}, "numerics": {"skin": 0.003}}
 STIFF = {"young_modulus": 1e10, "poisson_ratio": 0.25, "density": 2500.0}
 """An impact of 100 m/s on a wall overlaps by d = (15 M v^2 / (16 E* sqrt(R)))^0.4 = 0.2 R."""
 
-PAPER = {"shape": "rectangle", "corner": [-0.5, -0.5, 0.0], "sides": [[1, 0, 0], [0, 1, 0]], "material": "glass"}
+THIN_WALL = {"shape": "rectangle", "corner": [-0.5, -0.5, 0.0], "sides": [[1, 0, 0], [0, 1, 0]], "material": "glass"}
 
 
-def shot(velocity, group=None, walls=None, **parts):
-    """A sphere with no velocity at the start that has one after it: the check of the plan does not see it."""
+def launched(velocity, group=None, walls=None, **parts):
+    """A simulation that sets the velocity of its first particle after planning, so that the plan does not check it."""
     simulation = Simulation(
-        build_scene({"shot": group or particle_group([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts))
+        build_scene({"fast": group or particle_group([[0.0, 0.0, 0.0]])}, walls=walls, **(FAST | parts))
     )
     simulation.engine.state.particles.velocity.fill(0.0)
     simulation.engine.state.particles.velocity[0] = list(velocity)
     return simulation
 
 
-def stopped(simulation):
-    """The message of the abort, or none."""
+def abort_message(simulation):
+    """Message of the abort, or an empty string."""
     try:
         simulation.run()
     except RunError as error:
@@ -47,26 +47,24 @@ def stopped(simulation):
 
 
 def messages_of(precision, on_gpu, few):
-    """Messages just below and just above the limit, of a lone sphere or of one among enough for chunks of many."""
+    """Messages just below and just above the limit, for one particle (`few`) or for 80 in chunks of several."""
     from granflow.device import backend
 
     if on_gpu:
         backend.Backend.on_cpu = property(lambda self: False)
-    crowd = [[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(1 if few else 80)]
-    return [
-        stopped(shot((0.0, 0.0, -share * FASTEST), particle_group(crowd), run=FAST["run"] | {"precision": precision}))
-        for share in (0.999, 1.001)
-    ]  # fmt: skip
+    positions = [[0.03 * (k % 9) - 0.12, 0.03 * (k // 9) - 0.12, 0.5] for k in range(1 if few else 80)]
+    group, run = particle_group(positions), FAST["run"] | {"precision": precision}
+    return [abort_message(launched((0.0, 0.0, -share * FASTEST), group, run=run)) for share in (0.999, 1.001)]
 
 
 @pytest.mark.parametrize(("precision", "on_gpu", "few"), [("f32", False, False), ("mixed", False, False),
                                                           ("f64", True, True)])  # fmt: skip
-def test_limit_from_both_sides_in_every_precision_and_on_the_branch_for_gpus(precision, on_gpu, few):
+def test_displacement_limit_in_each_precision_and_on_the_gpu_code_path(precision, on_gpu, few):
     below, above = in_subprocess(messages_of, precision, on_gpu, few)
     assert below == "" and "moves 0.001 m in one step" in above
 
 
-def test_limit_from_both_sides(taichi_f64):
+def test_displacement_limit_and_its_message(taichi_f64):
     below, above = messages_of("f64", False, False)
     assert below == ""
     sentence = "particle 0 (glass, 100 m/s) at 0 s moves 0.001 m in one step of 1e-05 s, above the limit of 0.001 m "
@@ -87,7 +85,7 @@ def thin_walls():
 
 
 def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatch):
-    """Spheres on both sides, at heights that differ by a fraction of their distance per step, so that none has luck."""
+    """Particles on both sides, at heights that differ by fractions of the displacement per step."""
     monkeypatch.chdir(tmp_path)
     speed = 0.9 * FASTEST
     xs, ys, sides = np.meshgrid(0.03 * np.arange(5) - 0.06, [-0.3, 0.0, 0.3], [-1.0, 1.0], indexing="ij")
@@ -95,7 +93,7 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatc
     positions = np.stack([(xs + 0.0075 * sides).ravel(), ys.ravel(), sides.ravel() * heights], axis=1)
     walls = {name: wall | {"material": "glass"} for name, wall in thin_walls().items()}
     numerics, materials = FAST["numerics"] | {"max_overlap": 0.5}, {"glass": STIFF}
-    simulation = shot(
+    simulation = launched(
         (0, 0, 0), particle_group(positions), walls, materials=materials, numerics=numerics, pair={"restitution": 0.5}
     )
     velocity = np.zeros(positions.shape)
@@ -108,16 +106,16 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatc
     assert np.all(np.sign(positions[:, 2]) * last["velocity"][:, 2] > 0.0)
 
 
-def test_a_speed_that_would_cross_a_wall_stops_the_run_whatever_the_skin(taichi_f64):
+def test_velocity_that_would_cross_a_wall_aborts_the_run_for_any_skin(taichi_f64):
     """2500 m/s is 25 mm in a step of 10 us: from 12 mm above a wall to 13 mm below it."""
-    walls = {"sheet": PAPER}
-    message = stopped(shot((0, 0, -2500.0), particle_group([[0, 0, 0.012]]), walls, numerics={"skin": 0.03}))
+    walls = {"sheet": THIN_WALL}
+    message = abort_message(launched((0, 0, -2500.0), particle_group([[0, 0, 0.012]]), walls, numerics={"skin": 0.03}))
     assert "moves 0.025 m in one step" in message
 
 
-def test_particles_are_refused_that_start_above_the_limit():
-    for share, message in ((0.999, ""), (1.001, "particles.shot starts with 100 m/s, which is 0.001 m per step")):
-        scene = build_scene({"shot": particle_group([[0, 0, 0.1]], velocity=[0, 0, -share * FASTEST])}, **FAST)
+def test_initial_velocity_above_the_limit_is_rejected():
+    for share, message in ((0.999, ""), (1.001, "particles.fast starts with 100 m/s, which is 0.001 m per step")):
+        scene = build_scene({"fast": particle_group([[0, 0, 0.1]], velocity=[0, 0, -share * FASTEST])}, **FAST)
         if message:
             with pytest.raises(SceneError, match=message):
                 plan_for(scene)
@@ -143,22 +141,22 @@ def moving(kind, speed, **parts):
         "vibration": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": speed / 628.3, "frequency": 100.0},
         "rotation": {"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": speed / 0.5},
     }
-    walls = {"paddle": PAPER | {"motion": [motion[kind]]}}
+    walls = {"paddle": THIN_WALL | {"motion": [motion[kind]]}}
     return build_scene(
         {"ball": particle_group([[0, 0, 0.1]])}, walls=walls, **(FAST | {"numerics": {"skin": 0.003}}), **parts
     )
 
 
 @pytest.mark.parametrize("kind", ["translation", "vibration", "rotation"])
-def test_walls_are_refused_above_the_limit(kind):
-    """A paddle that turns about its middle reaches 0.5 m; the skin leaves walls more than a fifth of the radius."""
+def test_wall_velocity_above_the_limit_is_rejected(kind):
+    """A paddle that rotates about its center reaches 0.5 m; half of the skin is larger than a fifth of the radius."""
     plan_for(moving(kind, 0.999 * FASTEST))
     with pytest.raises(SceneError, match=r"walls.paddle moves at up to 100 m/s, which is 0.001 m per step of 1e-05 s"):
         plan_for(moving(kind, 1.001 * FASTEST))
 
 
-def test_walls_are_refused_that_outrun_the_neighbor_list():
-    """Half a skin of 1 mm is 0.5 mm: neighbors would be missing already in the first step after a rebuild."""
+def test_wall_displacement_above_half_a_skin_is_rejected():
+    """Half of a 1 mm skin is 0.5 mm: above it, neighbors are missing in the first step after a rebuild."""
     thin = {"skin": 0.001}
     for share, refused in ((0.499, False), (0.501, True)):
         scene = moving("translation", share * FASTEST).model_copy(deep=True)
@@ -171,7 +169,7 @@ def test_walls_are_refused_that_outrun_the_neighbor_list():
 
 
 @pytest.mark.parametrize(("share", "refused"), [(0.999, False), (1.001, True)])
-def test_images_of_a_sheared_box_are_refused_above_the_limit(share, refused):
+def test_lees_edwards_image_velocity_above_the_limit_is_rejected(share, refused):
     rate = share * FASTEST / 0.1
     shear = {"flow": "x", "gradient": "y", "rate": rate}
     domain = {"min": [0] * 3, "max": [0.1] * 3, "periodic": ["x", "y"], "on_exit": "error", "lees_edwards": shear}
@@ -186,7 +184,7 @@ def test_images_of_a_sheared_box_are_refused_above_the_limit(share, refused):
 
 
 @pytest.mark.parametrize(("share", "stops"), [(0.999, False), (1.001, True)])
-def test_a_free_wall_stops_the_run_above_the_limit(taichi_f64, share, stops):
+def test_free_wall_above_the_limit_aborts_the_run(taichi_f64, share, stops):
     """A force F moves a wall of mass M from rest by F/M dt^2 (k - 1/2) in step k."""
     steps, mass = 40, 1.0
     force = share * SHARE * RADIUS * mass / (STEP**2 * (steps - 0.5))
@@ -205,7 +203,7 @@ def test_a_free_wall_stops_the_run_above_the_limit(taichi_f64, share, stops):
 
 
 def test_the_chosen_step_respects_the_limit_at_the_planned_velocity():
-    """A soft sphere: its contacts at 100 m/s would allow 6 mm in a step."""
+    """A soft particle: its contacts at 100 m/s allow a displacement of 6 mm per step."""
     soft = {"materials": {"glass": {"young_modulus": 1e3, "poisson_ratio": 0.25, "density": 2500.0}}}
     plan = plan_for(
         build_scene({"ball": particle_group([[0.0] * 3])}, run={"duration": 1.0, "velocity_max": 100.0}, **soft)

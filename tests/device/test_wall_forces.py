@@ -1,4 +1,4 @@
-"""Loads of the grains on the walls: momentum given, weight carried, the same bits everywhere."""
+"""Wall forces: momentum balance, carried weight, and no influence of the output on the motion."""
 
 import csv
 
@@ -14,8 +14,8 @@ GRAVITY = 9.81
 EPS = np.finfo(float).eps
 
 
-def rattled():
-    """Spinning grains in a box that turns in part and trembles in part, everything measured: friction and rolling."""
+def shaken_box():
+    """Spinning particles in a box with a vibrating floor and a rotating lid; friction and rolling friction."""
     rng = np.random.default_rng(2)
     positions = 0.0115 * (np.argwhere(np.ones((5, 5, 5))) + 0.6)
     walls = box(0.0575)
@@ -36,35 +36,40 @@ def rattled():
 
 
 def momenta(particles):
-    """Momentum and angular momentum about the origin (2, 3) of all grains, and the rates of both."""
+    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of all |m v_i|."""
     p = particles
     inertia = 0.4 * (p["mass"] * p["radius"] ** 2)[:, None]
     linear = p["mass"][:, None] * p["velocity"]
-    held = linear.sum(axis=0), (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0)
+    momentum = linear.sum(axis=0), (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0)
     rate = p["force"].sum(axis=0), (np.cross(p["position"], p["force"]) + p["torque"]).sum(axis=0)
-    return np.array(held), np.array(rate), np.abs(linear).sum()
+    return np.array(momentum), np.array(rate), np.abs(linear).sum()
 
 
-def test_walls_take_the_momentum_that_particles_lose(taichi_f64):
-    """Of the leapfrog: P(t) - P(0) + J = dt/2 [F(0) - F(t)], for momentum and angular momentum, to rounding.
+def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
+    """The leapfrog satisfies P(t) - P(0) + J = dt/2 [F(0) - F(t)] to rounding, for momentum and angular momentum.
 
-    Torques are about the point of a wall's rotation: (x - p) x F integrates to L - p x J.
+    Wall torques refer to the point of the wall's rotation: (x - p) x F integrates to L - p x J.
     """
-    scene = rattled()
-    seen = run_and_sample(scene, 0.004)
-    (before, rate_before, size), (after, rate_after, _) = (momenta(each.particles) for each in seen)
-    outlet_index = np.array([[load[:3], load[3:6]] for load in seen[-1].impulses.values()])
-    outlet_index[-1, 1] += np.cross([0.03, 0.03, 0.0], outlet_index[-1, 0])
-    left = after - before + outlet_index.sum(axis=0) - 0.5 * seen[-1].time / seen[-1].step * (rate_before - rate_after)
-    assert list(seen[-1].impulses) == list(scene.walls)
-    assert np.abs(outlet_index).max() > 0.1 * size, "the walls took a good part of the momentum"
-    assert np.abs(left[0]).max() < seen[-1].step * EPS * size
-    assert np.abs(left[1]).max() < seen[-1].step * EPS * size * 0.06
+    scene = shaken_box()
+    snapshots = run_and_sample(scene, 0.004)
+    (before, rate_before, scale), (after, rate_after, _) = (momenta(each.particles) for each in snapshots)
+    impulses = np.array([[impulse[:3], impulse[3:6]] for impulse in snapshots[-1].impulses.values()])
+    impulses[-1, 1] += np.cross([0.03, 0.03, 0.0], impulses[-1, 0])
+    residual = (
+        after
+        - before
+        + impulses.sum(axis=0)
+        - 0.5 * snapshots[-1].time / snapshots[-1].step * (rate_before - rate_after)
+    )
+    assert list(snapshots[-1].impulses) == list(scene.walls)
+    assert np.abs(impulses).max() > 0.1 * scale, "the wall impulses are a large part of the momentum"
+    assert np.abs(residual[0]).max() < snapshots[-1].step * EPS * scale
+    assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
 
 
 @pytest.mark.parametrize("restitution", [1.0, 0.6])
 def test_impulse_of_one_impact(taichi_f64, restitution):
-    """J = m (1 + e) v, with the e that the grain left with; nothing across; pressure over the area of the disc."""
+    """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the disc."""
     disc = {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
     scene = build_scene(
         {"ball": particle_group([[0.01, 0.0, 0.0051]], velocity=[0.0, 0.0, -1.0])}, walls={"disc": disc},
@@ -75,9 +80,9 @@ def test_impulse_of_one_impact(taichi_f64, restitution):
     result = simulation.run().numbers
     last = simulation.snapshot()
     simulation.free()
-    left = last.particles["velocity"][0, 2]
-    assert left == pytest.approx(restitution, rel=0.02)
-    impulse = MASS * (1.0 + left)
+    rebound = last.particles["velocity"][0, 2]
+    assert rebound == pytest.approx(restitution, rel=0.02)
+    impulse = MASS * (1.0 + rebound)
     np.testing.assert_allclose(last.impulses["disc"][[2, 4, 6]], [-impulse, 0.01 * impulse, impulse], rtol=1e-12)
     np.testing.assert_allclose(last.impulses["disc"][[0, 1, 3, 5]], 0.0, atol=1e-12 * impulse)
     mean = impulse / last.time
@@ -85,8 +90,8 @@ def test_impulse_of_one_impact(taichi_f64, restitution):
     assert result["wall_pressure.disc"] == pytest.approx(mean / (np.pi * 0.03**2), rel=1e-12)
 
 
-def standing(count=3, **output):
-    """Grains one on the other on a floor, each pressed in as far as the weight above it asks."""
+def stacked_particles(count=3, **output):
+    """Particles stacked on a floor, each contact at its static overlap."""
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
     heights, below = [], 0.0
     for index in range(count):
@@ -104,8 +109,8 @@ def standing(count=3, **output):
     )
 
 
-def test_a_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
-    simulation = Simulation(standing(), out=tmp_path)
+def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
+    simulation = Simulation(stacked_particles(), out=tmp_path)
     result = simulation.run()
     simulation.free()
     assert [each.met for each in result.expectations] == [True]
@@ -118,10 +123,10 @@ def test_a_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
     assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
 
 
-def test_measuring_changes_nothing(taichi_f64):
-    """The same bits with loads and without, for which nothing is compiled or allocated."""
-    with_wall_forces = run_and_sample(standing(), 0.002)
-    simulation = Simulation(standing(wall_forces=False, interval=0.002).model_copy(update={"expect": ()}))
+def test_wall_force_output_does_not_change_the_motion(taichi_f64):
+    """Runs with and without wall forces are bit-identical; without them, the field is not allocated."""
+    with_wall_forces = run_and_sample(stacked_particles(), 0.002)
+    simulation = Simulation(stacked_particles(wall_forces=False, interval=0.002).model_copy(update={"expect": ()}))
     simulation.run()
     assert simulation.engine.state.control.impulses is None
     assert simulation.snapshot().impulses == {}

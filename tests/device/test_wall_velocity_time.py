@@ -1,4 +1,4 @@
-"""The time at which contacts use the velocity of a moving wall: the middle of the step."""
+"""Contacts use the velocity of a moving wall in the middle of the step."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ AMPLITUDE, OMEGA, STEP, COUNT = 1e-5, 5e4, 1e-6, 31
 
 
 def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
-    """A sphere too heavy to move sticks to a plane that vibrates below it; its tangential force is Kt times the sum
+    """A particle too heavy to move sticks to a plane that vibrates below it. Its tangential force is Kt times the sum
 
         sum of dt A w cos(w (k - 1/2) dt), k = 1..n  =  A sin(w n dt) (w dt / 2) / sin(w dt / 2)
 
     with Kt = 8 G sqrt(R d) (Mindlin). w t ends near pi/2, where the velocity has dropped from A w to 0: a velocity
-    taken half a step early or late changes the sum by A w dt / 2, 2.5 % of it.
+    evaluated half a step early or late changes the sum by A w dt / 2, 2.5 % of it.
     """
     heavy = {"glass": SOFT | {"density": 1e6}}
     motion = {
@@ -30,5 +30,5 @@ def test_friction_uses_the_wall_velocity_in_the_middle_of_the_step(taichi_f64):
     modulus = SOFT["young_modulus"] / (2 * (1 + SOFT["poisson_ratio"])) / (2 * (2 - SOFT["poisson_ratio"]))
     stiffness = 8 * modulus * np.sqrt(RADIUS * OVERLAP)
     half = 0.5 * OMEGA * STEP
-    moved = AMPLITUDE * np.sin(OMEGA * COUNT * STEP) * half / np.sin(half)
-    assert last.particles["force"][0, 0] == pytest.approx(stiffness * moved, rel=1e-3)
+    displacement = AMPLITUDE * np.sin(OMEGA * COUNT * STEP) * half / np.sin(half)
+    assert last.particles["force"][0, 0] == pytest.approx(stiffness * displacement, rel=1e-3)

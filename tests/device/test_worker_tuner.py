@@ -1,4 +1,4 @@
-"""The number of workers follows what is fastest now, by rates and contention of launches on a modeled machine."""
+"""The worker tuner selects the fastest number of workers from rates and contention of launches (modeled here)."""
 
 import pytest
 
@@ -9,28 +9,28 @@ LAUNCH = 0.05
 
 
 def launches(tuner, speed, seconds, contended_above=99, launch=LAUNCH):
-    """Launches in which `size` workers do `speed[size]` units per second, for so many seconds; time by size."""
-    used = dict.fromkeys(speed, 0.0)
+    """Launches for `seconds`; `size` workers do `speed[size]` units per second. Returns the time [s] by size."""
+    time_by_size = dict.fromkeys(speed, 0.0)
     for _ in range(round(seconds / launch)):
         size = tuner.next_size
-        used[size] += launch
+        time_by_size[size] += launch
         tuner.record(launch * speed[size], launch, contended=size > contended_above)
-    return used
+    return time_by_size
 
 
-def mean_rate(used, speed):
-    return sum(speed[size] * seconds for size, seconds in used.items()) / sum(used.values())
+def mean_rate(time_by_size, speed):
+    return sum(speed[size] * seconds for size, seconds in time_by_size.items()) / sum(time_by_size.values())
 
 
 IDLE = {1: 1.0, 2: 1.9, 4: 3.6}
 
 
-def test_all_workers_stay_where_they_are_faster():
+def test_all_workers_are_used_if_they_are_faster():
     tuner = WorkerTuner(4)
     launches(tuner, IDLE, 10.0)
-    used = launches(tuner, IDLE, 40.0)
+    time_by_size = launches(tuner, IDLE, 40.0)
     assert tuner.size == 4
-    assert mean_rate(used, IDLE) > 0.98 * IDLE[4], "trials of fewer workers are rare"
+    assert mean_rate(time_by_size, IDLE) > 0.98 * IDLE[4], "launches that test fewer workers are rare"
 
 
 @pytest.mark.parametrize("launch", [0.002, 0.01, 0.05])
@@ -39,12 +39,12 @@ def test_contention_reduces_the_workers_within_a_second(launch):
     tuner, shared = WorkerTuner(2), {1: 1.0, 2: 0.3}
     launches(tuner, {1: 1.0, 2: 1.9}, 30.0, launch=launch)
     launches(tuner, shared, 1.0, contended_above=1, launch=launch)
-    used = launches(tuner, shared, 5.0, contended_above=1, launch=launch)
+    time_by_size = launches(tuner, shared, 5.0, contended_above=1, launch=launch)
     assert tuner.size == 1
-    assert mean_rate(used, shared) > 0.9 * shared[1]
+    assert mean_rate(time_by_size, shared) > 0.9 * shared[1]
 
 
-def test_four_workers_become_one_within_a_second():
+def test_contention_reduces_four_workers_to_one_within_a_second():
     tuner, shared = WorkerTuner(4), {1: 1.0, 2: 0.7, 4: 0.3}
     launches(tuner, IDLE, 30.0)
     launches(tuner, shared, 1.0, contended_above=1)
@@ -60,13 +60,13 @@ def test_workers_return_when_the_contention_ends(max_size):
     assert tuner.size == max_size
 
 
-def test_fewer_workers_are_found_where_more_are_slower_without_contention():
+def test_fewer_workers_are_used_if_more_are_slower_without_contention():
     tuner = WorkerTuner(4)
     launches(tuner, {1: 1.0, 2: 0.9, 4: 0.5}, 4.0)
     assert tuner.size == 1
 
 
-def test_rare_contention_that_costs_less_than_a_worker_brings_keeps_the_workers():
+def test_rare_contention_keeps_two_workers_if_they_are_faster():
     tuner, speed = WorkerTuner(2), {1: 1.0, 2: 1.6}
     for number in range(2_000):
         size = tuner.next_size
@@ -74,8 +74,8 @@ def test_rare_contention_that_costs_less_than_a_worker_brings_keeps_the_workers(
     assert tuner.size == 2
 
 
-def test_short_launches_are_judged_together():
-    """One launch of 1 ms says nothing: its rate scatters by a factor of ten. Twenty launches have the mean rate."""
+def test_short_launches_are_evaluated_together():
+    """The rate of one launch of 1 ms scatters by a factor of ten; twenty launches together have the mean rate."""
     tuner = WorkerTuner(2)
     for number in range(4_000):
         speed = {1: 1.0, 2: 1.9}[tuner.next_size]

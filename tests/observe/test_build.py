@@ -1,4 +1,4 @@
-"""The output block of a scene becomes observers."""
+"""Observers are built from the output block of a scene."""
 
 from types import SimpleNamespace
 
@@ -26,20 +26,20 @@ def kinds(scene, triangles, path):
     return [type(observer) for observer in observers_for(scene, path, triangles)]
 
 
-def test_what_is_asked_for_is_made(tmp_path):
+def test_output_block_selects_the_observers(tmp_path):
     assert kinds(scene_of(), TRIANGLES, tmp_path) == [TimeSeries, ParticleFrames, WallFrames]
     assert kinds(scene_of(contacts=True, particles=False), {}, tmp_path) == [TimeSeries, ContactFrames]
     assert not list(tmp_path.iterdir()), "nothing is written before the first snapshot"
 
 
-def test_series_has_its_own_interval(tmp_path):
+def test_time_series_has_a_separate_interval(tmp_path):
     series, frames, _ = observers_for(scene_of(timeseries_interval=0.001), tmp_path, TRIANGLES)
     for observer in (series, frames):
         observer._schedule.mark_done(0.0)
     assert (series.next_time(), frames.next_time()) == (0.001, 0.01)
 
 
-def test_stage_durations_are_the_longest_possible():
+def test_stage_durations_are_upper_bounds():
     stages = [
         SimpleNamespace(name="fill", duration=1.0, max_duration=None),
         SimpleNamespace(name="settle", duration=None, max_duration=2.0),

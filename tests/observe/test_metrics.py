@@ -1,4 +1,4 @@
-"""Indices of beds that are made so that their numbers are known."""
+"""Metrics of synthetic beds with known values."""
 
 import numpy as np
 import pytest
@@ -27,44 +27,44 @@ def random_points(count, seed=0):
 
 
 def test_a_segregated_bed_has_a_lacey_index_of_zero():
-    """The two kinds meet at a face between cells."""
+    """The boundary between the two kinds coincides with a face between cells."""
     points = random_points(5000)
     assert lacey_index(points, points[:, 0] < 0.4, CUBE, 10) == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.1])
-def test_kinds_drawn_at_random_have_a_lacey_index_of_one(share):
-    """K cells of n grains: the variance of S^2 over SR^2 is 2 / K, so the index scatters by sqrt(2 / K) / (n - 1)."""
+@pytest.mark.parametrize("fraction", [0.5, 0.1])
+def test_random_mixture_has_a_lacey_index_of_one(fraction):
+    """K cells of n particles: S^2 / SR^2 has the variance 2 / K, so the index scatters by sqrt(2 / K) / (n - 1)."""
     points = random_points(5000)
-    of_kind = np.random.default_rng(1).random(5000) < share
+    of_kind = np.random.default_rng(1).random(5000) < fraction
     assert lacey_index(points, of_kind, CUBE, 10) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 125.0) / 39.0)
 
 
-def test_half_mixed_cells_have_the_index_of_their_variance():
-    """A share p = 0.4: half of the grains drawn at random, half segregated."""
+def test_lacey_index_of_a_half_mixed_bed_follows_from_the_cell_variance():
+    """A fraction p = 0.4 is of one kind: half of the particles are drawn at random, half are segregated."""
     random, count = np.random.default_rng(2), 200_000
     points = random.uniform(0.0, 1.0, (count, 3))
     left = points[:, 0] < 0.4
-    drawn = random.random(count) < 0.5
-    of_kind = np.where(drawn, random.random(count) < 0.4, left)
-    # p_k is 0.5 * 0.4 + 0.5 on the left, 0.5 * 0.4 on the right; about each, binomial scatter over n = 1600.
-    distance = 0.4 * 0.6 * 0.5**2
+    is_random = random.random(count) < 0.5
+    of_kind = np.where(is_random, random.random(count) < 0.4, left)
+    # p_k is 0.5 * 0.4 + 0.5 on the left and 0.5 * 0.4 on the right, each with binomial scatter of n = 1600.
+    between = 0.4 * 0.6 * 0.5**2
     within = np.mean([0.7 * 0.3] * 2 + [0.2 * 0.8] * 3) / 1600.0
-    expected = (0.24 - distance - within) / (0.24 - 0.24 / 1600.0)
+    expected = (0.24 - between - within) / (0.24 - 0.24 / 1600.0)
     assert lacey_index(points, of_kind, CUBE, 10) == pytest.approx(expected, abs=0.01)
 
 
-def test_cells_with_few_particles_do_not_count():
+def test_lacey_index_ignores_cells_with_few_particles():
     points = np.vstack([random_points(5000), [[0.5, 0.5, 1.5]]])
     tall = CoarseGrid((0.0,) * 3, (1.0, 1.0, 2.0), (5, 5, 10))
     of_kind = np.append(points[:5000, 0] < 0.4, True)
     assert lacey_index(points, of_kind, tall, 2) == lacey_index(points[:5000], of_kind[:5000], tall, 2)
     assert np.isnan(lacey_index(points, of_kind, tall, 1000))
-    assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "one kind alone"
+    assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
 
 
 def bed(angle, shape, length=0.1, spacing=0.0026):
-    """Spheres of 2 to 3 mm, shaken out of a lattice, below a cone about (0.3, -0.2) or a wedge that rises in x."""
+    """Particles of 2 mm to 3 mm at displaced lattice points, below a cone about (0.3, -0.2) or a wedge rising in x."""
     random = np.random.default_rng(0)
     sides = [np.arange(-length, length, spacing)] * 2 + [np.arange(0.0, length * np.tan(angle), spacing)]
     points = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
@@ -93,8 +93,8 @@ def test_slope_of_a_plane_of_known_angle(degrees):
     assert slope.angle == pytest.approx(np.radians(degrees), abs=np.radians(0.5) + 3.0 * slope.error)
 
 
-def test_where_a_region_ends_within_a_column_the_slope_is_the_same():
-    """A narrow slice, whose bounds leave slivers of columns of 6 mm counted from the origin."""
+def test_slope_does_not_depend_on_a_region_that_cuts_columns():
+    """A narrow slice, whose bounds cut columns of 6 mm into thin slices."""
     points, radius = bed(np.radians(24.0), "wedge")
     low, high = [0.2517, -0.2163], [0.2943, -0.1977]
     here = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
@@ -103,7 +103,7 @@ def test_where_a_region_ends_within_a_column_the_slope_is_the_same():
     assert slope.error < np.radians(2.0)
 
 
-def test_no_heap_has_no_slope():
+def test_slope_without_a_heap_is_nan():
     for slope_of in (slope_of_cone, slope_of_plane):
         assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
         assert np.isnan(slope_of(np.zeros((1, 3)), np.ones(1), 0.01).angle)
@@ -115,7 +115,7 @@ def contacts_along(directions):
 
 
 def test_fabric_of_known_directions():
-    """All one way: n n, anisotropy 1; evenly over the sphere: 1/3 on the diagonal, up to chance; walls do not count."""
+    """Parallel contacts: n n, anisotropy 1. Isotropic contacts: 1/3 on the diagonal, with scatter. Walls excluded."""
     random = np.random.default_rng(0).normal(size=(20_000, 3))
     np.testing.assert_allclose(fabric_tensor(contacts_along(random)), np.eye(3) / 3.0, atol=4.0 * 0.3 / np.sqrt(20_000))
     upright = contacts_along(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.1], [1.0, 0.0, 0.0]]))
@@ -123,30 +123,30 @@ def test_fabric_of_known_directions():
     np.testing.assert_array_equal(fabric_tensor(upright), np.diag([0.0, 0.0, 1.0]))
     assert anisotropy(np.diag([0.0, 0.0, 1.0])) == pytest.approx(1.0)
     assert anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0)
-    # Thornton's plane fabric, evenly round a circle: F = diag(1/2, 1/2, 0), D:D = 1/6.
+    # Isotropic in a plane (Thornton): F = diag(1/2, 1/2, 0), D:D = 1/6.
     assert anisotropy(np.diag([0.5, 0.5, 0.0])) == pytest.approx(0.5)
 
 
-def test_rattlers_do_not_count():
-    """Six grains with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4."""
-    found = coordination(np.array([0, 1, 4, 4, 5, 6]))
-    assert found == {
+def test_mechanical_coordination_number_excludes_rattlers():
+    """Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4."""
+    result = coordination(np.array([0, 1, 4, 4, 5, 6]))
+    assert result == {
         "coordination_number": pytest.approx(20 / 6), "mechanical_coordination_number": 19 / 4, "rattler_share": 2 / 6
     }  # fmt: skip
     assert np.isnan(coordination(np.array([0, 1]))["mechanical_coordination_number"])
 
 
-def scene_with(**indices):
+def scene_with(**metrics):
     groups = {"red": particle_group([[0.0, 0.0, 0.1]], 0.01), "blue": particle_group([[0.0, 0.0, 0.2]], 0.02, "steel")}
-    return build_scene(groups, gravity=[0.0, -9.81, 0.0], output={"interval": 1.0, "metrics": indices})
+    return build_scene(groups, gravity=[0.0, -9.81, 0.0], output={"interval": 1.0, "metrics": metrics})
 
 
-def test_a_scene_has_its_indices_by_name():
-    """Each gives the numbers it promises; groups, materials and sizes tell the same kind apart here."""
+def test_scene_metrics_are_reported_by_name():
+    """Each metric returns its documented numbers; here, group, material and size select the same particles."""
     region = {"min": [0.0] * 3, "max": [1.0] * 3}
-    ways = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
+    selections = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
     scene = scene_with(
-        **{path: {"kind": "lacey", "cell": 0.2, "region": region, path: of} for path, of in ways.items()},
+        **{name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()},
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
     )  # fmt: skip
@@ -156,39 +156,39 @@ def test_a_scene_has_its_indices_by_name():
         fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
     )  # fmt: skip
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
-    for name, meter in metric_meters(scene).items():
+    for metric, meter in metric_meters(scene).items():
         meter.update(snapshot)
-        assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[name].kind]
+        assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[metric].kind]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
-        assert meter.wants == {"contacts" if name == "contacts" else "particles"}
+        assert meter.wants == {"contacts" if metric == "contacts" else "particles"}
     meters = metric_meters(scene)
     for meter in meters.values():
         meter.update(snapshot)
-    values = [meters[path].readings()["lacey_index"] for path in ways]
+    values = [meters[name].readings()["lacey_index"] for name in selections]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["particles"].readings()["coordination_number"] == 3.0
-    there = particles["position"][:, 0] <= 0.5
-    volume = 4.0 / 3.0 * np.pi * (particles["radius"][there] ** 3).sum()
-    expected = [there.sum(), particles["mass"][there].sum(), volume]
+    inside = particles["position"][:, 0] <= 0.5
+    volume = 4.0 / 3.0 * np.pi * (particles["radius"][inside] ** 3).sum()
+    expected = [inside.sum(), particles["mass"][inside].sum(), volume]
     assert list(meters["half"].readings().values()) == pytest.approx(expected)
 
 
-def test_upwards_is_against_gravity():
-    """A wedge that rises in x, with gravity along -y in place of -z."""
+def test_upward_direction_is_opposite_to_gravity():
+    """A wedge that rises in x, with gravity along -y instead of -z."""
     points, radius = bed(np.radians(24.0), "wedge")
-    chosen = points[:, 0] < 0.3
-    turned = points[chosen][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    selected = points[:, 0] < 0.3
+    turned = points[selected][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
     scene = scene_with(heap={"kind": "repose", "surface": "plane"})
-    count = int(chosen.sum())
+    count = int(selected.sum())
     particles = particles_of(
-        count, position=turned, radius=radius[chosen], fixed=np.zeros(count), coordination_number=np.full(count, 4)
+        count, position=turned, radius=radius[selected], fixed=np.zeros(count), coordination_number=np.full(count, 4)
     )
     meter = metric_meters(scene)["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
 
 
-def test_the_mean_is_that_of_the_last_stage_and_skips_what_is_no_number():
+def test_mean_covers_the_last_stage_and_skips_nan():
     readings = iter([{"x": 9.0}, {"x": 1.0}, {"x": float("nan")}, {"x": 2.0}])
     meter = MetricMeter(lambda _: next(readings), frozenset())
     meter.update(snapshot_of(0.0, stage="fill"))

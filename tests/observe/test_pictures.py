@@ -1,4 +1,4 @@
-"""VTK itself opens the series and shows every sphere in its true size. Slow; needs the plot extra or ParaView."""
+"""VTK opens the series and renders each particle at its size. Slow; needs the plot extra or ParaView."""
 
 import shutil
 import subprocess
@@ -15,7 +15,7 @@ INTERVAL = 0.1
 FRAME_COUNT = 4
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
-# Run in a process of its own: where no picture can be drawn, VTK aborts instead of raising.
+# Runs in a separate process: without a display, VTK aborts instead of raising.
 PYVISTA = """
 import sys
 import numpy as np
@@ -65,8 +65,8 @@ print(times, counts, bounds, sep=chr(10))
 """
 
 
-def series_in(path):
-    """Write three frames of 200 spheres after an empty one; return the bounds of the spheres in the last."""
+def write_series(path):
+    """Writes an empty frame and three frames of 200 particles; returns the bounds of the particles in the last."""
     particles = ParticleFrames(path, INTERVAL, reach=1.0)
     walls = WallFrames(path, INTERVAL, {"floor": FLOOR, "gate": FLOOR})
     for k in range(FRAME_COUNT):
@@ -81,15 +81,15 @@ def series_in(path):
     return np.stack([low, high], axis=1).ravel()
 
 
-def opened(command, script, path):
-    """Run the script on the series; return times, particle counts, bounds of the glyphs."""
+def read_by(command, script, path):
+    """Runs the script on the series; returns times, particle counts and bounds of the glyphs."""
     (path / "open.py").write_text(script)
     run = subprocess.run([*command, path / "open.py", path], capture_output=True, text=True, timeout=200)
     assert run.returncode == 0, run.stderr[-2000:]
-    return [[float(word) for word in line.strip("[]").split(",")] for line in plain(run.stdout)]
+    return [[float(word) for word in line.strip("[]").split(",")] for line in printed_lists(run.stdout)]
 
 
-def plain(text):
+def printed_lists(text):
     return [line.replace("np.float64(", "").replace(")", "") for line in text.splitlines() if line.startswith("[")]
 
 
@@ -102,13 +102,13 @@ def assert_shown(path, times, counts, bounds, expected):
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pyvista") is None, reason="needs the plot extra")
-def test_pyvista_shows_the_series(tmp_path):
-    expected = series_in(tmp_path)
-    assert_shown(tmp_path, *opened([sys.executable], PYVISTA, tmp_path), expected)
+def test_pyvista_renders_the_series(tmp_path):
+    expected = write_series(tmp_path)
+    assert_shown(tmp_path, *read_by([sys.executable], PYVISTA, tmp_path), expected)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("pvbatch") or not shutil.which("xvfb-run"), reason="needs ParaView and xvfb")
-def test_paraview_shows_the_series(tmp_path):
-    expected = series_in(tmp_path)
-    assert_shown(tmp_path, *opened(["xvfb-run", "-a", "pvbatch"], PARAVIEW, tmp_path), expected)
+def test_paraview_renders_the_series(tmp_path):
+    expected = write_series(tmp_path)
+    assert_shown(tmp_path, *read_by(["xvfb-run", "-a", "pvbatch"], PARAVIEW, tmp_path), expected)

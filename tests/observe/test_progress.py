@@ -1,4 +1,4 @@
-"""Progress: plain lines off a terminal, a bar on one, never in the way."""
+"""Progress display: a bar on a terminal, otherwise plain lines."""
 
 import io
 
@@ -12,7 +12,7 @@ from granflow.observe.progress import StagePlan, StepRates
 STAGES = [("fill", 1.0), ("settle", 2.0), ("discharge", 3.0)]
 
 
-def test_a_stage_that_ends_early_brings_the_end_nearer():
+def test_stage_that_ends_early_reduces_the_planned_end():
     plan = StagePlan(STAGES)
     assert plan.end == 6.0
     plan.enter("fill", 0.5)
@@ -22,7 +22,7 @@ def test_a_stage_that_ends_early_brings_the_end_nearer():
     assert plan.end == 4.5
 
 
-def test_rates():
+def test_rates_are_averaged_between_samples():
     rates = StepRates()
     assert rates.particle_steps_per_second() == 0.0
     rates.add(10.0, 0, 100)
@@ -33,7 +33,7 @@ def test_rates():
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_display(terminal):
+def test_display_shows_stage_and_rate(terminal):
     output = io.StringIO()
     display = ProgressDisplay(STAGES, Console(file=output, force_terminal=terminal, width=120))
     for step in range(600):
@@ -44,5 +44,5 @@ def test_display(terminal):
     assert "fill" in text
     assert "steps/s" in text
     if not terminal:
-        assert len(text.splitlines()) == 3, "the first look, the new stage, the end"
+        assert len(text.splitlines()) == 3, "first sample, new stage, end"
         assert "\x1b" not in text

@@ -1,4 +1,4 @@
-"""The glossary is consistent with itself."""
+"""The tables of quantities are consistent."""
 
 import pytest
 
@@ -14,18 +14,18 @@ from granflow.quantities import (
 ALL = [PARTICLE_QUANTITIES, CONTACT_QUANTITIES, FLOW_METER_QUANTITIES, RUN_QUANTITIES, TOTAL_QUANTITIES]
 
 
-@pytest.mark.parametrize("quantity", [quantity for glossary in ALL for quantity in glossary.values()])
-def test_every_word_is_explained_and_has_a_unit(quantity):
+@pytest.mark.parametrize("quantity", [quantity for table in ALL for quantity in table.values()])
+def test_each_quantity_has_a_meaning_and_a_unit(quantity):
     assert quantity.name.isidentifier()
     assert quantity.name.islower()
     assert quantity.unit
     assert quantity.meaning
 
 
-def test_the_same_word_has_the_same_unit_everywhere():
+def test_each_name_has_the_same_unit_in_all_tables():
     units = {}
-    for glossary in ALL:
-        for name, quantity in glossary.items():
+    for table in ALL:
+        for name, quantity in table.items():
             assert units.setdefault(name, quantity.unit) == quantity.unit
 
 
@@ -41,11 +41,11 @@ def test_the_same_word_has_the_same_unit_everywhere():
         ("own_number", ""),
     ],
 )
-def test_unit_of_a_number_of_the_result(name, unit):
+def test_unit_of_a_result_number(name, unit):
     assert unit_of(name) == unit
 
 
-def test_labels_carry_units():
+def test_labels_contain_units():
     assert TOTAL_QUANTITIES["kinetic_energy"].label == "kinetic_energy [J]"
     assert TOTAL_QUANTITIES["particle_count"].label == "particle_count"
     assert FLOW_METER_QUANTITIES["mass_flow"].label_of("outlet") == "mass_flow.outlet [kg/s]"

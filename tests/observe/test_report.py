@@ -1,4 +1,4 @@
-"""The closing numbers: table, JSON, log and the scene as run."""
+"""Final report: table, JSON, log and the resolved scene."""
 
 import io
 import json
@@ -20,7 +20,7 @@ RESULT = Result(
 )
 
 
-def test_numbers_go_by_the_names_of_the_expect_block():
+def test_numbers_have_the_names_of_the_expect_block():
     numbers = RESULT.numbers
     assert numbers["mass_flow.outlet"] == 0.153
     assert numbers["timings.forces"] == 3.0
@@ -28,28 +28,28 @@ def test_numbers_go_by_the_names_of_the_expect_block():
     assert numbers["step_count"] == 1_234_567
 
 
-def test_result_is_held_to_the_scene():
-    nothing = dict.fromkeys(("between", "below", "above", "equals", "tolerance"))
-    expectation = SimpleNamespace(**{**nothing, "quantity": "mass_flow.outlet", "above": 0.1})
+def test_result_is_checked_against_the_expectations():
+    no_bounds = dict.fromkeys(("between", "below", "above", "equals", "tolerance"))
+    expectation = SimpleNamespace(**{**no_bounds, "quantity": "mass_flow.outlet", "above": 0.1})
     ((sentence, met),) = RESULT.with_expectations([expectation]).expectations
     assert met
     assert sentence == "mass_flow.outlet is 0.153 kg/s, as expected above 0.1 kg/s."
 
 
-def test_json_is_strict_and_has_the_same_numbers(tmp_path):
+def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
     path = write_result(tmp_path, replace(RESULT, expectations=(ExpectationResult("All is well.", True),)))
 
-    def refuse(word):
-        raise AssertionError(f"{word} is not JSON")
+    def reject(constant):
+        raise AssertionError(f"{constant} is not JSON")
 
-    read = json.loads(path.read_text(), parse_constant=refuse)
-    assert read["run"] == {"simulated_time": 1.5, "step_count": 1_234_567}
-    assert read["totals"]["energy_error"] is None
-    assert read["flow_meters"]["outlet"]["mass_flow"] == 0.153
-    assert read["expect"] == [{"sentence": "All is well.", "met": True}]
+    content = json.loads(path.read_text(), parse_constant=reject)
+    assert content["run"] == {"simulated_time": 1.5, "step_count": 1_234_567}
+    assert content["totals"]["energy_error"] is None
+    assert content["flow_meters"]["outlet"]["mass_flow"] == 0.153
+    assert content["expect"] == [{"sentence": "All is well.", "met": True}]
 
 
-def test_table_shows_where_the_time_went():
+def test_table_shows_the_timings():
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(closing_table(RESULT))
     text = console.export_text()
@@ -57,7 +57,7 @@ def test_table_shows_where_the_time_went():
         assert piece in text
 
 
-def test_log_is_written_and_left(tmp_path):
+def test_log_records_the_run_until_an_exception_ends_it(tmp_path):
     with pytest.raises(RuntimeError), run_log(tmp_path) as log:
         log.info("stage fill begins")
         logging.getLogger("granflow.device").warning("list grown")
@@ -71,6 +71,6 @@ def test_log_is_written_and_left(tmp_path):
     ]
 
 
-def test_scene_as_run(tmp_path):
+def test_resolved_scene_is_written_as_utf_8(tmp_path):
     path = write_scene_as_run(tmp_path / "out", SimpleNamespace(text=lambda: "title: Rain ü\n"))
     assert path.read_text(encoding="utf-8") == "title: Rain ü\n"

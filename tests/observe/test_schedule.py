@@ -20,25 +20,25 @@ def test_a_million_intervals_stay_within_one_rounding_of_the_exact_time(interval
         schedule.mark_done(due)
 
 
-def test_times_passed_in_one_stride_are_due_once():
+def test_times_skipped_in_one_step_are_due_once():
     schedule = Schedule(0.1)
     assert schedule.mark_done(0.55)
     assert schedule.next_time() == pytest.approx(0.6)
 
 
-def test_the_same_moment_is_taken_once():
+def test_the_same_time_is_due_once():
     schedule = Schedule(0.1)
     assert schedule.mark_done(0.1)
     assert not schedule.mark_done(0.1)
 
 
-def test_a_moment_rounded_down_counts_as_the_due_time():
+def test_time_rounded_down_counts_as_the_due_time():
     schedule = Schedule(0.1)
     schedule.mark_done(np.nextafter(0.3, 0))
     assert schedule.next_time() == pytest.approx(0.4)
 
 
-def test_a_moment_before_its_time_leaves_the_due_time():
+def test_time_before_the_due_time_keeps_the_due_time():
     schedule = Schedule(0.1)
     schedule.mark_done(0.05)
     assert schedule.next_time() == pytest.approx(0.1)
@@ -50,12 +50,12 @@ def test_interval_must_be_positive_and_finite(interval):
         Schedule(interval)
 
 
-def test_plain_function_sees_every_moment_once():
-    seen = []
-    observer = every(0.5, lambda snapshot: seen.append(snapshot.time), wants=("totals", "contacts"))
+def test_observer_of_a_function_calls_it_once_per_time():
+    observed_times = []
+    observer = every(0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts"))
     assert observer.wants == {"totals", "contacts"}
     for time in (0.0, 0.5, 0.5, 1.0):
         observer.observe(snapshot_of(time=time))
     observer.finish()
-    assert seen == [0.0, 0.5, 1.0]
+    assert observed_times == [0.0, 0.5, 1.0]
     assert observer.next_time() == 1.5

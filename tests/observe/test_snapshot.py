@@ -1,4 +1,4 @@
-"""Snapshots cannot be written to, and come back whole from another process."""
+"""Snapshots are read-only and can be pickled."""
 
 import pickle
 
@@ -22,13 +22,13 @@ def test_every_mapping_is_read_only(part):
         getattr(snapshot_of(contacts=contacts_of(4)), part)["radius"] = 1
 
 
-def test_the_maker_of_a_snapshot_can_still_write_to_its_own_array():
-    own = np.zeros(3)
-    snapshot_of(particles={"radius": own})
-    own[0] = 1.0
+def test_source_array_of_a_snapshot_stays_writable():
+    array = np.zeros(3)
+    snapshot_of(particles={"radius": array})
+    array[0] = 1.0
 
 
-def test_pickled_snapshot_is_the_same_and_read_only():
+def test_pickled_snapshot_is_equal_and_read_only():
     snapshot = snapshot_of(time=0.5, step=7, contacts=contacts_of(4), walls={"gate": turned(0.5)})
     copy = pickle.loads(pickle.dumps(snapshot))
     assert (copy.time, copy.step, copy.stage, copy.totals) == (0.5, 7, "run", snapshot.totals)
@@ -37,6 +37,6 @@ def test_pickled_snapshot_is_the_same_and_read_only():
     assert not copy.particles["position"].flags.writeable
 
 
-def test_pose_turns_about_the_pivot_and_then_shifts():
+def test_pose_rotates_about_the_pivot_and_then_translates():
     pose = turned(np.pi / 2, offset=(0, 0, 3), pivot=(1, 0, 0))
     np.testing.assert_allclose(pose.moved(np.array([[2.0, 0.0, 0.0]])), [[1.0, 1.0, 3.0]], atol=1e-15)

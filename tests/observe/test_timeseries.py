@@ -1,4 +1,4 @@
-"""The table says what the snapshots said."""
+"""The time series contains the numbers of the snapshots."""
 
 import csv
 
@@ -13,7 +13,7 @@ def rows_of(path):
         return list(csv.reader(file))
 
 
-def test_header_has_units_and_only_what_is_there(tmp_path):
+def test_header_has_units_and_only_the_given_quantities(tmp_path):
     series = TimeSeries(tmp_path, 0.1)
     assert series.wants == {"totals"}
     series.observe(snapshot_of(totals={"kinetic_energy": 0.1, "particle_count": 3, "own_number": 1.5}))
@@ -22,13 +22,13 @@ def test_header_has_units_and_only_what_is_there(tmp_path):
     assert row == ["0.0", "run", "3", "0.1", "1.5"]
 
 
-def test_rows_come_back_to_the_last_bit_and_once_each(tmp_path):
+def test_rows_are_exact_and_written_once(tmp_path):
     series = TimeSeries(tmp_path, 0.1)
     energies = np.random.default_rng(3).uniform(size=20)
     for step, energy in enumerate(energies):
         for _ in range(2):
             series.observe(snapshot_of(time=step / 7, stage="a, b", totals={"kinetic_energy": energy}))
-        assert len(rows_of(series.path)) == step + 2, "every row is flushed"
+        assert len(rows_of(series.path)) == step + 2, "each row is flushed"
     series.finish()
     rows = rows_of(series.path)[1:]
     assert [float(row[0]) for row in rows] == [step / 7 for step in range(20)]
@@ -36,7 +36,7 @@ def test_rows_come_back_to_the_last_bit_and_once_each(tmp_path):
     assert {row[1] for row in rows} == {"a, b"}
 
 
-def test_meters_have_their_columns(tmp_path):
+def test_flow_meters_have_columns(tmp_path):
     series = TimeSeries(tmp_path, 0.1, {"outlet": FlowMeter((0, 0, 0), (0, 0, -1))})
     assert series.wants == {"totals", "particles"}
     for time, height in ((0.0, 1.0), (0.5, -1.0)):

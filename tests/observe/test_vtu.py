@@ -1,4 +1,4 @@
-"""Frames hold the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
+"""Frames contain the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
 
 import errno
 import xml.etree.ElementTree as ElementTree
@@ -23,7 +23,7 @@ def listed(path):
 
 
 @pytest.mark.parametrize("count", [1, 7, 5000])
-def test_particles_come_back_number_for_number(tmp_path, count):
+def test_particles_are_read_back_exactly(tmp_path, count):
     snapshot = snapshot_of(particles=particles_of(count))
     ParticleFrames(tmp_path, 0.1).observe(snapshot)
     mesh = meshio.read(tmp_path / "particles_0000.vtu")
@@ -43,13 +43,13 @@ def test_particles_come_back_number_for_number(tmp_path, count):
 
 
 @pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
-def test_positions_take_8_bytes_only_where_4_do_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
+def test_positions_use_f64_only_if_f32_does_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
     snapshot = snapshot_of(particles=particles_of(9, radius=np.full(9, radius)))
     ParticleFrames(tmp_path, 0.1, reach=reach).observe(snapshot)
     assert meshio.read(tmp_path / "particles_0000.vtu").points.dtype == file_type
 
 
-def test_contacts_come_back_as_lines_number_for_number(tmp_path):
+def test_contacts_are_read_back_exactly_as_lines(tmp_path):
     contacts = contacts_of(50)
     ContactFrames(tmp_path, 0.1).observe(snapshot_of(contacts=contacts))
     mesh = meshio.read(tmp_path / "contacts_0000.vtu")
@@ -61,7 +61,7 @@ def test_contacts_come_back_as_lines_number_for_number(tmp_path):
         np.testing.assert_array_equal(values, CONTACT_QUANTITIES[name].for_file(contacts[name]))
 
 
-def test_walls_move_with_their_pose_and_absent_ones_are_left_out(tmp_path):
+def test_walls_follow_their_pose_and_absent_walls_are_omitted(tmp_path):
     triangles = {"floor": SQUARE, "gate": TRIANGLE, "lid": SQUARE}
     walls = {
         "floor": turned(0.3, offset=(0, 0, 0.1)),
@@ -78,7 +78,7 @@ def test_walls_move_with_their_pose_and_absent_ones_are_left_out(tmp_path):
 
 def test_pvd_lists_exactly_the_frames_on_disk_with_their_times(tmp_path):
     (tmp_path / "particles_0007.vtu").write_text("left by an earlier run")
-    (tmp_path / "particles_mine.vtu").write_text("not ours")
+    (tmp_path / "particles_mine.vtu").write_text("not a frame of this run")
     frames = ParticleFrames(tmp_path, 0.1)
     times = [0.0, 0.1, 0.30000000000000004, 1 / 3]
     for time in [*times, times[-1]]:
@@ -89,16 +89,16 @@ def test_pvd_lists_exactly_the_frames_on_disk_with_their_times(tmp_path):
     assert [name for _, name in rows] == sorted(path.name for path in tmp_path.glob("particles_[0-9]*.vtu"))
 
 
-def test_a_frame_that_cannot_be_written_leaves_the_series_as_it_was(tmp_path, monkeypatch):
+def test_frame_that_cannot_be_written_leaves_the_series_unchanged(tmp_path, monkeypatch):
     frames = ParticleFrames(tmp_path, 0.1)
     frames.observe(snapshot_of(time=0.0))
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
-    def half_a_file(path, *_, **__):
+    def write_half(path, *_, **__):
         path.write_text("half")
         raise OSError("disk full")
 
-    monkeypatch.setattr(meshio, "write", half_a_file)
+    monkeypatch.setattr(meshio, "write", write_half)
     with pytest.raises(OSError, match="disk full"):
         frames.observe(snapshot_of(time=0.1))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -108,7 +108,7 @@ POINT = mesh_of_points(np.zeros((1, 3)), {})
 
 
 def bytes_written_per_frame(directory, monkeypatch, frame_count):
-    """Bytes that each frame adds to, or changes in, the PVD file; the frames themselves are not written."""
+    """Bytes written to the PVD file per frame, and the series; the frames themselves are not written."""
     monkeypatch.setattr("granflow.observe.frames.write_vtu", lambda path, mesh: path.touch())
     written, series = [], FrameSeries(directory, "particles")
 
@@ -120,11 +120,11 @@ def bytes_written_per_frame(directory, monkeypatch, frame_count):
     monkeypatch.setattr("granflow.observe.frames.FileIO", Counted)
     for index in range(frame_count):
         series.write(POINT, 0.1 * index)
-        assert listed(series.listing) == series.frames, "the file is valid after every frame"
+        assert listed(series.listing) == series.frames, "the file is valid after each frame"
     return written, series
 
 
-def test_a_frame_costs_the_pvd_file_one_write_of_constant_size(tmp_path, monkeypatch):
+def test_frame_adds_one_write_of_constant_size_to_the_pvd_file(tmp_path, monkeypatch):
     written, series = bytes_written_per_frame(tmp_path, monkeypatch, 300)
     inode = series.listing.stat().st_ino
     series.write(POINT, 30.0)
@@ -133,22 +133,22 @@ def test_a_frame_costs_the_pvd_file_one_write_of_constant_size(tmp_path, monkeyp
     assert len(listed(series.listing)) == 301
 
 
-def test_a_pvd_file_cut_back_and_continued_is_that_of_a_run_never_stopped(tmp_path):
-    whole, stopped = FrameSeries(tmp_path / "whole", "walls"), FrameSeries(tmp_path / "stopped", "walls")
-    for series, times in ((whole, range(6)), (stopped, range(5))):
+def test_truncated_and_continued_pvd_file_equals_that_of_an_uninterrupted_run(tmp_path):
+    uninterrupted, interrupted = FrameSeries(tmp_path / "whole", "walls"), FrameSeries(tmp_path / "stopped", "walls")
+    for series, times in ((uninterrupted, range(6)), (interrupted, range(5))):
         for time in times:
             series.write(POINT, time / 3)
     resumed = FrameSeries(tmp_path / "stopped", "walls")
-    resumed.frames, resumed.frame_count = stopped.frames[:3], 3
+    resumed.frames, resumed.frame_count = interrupted.frames[:3], 3
     resumed.truncate()
-    assert listed(resumed.listing) == stopped.frames[:3]
+    assert listed(resumed.listing) == interrupted.frames[:3]
     for time in range(3, 6):
         resumed.write(POINT, time / 3)
-    assert resumed.listing.read_bytes() == whole.listing.read_bytes()
+    assert resumed.listing.read_bytes() == uninterrupted.listing.read_bytes()
 
 
 @pytest.mark.parametrize("damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None])
-def test_a_pvd_file_that_is_not_the_one_written_last_is_written_again(tmp_path, damage):
+def test_modified_pvd_file_is_rewritten(tmp_path, damage):
     series = FrameSeries(tmp_path, "particles")
     for time in range(4):
         series.write(POINT, time)
@@ -157,15 +157,15 @@ def test_a_pvd_file_that_is_not_the_one_written_last_is_written_again(tmp_path, 
     assert listed(series.listing) == series.frames and len(series.frames) == 5
 
 
-@pytest.mark.parametrize("region", [0, 1, 40, 80])
-def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, region):
-    """The disk takes `region` bytes of an entry and its closing tags, then no more; a frame later it has room again."""
+@pytest.mark.parametrize("free_bytes", [0, 1, 40, 80])
+def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
+    """The disk accepts `free_bytes` bytes of an entry and its closing tags; before the next frame, space is freed."""
     series = FrameSeries(tmp_path, "particles")
     series.write(POINT, 0.0)
     before = series.listing.read_bytes()
 
     class Full(FileIO):
-        left = region
+        left = free_bytes
 
         def write(self, data):
             if self.tell() < len(before) - len(TAIL) + Full.left:
@@ -193,12 +193,12 @@ def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, region):
     ],
     ids=["particles", "contacts", "no contacts", "walls"],
 )
-def test_an_empty_frame_is_a_whole_file_with_no_points_and_no_cells(tmp_path, make, snapshot):
-    # meshio cannot read a VTU file without cells, its own included; tests/observe/test_pictures.py opens one in VTK.
+def test_empty_frame_is_a_valid_file_without_points_and_cells(tmp_path, make, snapshot):
+    # meshio cannot read a VTU file without cells, not even its output; tests/observe/test_pictures.py opens one in VTK.
     make(tmp_path).observe(snapshot)
     (path,) = tmp_path.glob("*.vtu")
     piece = next(ElementTree.parse(path).getroot().iter("Piece"))
     assert (piece.get("NumberOfPoints"), piece.get("NumberOfCells")) == ("0", "0")
     assert {array.get("Name") for array in piece.find("Cells")} == {"connectivity", "offsets", "types"}
-    # A length of 0 in base64: no block is announced that does not follow.
+    # A length of 0 in base64: no block of data is declared.
     assert {array.text.strip() for array in piece.iter("DataArray")} == {"AAAAAA=="}

@@ -1,4 +1,4 @@
-"""A small scene on disk for plans: ten soft glass beads over a floor."""
+"""A small scene file for plans: ten soft glass particles above a floor."""
 
 from granflow.scene import load
 
@@ -33,11 +33,12 @@ output:
 
 
 def line_of(words):
-    """The number of the line of TEXT with these words."""
+    """Number of the first line of TEXT that contains `words`."""
     return next(number for number, line in enumerate(TEXT.splitlines(), 1) if words in line)
 
 
 def scene_of(directory, *overrides, text=TEXT):
+    """Writes the text to beads.yaml in `directory` and loads it with overrides `key=value`."""
     path = directory / "beads.yaml"
     path.write_text(text)
     return load(path, overrides)

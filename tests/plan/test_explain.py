@@ -1,4 +1,4 @@
-"""`granflow explain`: everything that is decided is in the text, with where it comes from."""
+"""`granflow explain` lists each derived value with its source."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -20,7 +20,7 @@ def plan(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(plan):
-    """First words of every line -> the rest of it."""
+    """Lines of the explanation by their first column."""
     lines = explain(plan).splitlines()
     return {line.strip().split("  ")[0]: line for line in lines}
 
@@ -32,11 +32,11 @@ def test_lines_fit_a_terminal(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("feature", [item.name.replace("_", " ") for item in fields(Features)])
-def test_every_feature_is_there(rows, feature):
+def test_each_feature_is_listed(rows, feature):
     assert rows[feature].split()[len(feature.split())] in ("on", "off")
 
 
-def test_every_derived_number_is_there(plan, rows):
+def test_each_derived_number_is_listed(plan, rows):
     step = plan.step
     assert f"{step.value:.4g} s" in rows["time step"] and "given in the scene" in rows["time step"]
     assert f"{step.stable_below:.4g} s" in rows["stable below"] and "beads-beads" in rows["stable below"]
@@ -56,34 +56,34 @@ def test_every_derived_number_is_there(plan, rows):
     assert size(memory.total) in rows["total"]
 
 
-def test_a_restitution_out_of_reach_is_said_beside_the_step(plan, rows):
+def test_unreachable_restitution_causes_a_warning(plan, rows):
     assert "glass-glass: the restitution at 1 m/s is 0.7, but a time step of" in rows["WARNING"]
 
 
-def test_settings_say_what_was_filled_in_and_what_was_given(rows):
+def test_settings_show_default_and_given_values_with_their_source(rows):
     assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
     assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
     assert "every pair gives a number" in rows["contact.normal.restitution_at"]
     assert "default: output.interval" in rows["output.timeseries_interval"]
     assert "given (--set numerics.skin" in rows["numerics.skin"]
-    assert "materials.glass.density" not in rows, "what must be given is not listed"
+    assert "materials.glass.density" not in rows, "required settings are not listed"
 
 
-def test_a_given_setting_has_its_line(tmp_path, monkeypatch):
+def test_given_setting_shows_file_and_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = TEXT.replace("title: Ten beads fall", "title: Ten beads fall\nseed: 7")
     (line,) = (each for each in explain(plan_for(scene_of(Path(), text=text))).splitlines() if "  seed  " in each)
     assert line.split() == ["seed", "7", "given", "(beads.yaml:2)"]
 
 
-def test_stages_are_an_upper_bound(tmp_path):
+def test_simulated_time_of_stages_is_an_upper_bound(tmp_path):
     stages = "[{name: fill, duration: 1 s}, {name: rest, kinetic_energy_below: 1 nJ, max_duration: 2 s}]"
     text = explain(plan_for(scene_of(tmp_path, f"stages={stages}", "run.duration=null")))
     assert "at most 3 s" in text and "fill 1 s, rest at most 2 s" in text
 
 
 def allocated(directory, overrides, precision):
-    """Bytes of all fields of a State that grow with the scene, and what the plan said."""
+    """Bytes of all fields of a State that scale with the scene, and the estimate of the plan."""
     import numpy as np
 
     from granflow.device import backend
@@ -91,13 +91,13 @@ def allocated(directory, overrides, precision):
 
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))
-    found = 0
+    allocated_bytes = 0
     for block in (state.particles, state.neighbors, state.cell_sort):
         values = [*vars(block).values()]
         values += [each for value in values if isinstance(value, dict) for each in value.values()]
         values += [each for value in values if isinstance(value, list) for each in value]
-        found += sum(np.asarray(each.to_numpy()).nbytes for each in values if hasattr(each, "to_numpy"))
-    return found, estimate_memory(plan, precision).total
+        allocated_bytes += sum(np.asarray(each.to_numpy()).nbytes for each in values if hasattr(each, "to_numpy"))
+    return allocated_bytes, estimate_memory(plan, precision).total
 
 
 MANY = ("particles.beads.count=3000", "particles.beads.diameter=0.5 mm")
@@ -107,13 +107,13 @@ FRICTION = ("pairs.glass-glass.friction=0.4",)
 @pytest.mark.parametrize(
     ("overrides", "precision"), [(MANY, "f64"), (MANY + FRICTION, "mixed"), ((*MANY, "contact.normal=hertz"), "f32")]
 )
-def test_memory_is_what_is_allocated(tmp_path, overrides, precision):
-    found, message = in_subprocess(allocated, str(tmp_path), overrides, precision)
-    assert message == pytest.approx(found, rel=0.02)
+def test_memory_estimate_equals_the_allocated_memory(tmp_path, overrides, precision):
+    allocated_bytes, estimate = in_subprocess(allocated, str(tmp_path), overrides, precision)
+    assert estimate == pytest.approx(allocated_bytes, rel=0.02)
 
 
 @pytest.mark.parametrize(
     ("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (600, "10 minutes"), (7.3e3, "2 hours"), (1e6, "12 days")]
 )
-def test_duration(seconds, text):
+def test_duration_is_rounded_to_a_readable_unit(seconds, text):
     assert duration(seconds) == text

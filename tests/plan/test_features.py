@@ -1,4 +1,4 @@
-"""Features follow from the scene alone, and their reasons name what decided."""
+"""Features follow from the scene alone, and their reasons name the deciding setting."""
 
 from dataclasses import fields
 
@@ -9,14 +9,14 @@ from granflow.plan import plan_for
 from granflow.plan.features import Features
 
 FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}\n"
-SHAKEN = FLOOR.replace("}\n", ", motion: {kind: translation, velocity: [0, 0, 1 mm/s]}}\n")
+MOVING_FLOOR = FLOOR.replace("}\n", ", motion: {kind: translation, velocity: [0, 0, 1 mm/s]}}\n")
 
 
 def reasons(scene):
     return {reason.feature: (reason.setting, reason.why) for reason in plan_for(scene).reasons}
 
 
-def test_nothing_is_on_that_the_scene_does_not_need(tmp_path):
+def test_only_required_features_are_enabled(tmp_path):
     text = TEXT.replace("walls:\n" + FLOOR, "")
     features = plan_for(scene_of(tmp_path, text=text)).features
     assert [item.name for item in fields(Features) if getattr(features, item.name) not in (False, "none")] == [
@@ -24,7 +24,7 @@ def test_nothing_is_on_that_the_scene_does_not_need(tmp_path):
     ]
 
 
-def test_every_feature_has_its_reason(tmp_path):
+def test_each_feature_has_a_reason(tmp_path):
     assert list(reasons(scene_of(tmp_path))) == [item.name for item in fields(Features)]
 
 
@@ -64,7 +64,7 @@ def test_every_feature_has_its_reason(tmp_path):
             "output.wall_forces selects floor",
             "wall_forces",
         ),
-        ((FLOOR, SHAKEN), "moving_walls", "on", "walls.floor moves", "floor"),
+        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "walls.floor moves", "floor"),
         (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz contact model obtains", "normal"),
         (
             ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),
@@ -72,7 +72,7 @@ def test_every_feature_has_its_reason(tmp_path):
         ),
     ],
 )
-def test_reason(tmp_path, change, feature, setting, why, line):
+def test_reason_states_setting_cause_and_line(tmp_path, change, feature, setting, why, line):
     text = TEXT.replace(*change, 1) if change else TEXT
     found, message = reasons(scene_of(tmp_path, text=text))[feature]
     assert found == setting
@@ -82,7 +82,7 @@ def test_reason(tmp_path, change, feature, setting, why, line):
         assert message.endswith(f"beads.yaml:{number})")
 
 
-def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
+def test_rolling_friction_of_any_pair_enables_the_rolling_model(tmp_path):
     text = TEXT.replace("rolling: none", "rolling: cdt").replace("rolling_friction: 0}", "rolling_friction: 0.01}", 1)
     found = reasons(scene_of(tmp_path, text=text))
     assert found["rolling"][0] == "cdt"
@@ -91,7 +91,7 @@ def test_rolling_friction_somewhere_turns_the_asked_law_on(tmp_path):
 
 
 @pytest.mark.parametrize(("density", "setting"), [("0", "off"), ("5 kJ/m3", "sjkr")])
-def test_cohesion_is_left_out_where_no_pair_coheres(tmp_path, density, setting):
+def test_cohesion_is_disabled_if_no_pair_is_cohesive(tmp_path, density, setting):
     text = TEXT.replace("rolling: none", "rolling: none\n  cohesion: sjkr")
     text = text.replace("rolling_friction: 0}", f"rolling_friction: 0, cohesion_energy_density: {density}}}")
     plan = plan_for(scene_of(tmp_path, text=text))
@@ -99,10 +99,10 @@ def test_cohesion_is_left_out_where_no_pair_coheres(tmp_path, density, setting):
     assert plan.law.attracts == (setting == "sjkr")
 
 
-def test_materials_that_nothing_is_made_of_are_left_out(tmp_path):
+def test_unused_materials_are_omitted(tmp_path):
     plan = plan_for(scene_of(tmp_path))
     assert plan.materials == ("glass",)
     assert plan.pair_constants.shape[0] == 1
     both = plan_for(scene_of(tmp_path, "walls.floor.material=steel"))
     assert both.materials == ("glass", "steel")
-    assert both.features.one_material, "particles are of glass alone"
+    assert both.features.one_material, "all particles are glass"

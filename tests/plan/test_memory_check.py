@@ -1,4 +1,4 @@
-"""A run that will not fit is refused before it takes memory; what is free is read from the machine and its groups."""
+"""A run that exceeds the free memory of machine and control groups is rejected before memory is allocated."""
 
 import re
 from pathlib import Path
@@ -18,15 +18,15 @@ GIB = 2**30
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
-    """A made-up machine: say what it has free and its control groups, by path and file."""
+    """A synthetic machine: builds its available memory [bytes] and the files of its control groups."""
     proc, groups = tmp_path / "proc", tmp_path / "cgroup"
     monkeypatch.setattr(memory_check, "PROC", proc)
     monkeypatch.setattr(memory_check, "CGROUPS", groups)
 
-    def build(available, mine="0::/", **files):
+    def build(available, membership="0::/", **files):
         (proc / "self").mkdir(parents=True)
         (proc / "meminfo").write_text(f"MemTotal: {2 * available // 1024} kB\nMemAvailable:   {available // 1024} kB\n")
-        (proc / "self" / "cgroup").write_text(mine + "\n")
+        (proc / "self" / "cgroup").write_text(membership + "\n")
         for name, text in files.items():
             path = groups / name.replace("__", "/")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,12 +35,12 @@ def machine(tmp_path, monkeypatch):
     return build
 
 
-def test_free_memory_is_that_of_the_machine_where_no_group_limits_it(machine):
+def test_free_memory_without_group_limits_is_that_of_the_machine(machine):
     machine(3 * GIB, "0::/me", me__memory_of_max="max", me__memory_of_current=GIB, me__memory_of_stat="file 0")
     assert memory_check.available_memory() == 3 * GIB
 
 
-def test_a_group_further_up_may_leave_less_and_cached_files_count_as_free(machine):
+def test_parent_groups_limit_the_free_memory_and_cached_files_count_as_free(machine):
     machine(
         8 * GIB, "1:cpu:/x\n0::/job/step",
         job__step__memory_of_max=6 * GIB, job__step__memory_of_current=GIB, job__step__memory_of_stat="inactive_file 0",
@@ -49,7 +49,7 @@ def test_a_group_further_up_may_leave_less_and_cached_files_count_as_free(machin
     assert memory_check.available_memory() == 4 * GIB - 3 * GIB + GIB // 2
 
 
-def test_groups_of_the_first_version(machine):
+def test_free_memory_of_cgroup_v1(machine):
     files = {
         "memory__a__memory_of_limit_in_bytes": 2 * GIB,
         "memory__a__memory_of_usage_in_bytes": GIB,
@@ -65,57 +65,57 @@ def lattice(folder, count):
     return path
 
 
-def test_a_run_that_does_not_fit_is_refused_before_any_particle_is_made(machine, tmp_path):
+def test_run_that_does_not_fit_is_rejected_before_particles_are_placed(machine, tmp_path):
     machine(GIB)
     path = lattice(tmp_path, 300_000_000)
     with pytest.raises(SceneError) as refused:
         memory_check.refuse_without_memory(plan_for(load(path)))
-    (sentence,) = refused.value.problems
-    assert sentence.startswith(f"{path}:{line_of('count: 10')}:12: 300000000 particles need about ")
-    assert "GB of memory, but only 1.07 GB are free: lower the count to about " in sentence
-    assert sentence.endswith("set run.precision to mixed, or use a machine with more memory.")
-    fitting = int(sentence.partition("count to about ")[2].partition(",")[0])
+    (message,) = refused.value.problems
+    assert message.startswith(f"{path}:{line_of('count: 10')}:12: 300000000 particles need about ")
+    assert "GB of memory, but only 1.07 GB are free: lower the count to about " in message
+    assert message.endswith("set run.precision to mixed, or use a machine with more memory.")
+    fitting = int(message.partition("count to about ")[2].partition(",")[0])
     assert 0.7 * GIB < memory_check.required_memory(plan_for(load(lattice(tmp_path, fitting)))) < GIB
 
 
 @pytest.mark.parametrize(("available", "warned"), [(0.9, True), (1.1, True), (1.3, False)])
-def test_check_warns_and_places_no_particles_where_they_do_not_fit(machine, tmp_path, capsys, available, warned):
+def test_check_warns_and_places_no_particles_that_do_not_fit(machine, tmp_path, capsys, available, warned):
     path = lattice(tmp_path, 10)
     needed = memory_check.required_memory(plan_for(load(path)))
     machine(int(available * needed))
     assert main(["check", str(path)]) == 0
-    message = capsys.readouterr()
-    assert ("particles need about" in message.err) == warned
-    assert ("was not checked" in message.out) == (available < 1.0)
+    output = capsys.readouterr()
+    assert ("particles need about" in output.err) == warned
+    assert ("was not checked" in output.out) == (available < 1.0)
 
 
-def test_more_than_can_be_numbered_are_refused_at_once_whatever_the_machine(tmp_path, capsys):
+def test_counts_above_the_id_limit_are_rejected_on_any_machine(tmp_path, capsys):
     path = lattice(tmp_path, 2_000_000_000)
     assert main(["check", str(path)]) == 2
-    sentence, closing = capsys.readouterr().err.splitlines()
-    assert "2000000000 particles are requested, but about " in sentence
+    message, closing = capsys.readouterr().err.splitlines()
+    assert "2000000000 particles are requested, but about " in message
     assert closing == "1 problem found."
 
 
-def most_held():
-    """Most memory this program held since it began [bytes]; getrusage would count what its parent held before."""
+def peak_memory():
+    """Peak memory of this process [bytes]; getrusage would include the memory of its parent before the fork."""
     return 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
 
 
 def growth_of_a_run(folder):
-    """What a run of 60 000 spheres was said to take, and by how much the most that its process held grew [bytes]."""
+    """Estimated memory of a run of 60 000 particles, and growth of the peak memory of its process [bytes]."""
     text = TEXT.replace("count: 10\n", "count: 60000\n").replace("[2 cm, 2 cm, 1 cm]", "[20 cm, 20 cm, 16 cm]")
     text = text.replace("max: [3 cm, 3 cm, 3 cm]", "max: [21 cm, 21 cm, 17 cm]").replace("50 ms", "20 us")
     path = Path(folder) / "many.yaml"
     path.write_text(text)
     plan = plan_for(load(path))
-    before = most_held()
+    before = peak_memory()
     Simulation(load(path), out=Path(folder) / "out").run()
-    return [memory_check.required_memory(plan), most_held() - before]
+    return [memory_check.required_memory(plan), peak_memory() - before]
 
 
 @pytest.mark.slow
-def test_a_run_takes_what_was_foretold(tmp_path):
-    """Within a third; an estimate that is short would let runs die."""
-    foretold, taken = in_subprocess(growth_of_a_run, str(tmp_path))
-    assert 0.67 * foretold < taken < 1.1 * foretold
+def test_memory_of_a_run_agrees_with_the_estimate(tmp_path):
+    """The memory used is 67 % to 110 % of the estimate; a lower estimate would let runs fail."""
+    estimated, used = in_subprocess(growth_of_a_run, str(tmp_path))
+    assert 0.67 * estimated < used < 1.1 * estimated

@@ -1,4 +1,4 @@
-"""Mesh walls of a scene: which files are read, and what is said of those that cannot be walls or are doubtful."""
+"""Mesh walls of a scene: supported files, and messages for invalid or doubtful ones."""
 
 import struct
 
@@ -30,20 +30,20 @@ output: {interval: 1 s}
 
 
 def plan_of(folder, file, more=""):
-    """The plan of a scene in that folder with a mesh wall of that file and more keys."""
+    """Plan of a scene in `folder` with a mesh wall of `file`; `more` appends keys to the wall."""
     path = folder / "scene.yaml"
     path.write_text(SCENE.replace("file: FILE", f"file: {file}{more}"), encoding="utf-8")
     return plan_for(load(path))
 
 
 def problem(folder, file, more=""):
-    """What is said of the file, after its name."""
+    """Message about the file, after its name."""
     with pytest.raises(SceneError) as error:
         plan_of(folder, file, more)
     head = f"{folder / 'scene.yaml'}:7:30: walls.floor.file is {file}, which "
-    (sentence,) = error.value.problems
-    assert sentence.startswith(head)
-    return sentence.removeprefix(head)
+    (message,) = error.value.problems
+    assert message.startswith(head)
+    return message.removeprefix(head)
 
 
 def binary_stl(path, triangles, count=None, head=b"made by hand"):
@@ -54,7 +54,7 @@ def binary_stl(path, triangles, count=None, head=b"made by hand"):
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply", "vtk", "vtu"])
-def test_every_kind_of_file_gives_the_same_mesh(tmp_path, kind):
+def test_each_file_format_gives_the_same_mesh(tmp_path, kind):
     points, corners = cube()
     write(tmp_path / f"cube.{kind}", points, corners)
     (mesh,) = plan_of(tmp_path, f"cube.{kind}").meshes.values()
@@ -63,7 +63,7 @@ def test_every_kind_of_file_gives_the_same_mesh(tmp_path, kind):
     np.testing.assert_array_equal(mesh.points[order], points)
 
 
-def test_binary_stl_is_read_whatever_its_head_says(tmp_path):
+def test_binary_stl_is_read_with_any_header(tmp_path):
     points, corners = cube()
     for head in (b"solid cube", b"", b"solid \0"):
         binary_stl(tmp_path / "cube.stl", points[corners], head=head)
@@ -71,19 +71,19 @@ def test_binary_stl_is_read_whatever_its_head_says(tmp_path):
         assert (mesh.triangle_count, len(mesh.points)) == (12, 8)
 
 
-def test_meshes_are_scaled_then_turned_then_shifted(tmp_path):
+def test_meshes_are_scaled_then_rotated_then_translated(tmp_path):
     """A quarter turn about z takes (x, y) to (-y, x), one about x then takes (y, z) to (-z, y)."""
     points, corners = cube()
     write(tmp_path / "cube.ply", points * [1.0, 2.0, 3.0], corners)
-    turns = "[{axis: [0, 0, 2], angle: 90 deg}, {axis: [1, 0, 0], angle: 90 deg}]"
-    more = f", scale: 0.1, rotate: {turns}, translate: [0, 0, 1 cm]"
+    rotations = "[{axis: [0, 0, 2], angle: 90 deg}, {axis: [1, 0, 0], angle: 90 deg}]"
+    more = f", scale: 0.1, rotate: {rotations}, translate: [0, 0, 1 cm]"
     (mesh,) = plan_of(tmp_path, "cube.ply", more).meshes.values()
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     np.testing.assert_allclose(low, [-0.2, -0.3, 0.01], atol=1e-15)
     np.testing.assert_allclose(high, [0.0, 0.0, 0.11], atol=1e-15)
 
 
-def test_files_that_are_no_walls(tmp_path):
+def test_invalid_mesh_files_are_rejected(tmp_path):
     points, corners = cube()
     triangles = points[corners]
     assert problem(tmp_path, "none.stl") == "does not exist."
@@ -117,11 +117,11 @@ def test_files_that_are_no_walls(tmp_path):
     assert problem(tmp_path, "cube.obj").startswith("cannot be read as OBJ: ")
 
 
-def test_files_lie_in_the_scenes_folder(tmp_path):
-    folder, beside = tmp_path / "scenes", tmp_path / "secret.stl"
+def test_mesh_files_outside_the_scene_folder_are_rejected(tmp_path):
+    folder, outside = tmp_path / "scenes", tmp_path / "secret.stl"
     (folder / "parts").mkdir(parents=True)
-    binary_stl(beside, cube()[0][cube()[1]])
-    (folder / "link.stl").symlink_to(beside)
+    binary_stl(outside, cube()[0][cube()[1]])
+    (folder / "link.stl").symlink_to(outside)
     assert problem(folder, "link.stl") == (
         "leads out of the scene's folder by a symbolic link; put the file itself there."
     )
@@ -136,7 +136,7 @@ def test_files_lie_in_the_scenes_folder(tmp_path):
         )
 
 
-def test_millimeters_are_noticed(tmp_path):
+def test_mesh_in_millimeters_is_detected(tmp_path):
     points, corners = cube()
     binary_stl(tmp_path / "cube.stl", 1000.0 * points[corners])
     assert problem(tmp_path, "cube.stl") == (
@@ -153,11 +153,11 @@ def test_millimeters_are_noticed(tmp_path):
     assert warning == "walls.floor: wholly outside the domain; see scale and translate."
 
 
-def test_what_was_left_out_and_what_is_open_is_said(tmp_path):
+def test_removed_triangles_and_open_edges_are_reported(tmp_path):
     points, corners = sheet(4)
     triangles = points[corners]
-    useless = [triangles[0][::-1], triangles[3], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]]
-    binary_stl(tmp_path / "sheet.stl", np.concatenate([triangles, useless]))
+    removed = [triangles[0][::-1], triangles[3], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]]
+    binary_stl(tmp_path / "sheet.stl", np.concatenate([triangles, removed]))
     plan = plan_of(tmp_path, "sheet.stl")
     assert plan.warnings == (
         "walls.floor: 1 triangle of zero area removed.",

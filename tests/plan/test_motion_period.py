@@ -1,4 +1,4 @@
-"""The time step resolves the periods of wall motions, or the scene is refused."""
+"""If the time step does not resolve the period of a wall motion, the scene is rejected."""
 
 import math
 
@@ -9,23 +9,23 @@ from granflow.errors import SceneError
 from granflow.plan import plan_for
 
 STEP = 1e-5
-"""Time step of the scenes [s]: ten of them are a period of 1e-4 s, a frequency of 10 kHz or 62 832 rad/s."""
+"""Time step of the scenes [s]; ten steps are a period of 1e-4 s, a frequency of 10 kHz or 62 832 rad/s."""
 
 VIBRATION = "{{kind: vibration, direction: [0, 0, 1], amplitude: 1 nm, frequency: {} Hz}}"
 ROTATION = "{{kind: rotation, point: [0, 0, 0], axis: [0, 0, 1], angular_velocity: {}}}"
 
 
-def planned(directory, motion):
+def plan_of(directory, motion):
     text = TEXT.replace("material: glass}\nparticles", f"material: glass, motion: {motion}}}\nparticles")
     return plan_for(scene_of(directory, f"run.time_step={STEP}", "run.velocity_max=1 m/s", text=text))
 
 
 @pytest.mark.parametrize("motion", [VIBRATION.format(9_999), ROTATION.format(2 * math.pi * 9_999)])
-def test_ten_steps_per_period_are_enough(tmp_path, motion):
-    assert planned(tmp_path, motion).step.value == STEP
+def test_ten_steps_per_period_are_accepted(tmp_path, motion):
+    assert plan_of(tmp_path, motion).step.value == STEP
 
 
 @pytest.mark.parametrize("motion", [VIBRATION.format(10_001), ROTATION.format(-2 * math.pi * 10_001)])
-def test_fewer_are_refused_with_the_step_that_is_needed(tmp_path, motion):
+def test_fewer_steps_per_period_are_rejected_with_the_required_step(tmp_path, motion):
     with pytest.raises(SceneError, match=r"walls.floor.motion.0 has a period of 0.0001 s, .* to 1e-05 s or less"):
-        planned(tmp_path, motion)
+        plan_of(tmp_path, motion)

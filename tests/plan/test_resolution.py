@@ -1,4 +1,4 @@
-"""Domains whose farthest positions the precision does not resolve are refused."""
+"""If the precision does not resolve the farthest positions of a domain, the scene is rejected."""
 
 import numpy as np
 import pytest
@@ -10,39 +10,39 @@ from granflow.plan.resolution import coordinate_limit, spacing_at
 
 RADIUS = 0.005
 EDGE = 2.0**13
-"""In float32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 m and 2^(13 - 23) = 0.98 mm beyond; allowed is 0.5 mm."""
+"""In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 m and 2^(13 - 23) = 0.98 mm beyond; the limit is 0.5 mm."""
 
 
-def far_out(edge, precision, leaving="error"):
-    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "on_exit": leaving}
+def scene_with_height(edge, precision, on_exit="error"):
+    domain = {"min": [0.0] * 3, "max": [0.1, 0.1, edge], "on_exit": on_exit}
     return build_scene(
         {"ball": particle_group([[0.05] * 3])}, domain=domain, run={"duration": 0.1, "precision": precision}
     )
 
 
-@pytest.mark.parametrize("leaving", ["error", "delete", "expand"])
-def test_f32_is_refused_beyond_a_tenth_of_the_smallest_radius(leaving):
-    plan_for(far_out(EDGE, "f32", leaving))
+@pytest.mark.parametrize("on_exit", ["error", "delete", "expand"])
+def test_f32_spacing_above_a_tenth_of_the_smallest_radius_is_rejected(on_exit):
+    plan_for(scene_with_height(EDGE, "f32", on_exit))
     with pytest.raises(SceneError) as refused:
-        plan_for(far_out(1.001 * EDGE, "f32", leaving))
+        plan_for(scene_with_height(1.001 * EDGE, "f32", on_exit))
     message = str(refused.value)
     assert "run.precision is f32, but it resolves positions only to 0.000977 m at 8.2e+03 m from the origin" in message
     assert "0.1 of the smallest radius 0.005 m. Use --precision mixed" in message
 
 
-def test_a_negative_corner_counts():
-    scene = far_out(0.1, "f32")
+def test_negative_corner_is_checked():
+    scene = scene_with_height(0.1, "f32")
     domain = scene.domain.model_copy(update={"min": (0.0, -1e6, 0.0)})
     with pytest.raises(SceneError, match=r"only to 0.0625 m at 1e\+06 m"):
         plan_for(scene.model_copy(update={"domain": domain}))
 
 
 @pytest.mark.parametrize("precision", ["mixed", "f64"])
-def test_positions_in_f64_reach_farther_and_are_limited_too(precision):
+def test_f64_positions_have_a_larger_limit(precision):
     """Up to 2^42 m the spacing is 2^(41 - 52) = 0.49 mm."""
-    plan_for(far_out(2.0**42, precision))
+    plan_for(scene_with_height(2.0**42, precision))
     with pytest.raises(SceneError, match=r"resolves positions only to 0.000977 m .*\. Move the scene closer"):
-        plan_for(far_out(1.001 * 2.0**42, precision))
+        plan_for(scene_with_height(1.001 * 2.0**42, precision))
 
 
 @pytest.mark.parametrize(("precision", "dtype"), [("f32", np.float32), ("mixed", np.float64), ("f64", np.float64)])

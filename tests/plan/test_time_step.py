@@ -1,4 +1,4 @@
-"""The time step against theory worked out here by hand, and what is refused or warned about."""
+"""The time step compared with theory computed here, and its rejections and warnings."""
 
 import itertools
 import math
@@ -31,8 +31,8 @@ def largest_overlap(radius_eff, mass_eff):
     return (5 * mass_eff * VELOCITY**2 / (4 * hertz(radius_eff))) ** 0.4
 
 
-BODIES = {"beads-beads": (RADIUS / 2, MASS / 2), "beads-glass wall": (RADIUS, MASS)}
-"""Effective radius and mass of the two ways to meet."""
+CONTACTS = {"beads-beads": (RADIUS / 2, MASS / 2), "beads-glass wall": (RADIUS, MASS)}
+"""Effective radius and mass of the two kinds of contact."""
 
 
 @pytest.fixture
@@ -40,28 +40,29 @@ def step(tmp_path):
     return plan_for(scene_of(tmp_path, "numerics.time_step_fraction=0.02")).step
 
 
-def test_step_is_a_fraction_of_the_shortest_phase(step):
-    shortest = min(UNLOADING * largest_overlap(*body) / VELOCITY for body in BODIES.values())
+def test_step_is_a_fraction_of_the_shortest_contact_phase(step):
+    shortest = min(UNLOADING * largest_overlap(*contact) / VELOCITY for contact in CONTACTS.values())
     assert step.value == pytest.approx(0.02 * shortest, rel=1e-4)
     assert step.limited_by == "0.02 of the shortest contact phase, beads-beads at 1 m/s"
 
 
-def test_stable_step_carries_the_densest_packing(step):
-    """Without friction its fastest mode has w^2 = 8 K/m (the X point of a face-centered cubic crystal), 4 K/M."""
+def test_stable_step_holds_for_the_densest_packing(step):
+    """The fastest mode without friction has w^2 = 8 K/m = 4 K/M (X point of a face-centered cubic crystal)."""
 
     def bound(radius_eff, mass_eff):
         tangent = 1.5 * hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff))
         return 2.0 / math.sqrt(4.0 * tangent / mass_eff)
 
-    assert step.stable_below == pytest.approx(0.99 * min(bound(*body) for body in BODIES.values()))
+    assert step.stable_below == pytest.approx(0.99 * min(bound(*contact) for contact in CONTACTS.values()))
     assert step.stable_limit == "beads-beads"
 
 
-def fastest_mode(directions, share):
-    """Largest w^2 over K/M of equal spheres on a lattice with contacts in these directions, Kt = share K.
+def fastest_mode(directions, ratio):
+    """Largest w^2 over K/M of equal particles on a lattice with contacts in these directions, Kt = ratio K.
 
-    Displacements u and turns t, in units of the radius, of a plane wave; masses 1 and 2/5. At the contact with a
-    neighbor along n a sphere moves by u + t x n, the neighbor by u - t x n, times the phase of the wave.
+    The plane wave has displacements u and rotations t, in units of the radius; mass 1 and moment of inertia 2/5. At
+    the contact with a neighbor along n, a particle moves by u + t x n and the neighbor by u - t x n, times the phase
+    of the wave.
     """
     unit = np.array(directions, float) / np.linalg.norm(directions[0])
     root = np.diag([1.0] * 3 + [math.sqrt(2.5)] * 3)
@@ -71,10 +72,10 @@ def fastest_mode(directions, share):
         total = np.zeros((6, 6), complex)
         for n in unit:
             cross = np.cross(np.eye(3), n).T
-            here, there = np.hstack([np.eye(3), cross]), np.hstack([np.eye(3), -cross])
-            slip = here - np.exp(1j * np.dot(wave, n)) * there
-            spring = np.outer(n, n) + share * (np.eye(3) - np.outer(n, n))
-            total += 0.5 * slip.conj().T @ spring @ slip
+            own, partner = np.hstack([np.eye(3), cross]), np.hstack([np.eye(3), -cross])
+            relative_motion = own - np.exp(1j * np.dot(wave, n)) * partner
+            spring = np.outer(n, n) + ratio * (np.eye(3) - np.outer(n, n))
+            total += 0.5 * relative_motion.conj().T @ spring @ relative_motion
         best = max(best, np.linalg.eigvalsh(root @ total @ root)[-1])
     return best / 2.0  # M is half of the mass 1
 
@@ -84,12 +85,12 @@ def diagonals():
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.23, 0.5])
-def test_friction_shortens_the_stable_step_to_that_of_spheres_that_turn_on_each_other(tmp_path, poisson):
+def test_friction_reduces_the_stable_step_by_the_rotational_modes(tmp_path, poisson):
     friction = [f"pairs.glass-{name}.friction=0.3" for name in ("glass", "steel")]
     step = plan_for(scene_of(tmp_path, f"materials.glass.poisson_ratio={poisson}", *friction)).step
-    share = 2.0 * (1.0 - poisson) / (2.0 - poisson)  # Mindlin: Kt / K
-    modes = fastest_mode(diagonals(), share)
-    assert modes == pytest.approx(20.0 * share)
+    ratio = 2.0 * (1.0 - poisson) / (2.0 - poisson)  # Mindlin: Kt / K
+    modes = fastest_mode(diagonals(), ratio)
+    assert modes == pytest.approx(20.0 * ratio)
     young = YOUNG / (2 * (1 - poisson**2))
     k = 4 / 3 * young * math.sqrt(RADIUS / 2)
     tangent = 1.5 * k * math.sqrt((5 * MASS / 2 * VELOCITY**2 / (4 * k)) ** 0.4)
@@ -98,19 +99,20 @@ def test_friction_shortens_the_stable_step_to_that_of_spheres_that_turn_on_each_
 
 @pytest.mark.parametrize(("contacts", "modes"), [(1, 1.0), (2, 2.0), (12, 4.0), (500, 4.0)])
 @pytest.mark.parametrize("restitution", [0.9, 0.3, 0.01])
-def test_stable_step_of_a_damped_spring_is_where_the_leapfrog_begins_to_grow(contacts, modes, restitution):
-    """Eigenvalues of the step itself: velocity half a step back, and a viscous force from it and the last kick."""
+def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts, modes, restitution):
+    """Eigenvalues of one step: the velocity lags by half a step; the viscous force uses it and the last kick."""
     zeta = damping_ratio_for(restitution)
     stiffness = 1e4
     law = linear.build(build_spring(stiffness, None, 0.0, 0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Solid(1e9, 0.25, 2500.0, None)
-    allowed = stable_step(PairCase("held", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99
+    allowed = stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99
 
     def growth(step):
         spring = modes * stiffness * step**2 / MASS
         viscous = modes * 2.0 * zeta * math.sqrt(stiffness / MASS) * step
-        kick = np.array([-spring, -viscous, -0.5 * viscous])  # of place, velocity, last kick, in steps
+        # Factors of position, velocity and last kick, in units of steps.
+        kick = np.array([-spring, -viscous, -0.5 * viscous])
         velocity = np.array([0.0, 1.0, 0.0]) + kick
         return np.abs(np.linalg.eigvals([np.array([1.0, 0.0, 0.0]) + velocity, velocity, kick])).max()
 
@@ -118,7 +120,7 @@ def test_stable_step_of_a_damped_spring_is_where_the_leapfrog_begins_to_grow(con
     assert growth(1.001 * allowed) > 1.0 + 1e-6
 
 
-def test_default_step_stays_stable_where_damping_is_strong(tmp_path):
+def test_default_step_is_stable_with_strong_damping(tmp_path):
     """At e = 0.001 the dashpot, not the spring, limits the step."""
     text = TEXT.replace("restitution: 0.7", "restitution: 0.001").replace("normal: zhou", "normal: hertz")
     step = plan_for(scene_of(tmp_path, text=text)).step
@@ -126,7 +128,7 @@ def test_default_step_stays_stable_where_damping_is_strong(tmp_path):
     assert step.limited_by == "the largest stable step, beads-beads at 1 m/s"
 
 
-def test_rayleigh_time_limits_what_is_slow(tmp_path):
+def test_rayleigh_fraction_limits_the_step(tmp_path):
     step = plan_for(scene_of(tmp_path, "numerics.rayleigh_fraction=0.001")).step
     shear = YOUNG / (2 * (1 + POISSON))
     rayleigh = math.pi * RADIUS * math.sqrt(DENSITY / shear) / (0.1631 * POISSON + 0.8766)
@@ -134,30 +136,30 @@ def test_rayleigh_time_limits_what_is_slow(tmp_path):
     assert step.limited_by.startswith("0.001 of the Rayleigh time, beads-")
 
 
-def test_least_restitution_is_where_the_unloading_tangent_meets_its_bound(step):
+def test_least_restitution_follows_from_the_unloading_stiffness_bound(step):
     def least(radius_eff, mass_eff):
         tangent = hertz(radius_eff) * math.sqrt(largest_overlap(radius_eff, mass_eff)) / 0.8
         return math.sqrt(tangent * step.value**2 / (0.5**2 * mass_eff))
 
-    assert step.least_restitution == pytest.approx(max(least(*body) for body in BODIES.values()))
+    assert step.least_restitution == pytest.approx(max(least(*contact) for contact in CONTACTS.values()))
     assert step.warnings == ()
 
 
-def test_given_step_above_the_bound_is_refused_with_its_place_and_the_right_number(tmp_path):
-    right = plan_for(scene_of(tmp_path)).step
+def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_step(tmp_path):
+    allowed_step = plan_for(scene_of(tmp_path)).step
     text = TEXT.replace("duration: 50 ms", "duration: 50 ms\n  time_step: 1e-3")
-    with pytest.raises(SceneError) as refusal:
+    with pytest.raises(SceneError) as rejection:
         plan_for(scene_of(tmp_path, text=text))
-    (problem,) = refusal.value.problems
-    insert, sentence = problem.split(": ", 1)
-    assert insert.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
-    assert sentence == (
-        f"run.time_step is 0.001 s, above the stable {right.stable_below:.3g} s (beads-beads at 1 m/s). "
-        f"Lower it to {right.value:.2g} s or leave it out."
+    (problem,) = rejection.value.problems
+    location, message = problem.split(": ", 1)
+    assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
+    assert message == (
+        f"run.time_step is 0.001 s, above the stable {allowed_step.stable_below:.3g} s (beads-beads at 1 m/s). "
+        f"Lower it to {allowed_step.value:.2g} s or leave it out."
     )
 
 
-def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
+def test_stable_step_that_does_not_reach_the_restitution_causes_a_warning(tmp_path):
     step = plan_for(scene_of(tmp_path, "run.time_step=4.5e-5")).step
     assert (step.value, step.limited_by) == (4.5e-5, "given in the scene")
     warning = step.warnings[0]
@@ -169,8 +171,8 @@ def test_stable_step_that_loses_the_restitution_is_warned_about(tmp_path):
 
 
 PAIRS = ("glass-glass", "glass-steel")
-PLACE = TEXT.split("insert: ")[1].split("\n")[0]
-ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, insert: {PLACE}}}"
+INSERTION = TEXT.split("insert: ")[1].split("\n")[0]
+ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, insert: {INSERTION}}}"
 ZERO = [f"pairs.{pair}.restitution=0" for pair in PAIRS]
 
 
@@ -179,8 +181,8 @@ def groups_like_the_beads(count):
     return TEXT.replace(group, group + "".join(f"  group_{number}:\n{group}" for number in range(1, count)))
 
 
-def test_restitution_0_is_warned_about_once_for_each_material_pair(tmp_path):
-    """Ten groups and a wall have 65 contacts: 55 between groups and 10 with the wall."""
+def test_restitution_0_causes_one_warning_per_material_pair(tmp_path):
+    """Ten groups and a wall have 65 kinds of contact: 55 between groups and 10 with the wall."""
     text = groups_like_the_beads(10)
     (warning,) = plan_for(scene_of(tmp_path, *ZERO, text=text)).step.warnings
     assert warning.startswith("glass-glass: ")
@@ -188,8 +190,8 @@ def test_restitution_0_is_warned_about_once_for_each_material_pair(tmp_path):
     assert [each.split(":")[0] for each in both] == list(PAIRS)
 
 
-def test_a_warning_names_the_contact_with_the_largest_shortfall(tmp_path):
-    """A smaller sphere of the same velocity has a shorter contact, of which a given step resolves less."""
+def test_restitution_warning_names_the_contact_with_the_largest_deviation(tmp_path):
+    """At the same velocity, a smaller particle has a shorter contact, which a given step resolves less."""
     text = groups_like_the_beads(3).replace("diameter: 4 mm", "diameter: 3 mm").replace("3 mm", "4 mm", 1)
     (warning,) = plan_for(scene_of(tmp_path, *ZERO, "particles.group_2.diameter=2 mm", text=text)).step.warnings
     assert "(group_2-group_2)" in warning
@@ -205,7 +207,7 @@ def test_a_warning_names_the_contact_with_the_largest_shortfall(tmp_path):
         ((ROUGH, "particles.beads.fixed=true"), []),
     ],
 )
-def test_contacts_that_cannot_occur_are_not_warned_about(tmp_path, overrides, pairs):
+def test_contacts_that_cannot_occur_cause_no_warning(tmp_path, overrides, pairs):
     found = plan_for(scene_of(tmp_path, *ZERO, *overrides)).step.warnings
     assert [warning.split(":")[0] for warning in found] == pairs
 
@@ -225,16 +227,17 @@ def test_contacts_that_cannot_occur_are_not_warned_about(tmp_path, overrides, pa
         ),
     ],
 )
-def test_fastest_approach(tmp_path, overrides, value, source):
-    approach = max_impact_velocity(scene_of(tmp_path, *overrides))
-    assert approach.value == pytest.approx(value)
-    assert approach.source.startswith(source)
+def test_max_impact_velocity_has_a_value_and_a_source(tmp_path, overrides, value, source):
+    impact_velocity = max_impact_velocity(scene_of(tmp_path, *overrides))
+    assert impact_velocity.value == pytest.approx(value)
+    assert impact_velocity.source.startswith(source)
 
 
 @pytest.mark.parametrize(
-    ("overrides", "share"),
+    ("overrides", "range_over_radius"),
     [((), (0.05, 0.3)), (("numerics.skin=0.5 mm",), (0.25, 0.25)), (("run.velocity_max=0.01",), (0.05, 0.05))],
 )
-def test_skin(tmp_path, overrides, share):
+def test_skin_over_the_smallest_radius_is_in_its_range(tmp_path, overrides, range_over_radius):
     plan = plan_for(scene_of(tmp_path, *overrides))
-    assert share[0] * (1 - 1e-9) <= plan.skin / plan.radius_min <= share[1] * (1 + 1e-9)
+    low, high = range_over_radius
+    assert low * (1 - 1e-9) <= plan.skin / plan.radius_min <= high * (1 + 1e-9)
