@@ -12,7 +12,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from fuzzing import SCENES, made_by_hypothesis, mutated_file, written
+from fuzzing import SCENES, hypothesis_files, mutated_file, written
 from subprocess_runner import in_subprocess
 
 from granflow.cli import main
@@ -107,7 +107,7 @@ def mutants_outcome(folder, first, count):
 
 
 def hypothesis_outcome(folder, count):
-    return outcome(folder, made_by_hypothesis(count))
+    return outcome(folder, hypothesis_files(count))
 
 
 def survives(found, count):
