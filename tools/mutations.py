@@ -248,14 +248,14 @@ MUTATIONS = (
         "granflow/laws/mindlin.py",
         "ti.select(square > cap * cap,",
         "ti.select(square > 2.0 * cap * cap,",
-        (f"{SPRINGS}test_spring_holds_at_the_cap_and_never_above",),
+        (f"{SPRINGS}test_spring_force_is_limited_to_the_friction_limit",),
     ),
     Mutation(
         "work of the spring",
         "granflow/laws/mindlin.py",
         "0.5 * (stiffness_before * rotated - force)",
         "0.5 * (stiffness_before * rotated + force)",
-        (f"{SPRINGS}test_spring_of_a_steady_contact_that_sticks_loses_nothing",),
+        (f"{SPRINGS}test_sticking_spring_of_a_steady_contact_has_no_loss",),
     ),
     Mutation(
         "effective mass and radius",
