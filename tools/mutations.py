@@ -26,7 +26,7 @@ WALL_TIME = "tests/device/test_wall_velocity_time.py"
 SPRINGS = "tests/laws/test_springs.py::"
 LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_reference"
 PERIODIC = "tests/device/test_periodic.py::"
-SHAPES = "tests/walls/test_shapes.py::test_known_by_hand"
+SHAPES = "tests/walls/test_shapes.py::test_distance_and_normal_of_elementary_cases"
 
 MUTATIONS = (
     # Units
@@ -105,14 +105,14 @@ MUTATIONS = (
         "granflow/walls/motion.py",
         "(np.sin(angle) - np.sin(motion.phase))",
         "np.sin(angle)",
-        (f"{MOTION}test_a_vibration_moves_as_its_schema_says",),
+        (f"{MOTION}test_vibration_follows_the_formulas_of_the_schema",),
     ),
     Mutation(
         "end of a motion",
         "granflow/walls/motion.py",
         "np.minimum(times, motion.end) - motion.start",
         "times - motion.start",
-        (f"{MOTION}test_rest_before_the_start_and_still_after_the_end",),
+        (f"{MOTION}test_wall_is_at_rest_before_the_start_and_after_the_end",),
     ),
     Mutation(
         "rotation matrix",
