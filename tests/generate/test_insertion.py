@@ -27,7 +27,7 @@ def rain_of(count=8000, rate=8000.0, start=0.0, diameter=UNIFORM, region=REGION,
     )
 
 
-def fallen(inserted_at, height, now):
+def falling_height(inserted_at, height, now):
     """Heights of freely falling particles without contacts, from the insertion height down to 0."""
     age = now - inserted_at
     return np.maximum(height - 0.5 * age - 0.5 * 9.81 * age**2, 0.0)
@@ -42,7 +42,7 @@ def insert_all(rain, batch_count_max=2000):
     while rain.remaining and len(batches) < batch_count_max:
         now = rain.next_time
         position = origin.copy()
-        position[:, 2] = fallen(inserted_at, origin[:, 2], now)
+        position[:, 2] = falling_height(inserted_at, origin[:, 2], now)
         particles = rain.insert_due(now, position, radius)
         batches.append((now, particles))
         assert smallest_gap(particles.position, particles.radius) >= -1e-12

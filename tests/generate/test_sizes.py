@@ -16,7 +16,7 @@ def sizes(spec):
     return scene_with({"beads": group}).particles["beads"].diameter
 
 
-def drawn(spec, seed=5):
+def sample(spec, seed=5):
     """A sample of `COUNT` diameters [m]."""
     return draw_diameters(sizes(spec), COUNT, np.random.default_rng(seed))
 
@@ -50,14 +50,14 @@ def test_moments_equal_those_of_the_truncated_distribution(spec, power):
         total, _ = integrate.quad(density, spec["min"], spec["max"])
         return value / total
 
-    values = drawn(spec) ** power
+    values = sample(spec) ** power
     standard_error = np.sqrt((moment(2 * power) - moment(power) ** 2) / COUNT)
     assert abs(values.mean() - moment(power)) < 5 * standard_error
 
 
 @pytest.mark.parametrize("spec", DISTRIBUTIONS)
 def test_truncation_rejects_samples_instead_of_clipping(spec):
-    values = drawn(spec)
+    values = sample(spec)
     assert len(values) == COUNT
     assert values.min() >= spec["min"] and values.max() <= spec["max"]
     assert len(np.unique(values)) > 0.999 * COUNT

@@ -56,13 +56,13 @@ def number(e):
     return lambda units: e
 
 
-def nothing(units):
+def no_restitution(units):
     """No restitution: it follows from the yield strength of the material."""
 
 
 def pair_of(restitution, units):
     """The pair material of a case in the given units."""
-    yield_strength = YIELD_STRENGTH * units.pascal if restitution is nothing else None
+    yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
     cohesion = COHESION * units.pascal
     return PairMaterial(
@@ -167,8 +167,8 @@ PLAIN = (
     case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
     case("linear_number", "linear", number(0.6), spring(2e4)),
     case("linear_elastic", "linear", number(1.0), spring(2e4)),
-    case("thornton", "thornton", nothing, lambda units: {"yield_ratio": 1.0}, plastic=True),
-    case("thornton_elastic", "thornton", nothing, lambda units: {"yield_ratio": 10.0}),
+    case("thornton", "thornton", no_restitution, lambda units: {"yield_ratio": 1.0}, plastic=True),
+    case("thornton_elastic", "thornton", no_restitution, lambda units: {"yield_ratio": 10.0}),
     case("walton_braun_onset", "walton_braun", number(0.6), bilinear(spring()), plastic=True),
     case("walton_braun_reference", "walton_braun", number(0.6), bilinear(spring(velocity=0.7)), plastic=True),
     case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),

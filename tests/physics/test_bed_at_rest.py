@@ -61,7 +61,7 @@ def run_bed(rolling, normal, chunk_size):
 
 
 def budget(snapshot):
-    """Stored energy, dissipated energy, and the residual of the energy budget except for the initial energy [J]."""
+    """Stored energy, dissipated energy, and the residual of the energy budget [J]."""
     totals = snapshot.totals
     stored, dissipated = (sum(totals[name] for name in names) for names in (STORED, DISSIPATED))
     return stored, dissipated, stored + dissipated + totals["removed_energy"] - totals["wall_work"]

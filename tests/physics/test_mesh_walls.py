@@ -51,7 +51,7 @@ def on_floor():
     return positions, velocity, angular_velocity
 
 
-def elsewhere():
+def on_other_walls():
     """The same for six particles in the tube, two in the corner, three at the plate and five at the cube."""
     angle = np.pi / 6 * np.arange(6)  # centers of facets
     radial = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
@@ -73,7 +73,7 @@ def elsewhere():
     return positions, velocities, np.zeros_like(positions)
 
 
-def impacts(walls, sources=(on_floor, elsewhere), **parts):
+def impacts(walls, sources=(on_floor, on_other_walls), **parts):
     """A scene with the particles of all `sources`."""
     positions, velocity, angular_velocity = (
         np.concatenate(all_of) for all_of in zip(*(each() for each in sources), strict=True)
@@ -114,7 +114,7 @@ def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder)
     exact, _ = run_to_end(impacts(PRIMITIVES))
     found, simulation = run_to_end(impacts(meshes()), out=folder / "out")
     assert np.all(exact.particles["velocity"][:25, 2] > 0.5), "all particles have rebounded from the floor"
-    slip = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], elsewhere()[0]]))[:25, :2].max()
+    slip = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], on_other_walls()[0]]))[:25, :2].max()
     assert slip > 0.00442, "particles slide farther than the height of a triangle, across shared edges"
     for name in ("position", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(found.particles[name][:25], exact.particles[name][:25])
@@ -123,7 +123,7 @@ def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder)
             found.particles[name][25:36], exact.particles[name][25:36], rtol=0.0, atol=1e-9 * size
         )
     rebound = found.particles["velocity"][36:]
-    incoming = elsewhere()[1][11:]
+    incoming = on_other_walls()[1][11:]
     np.testing.assert_allclose(rebound, found.particles["velocity"][12, 2] * -incoming, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(found.particles["angular_velocity"][36:], 0.0, atol=1e-9)
     assert found.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], rel=0.5)

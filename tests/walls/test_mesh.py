@@ -19,7 +19,7 @@ def contacts(surface, points):
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
 
 
-def turned(surface):
+def transformed(surface):
     """The mesh in a pose whose coordinates are not round numbers."""
     rotation = rotation_matrices(np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.array([0.7]))[0]
     return surface.placed(0.7, rotation, np.array([0.3, -0.2, 0.9])), rotation
@@ -42,7 +42,7 @@ SURFACES = {
 @pytest.mark.parametrize("name", SURFACES)
 def test_smallest_gap_is_the_distance_to_the_mesh(name):
     """Against the distances to all triangles: the smallest gap equals the smallest distance."""
-    surface, _ = turned(SURFACES[name])
+    surface, _ = transformed(SURFACES[name])
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     points = np.random.default_rng(2).uniform(low - 0.3, high + 0.3, (300, 3))
     gap, normal, bare = contacts(surface, points)
@@ -65,7 +65,7 @@ def test_exactly_one_triangle_of_a_flat_mesh_owns_a_contact():
     gap, _, _ = contacts(surface, points)
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
     np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
-    tilted, rotation = turned(surface)
+    tilted, rotation = transformed(surface)
     gap, _, _ = contacts(tilted, 0.7 * points @ rotation.T + [0.3, -0.2, 0.9])
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
 
@@ -89,7 +89,7 @@ def test_contact_inside_a_faceted_tube_has_one_owner():
     angle, r, z = rng.uniform(0.0, 2 * np.pi, 400), rng.uniform(0.05, 0.95, 400), rng.uniform(0.3, 1.7, 400)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     gap, _, bare = contacts(surface, points)
-    assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # facets opposite of the axis are farther
+    assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # facets beyond the axis are farther
     np.testing.assert_allclose(gap.min(axis=1), bare.min(axis=1), rtol=0.0, atol=1e-15)
 
 
