@@ -1,4 +1,4 @@
-"""Fixtures for the whole session: Taichi can be started once per process only."""
+"""Fixtures of the whole session: Taichi can be initialized only once per process."""
 
 import os
 from pathlib import Path
@@ -8,13 +8,13 @@ import pytest
 from granflow.device import backend
 
 os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
-"""Compiled kernels of the tests: shared by all processes, and not in the user's own cache."""
+"""Cache of compiled kernels: shared by all test processes, separate from the user's cache."""
 
 
 @pytest.fixture(scope="session")
 def taichi_f64():
-    """The CPU in double precision on two threads.
+    """Taichi on the CPU in double precision with two threads.
 
-    Other settings run in a process of their own, see `subprocess_runner`.
+    Other settings require a separate process, see `subprocess_runner`.
     """
     backend.start("cpu", "f64", 2)

@@ -1,4 +1,4 @@
-"""Scenes gone wrong, as bytes of a file: shipped ones with values, keys and parts changed, and trees of anything."""
+"""Fuzzed scene files as bytes: shipped scenes with random changes of values, keys and parts, and random trees."""
 
 import random
 from pathlib import Path
@@ -14,14 +14,14 @@ SCENES = [YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8")) for
 
 
 class Raw(str):
-    """Text that goes into the file as it stands."""
+    """Text that is written to the file unchanged, without quotes."""
 
 
 def paths_in(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The paths of all values within a tree, the tree's own left out."""
-    inside = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    """The paths of all values within a tree, without the empty path of the root."""
+    children = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     found = []
-    for key, value in inside:
+    for key, value in children:
         found += [(*path, key), *paths_in(value, (*path, key))]
     return found
 
@@ -49,7 +49,7 @@ ODD: list[Any] = [
         {"shape": "cone"},
     ),
 ]
-"""Values that something may trip over."""
+"""Values that a reader or a check may handle incorrectly."""
 
 KEYS = sorted({path[-1] for scene in SCENES for path in paths_in(scene) if isinstance(path[-1], str)})
 
@@ -69,49 +69,64 @@ NOISE = [
 
 
 def at(tree: Any, path: tuple[Any, ...]) -> Any:
-    """What stands at a path."""
+    """The value at a path."""
     for key in path:
         tree = tree[key]
     return tree
 
 
 def copied(tree: Any) -> Any:
-    """A copy that shares nothing that can change."""
+    """A deep copy of mappings and lists."""
     if isinstance(tree, dict):
         return {key: copied(value) for key, value in tree.items()}
     return [copied(value) for value in tree] if isinstance(tree, list) else tree
 
 
-def mutated_file(dice: random.Random) -> bytes:
-    """A file made from a shipped scene by one to four changes, mostly of its tree and sometimes of its bytes."""
-    tree = copied(dice.choice(SCENES))
-    for _ in range(dice.choice([1, 1, 1, 2, 2, 3, 4])):
-        changed_once(tree, dice)
-    raw = written(tree, dice).encode("utf-8", "surrogatepass")
-    return noisy(raw, dice) if dice.random() < 0.15 else raw
+def mutated_file(rng: random.Random) -> bytes:
+    """A shipped scene with one to four random changes of its tree, and in 15 % of the files one change of its bytes."""
+    tree = copied(rng.choice(SCENES))
+    for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4])):
+        changed_once(tree, rng)
+    raw = written(tree, rng).encode("utf-8", "surrogatepass")
+    return noisy(raw, rng) if rng.random() < 0.15 else raw
 
 
-def changed_once(tree: Any, dice: random.Random) -> None:
-    """One change somewhere in the tree."""
-    path = dice.choice(paths_in(tree))
-    around, key, value = at(tree, path[:-1]), path[-1], at(tree, path)
-    change = dice.choice([odd, odd, odd, scaled, scaled, foreign, foreign, lost, renamed, doubled, wrapped, swapped])
-    change(around, key, value, dice)
+def changed_once(tree: Any, rng: random.Random) -> None:
+    """Apply one random change at a random path of the tree."""
+    path = rng.choice(paths_in(tree))
+    parent, key, value = at(tree, path[:-1]), path[-1], at(tree, path)
+    change = rng.choice(
+        [
+            replaced_by_odd_value,
+            replaced_by_odd_value,
+            replaced_by_odd_value,
+            scaled,
+            scaled,
+            replaced_from_scene,
+            replaced_from_scene,
+            deleted,
+            renamed,
+            doubled,
+            wrapped,
+            swapped,
+        ]
+    )
+    change(parent, key, value, rng)
 
 
-def odd(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """Something else altogether."""
-    around[key] = copied(dice.choice(ODD))
+def replaced_by_odd_value(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Replace the value by one of `ODD`."""
+    parent[key] = copied(rng.choice(ODD))
 
 
-def scaled(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """A number of another size or sign; of a list, every one or the first."""
-    factor = dice.choice([0, -1, 0.5, 2, 10.0 ** dice.uniform(-40, 40), 10.0 ** dice.uniform(-6, 6), 1 + 1e-15])
-    around[key] = multiplied(value, factor)
+def scaled(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Multiply the numbers of the value by a random factor, which changes their magnitude or sign."""
+    factor = rng.choice([0, -1, 0.5, 2, 10.0 ** rng.uniform(-40, 40), 10.0 ** rng.uniform(-6, 6), 1 + 1e-15])
+    parent[key] = multiplied(value, factor)
 
 
 def multiplied(value: Any, factor: float) -> Any:
-    """Every number in a value times a factor; a number with a unit too."""
+    """The value with every number multiplied by a factor, including numbers with a unit."""
     if isinstance(value, list):
         return [multiplied(each, factor) for each in value]
     if isinstance(value, dict):
@@ -125,59 +140,59 @@ def multiplied(value: Any, factor: float) -> Any:
         return value
 
 
-def foreign(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """What another scene, or another part of it, has under a key of the same name, or under any."""
-    other = dice.choice(SCENES)
+def replaced_from_scene(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Replace the value by a value of another scene, under a key of the same name if that scene has one."""
+    other = rng.choice(SCENES)
     paths = paths_in(other)
-    alike = [path for path in paths if path[-1] == key]
-    around[key] = copied(at(other, dice.choice(alike or paths)))
+    same_key = [path for path in paths if path[-1] == key]
+    parent[key] = copied(at(other, rng.choice(same_key or paths)))
 
 
-def lost(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """Nothing there any more."""
-    del around[key]
+def deleted(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Delete the key or the list item."""
+    del parent[key]
 
 
-def renamed(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """The key misspelt, or another one; the items of a list turned round."""
-    if isinstance(around, list):
-        around.reverse()
+def renamed(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Misspell or replace the key of a mapping; reverse a list."""
+    if isinstance(parent, list):
+        parent.reverse()
         return
-    del around[key]
-    names = [str(key)[:-1], str(key) * 2, "", str(key).upper(), dice.choice(paths_in(dice.choice(SCENES)))[-1], "é-é"]
-    around[dice.choice(names)] = value
+    del parent[key]
+    names = [str(key)[:-1], str(key) * 2, "", str(key).upper(), rng.choice(paths_in(rng.choice(SCENES)))[-1], "é-é"]
+    parent[rng.choice(names)] = value
 
 
-def doubled(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """An item, or a whole part under a second name, once more or a hundred times more."""
-    for count in range(dice.choice([1, 1, 1, 100])):
-        if isinstance(around, list):
-            around.insert(key, copied(value))
+def doubled(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Repeat a list item, or a part of a mapping under a new name, once or a hundred times."""
+    for count in range(rng.choice([1, 1, 1, 100])):
+        if isinstance(parent, list):
+            parent.insert(key, copied(value))
         else:
-            around[f"{key}{'abc'[count % 3]}{count or ''}"] = copied(value)
+            parent[f"{key}{'abc'[count % 3]}{count or ''}"] = copied(value)
 
 
-def wrapped(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """One level deeper, or thousands; or one level less."""
-    inside = list(value.values()) if isinstance(value, dict) else value
+def wrapped(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Nest the value one level deeper or thousands of levels deep, or replace it by its first child."""
+    children = list(value.values()) if isinstance(value, dict) else value
     shapes = [[value], {"x": value}, str(value), Raw("[" * 3000), Raw("[" * 30 + "]" * 30)]
-    around[key] = dice.choice([*shapes, inside[0]] if isinstance(inside, list) and inside else shapes)
+    parent[key] = rng.choice([*shapes, children[0]] if isinstance(children, list) and children else shapes)
 
 
-def swapped(around: Any, key: Any, value: Any, dice: random.Random) -> None:
-    """Two neighbors change places."""
-    keys = list(around) if isinstance(around, dict) else range(len(around))
-    other = dice.choice(list(keys))
-    around[key], around[other] = around[other], around[key]
+def swapped(parent: Any, key: Any, value: Any, rng: random.Random) -> None:
+    """Exchange the value with another value of the same mapping or list."""
+    keys = list(parent) if isinstance(parent, dict) else range(len(parent))
+    other = rng.choice(list(keys))
+    parent[key], parent[other] = parent[other], parent[key]
 
 
-def written(tree: Any, dice: random.Random) -> str:
-    """YAML of a tree, in blocks to a depth that varies, below that in one line."""
-    return "\n".join(lines_of(tree, dice.choice([0, 1, 2, 3, 9]), "")) + "\n"
+def written(tree: Any, rng: random.Random) -> str:
+    """YAML of a tree: block style down to a random depth, flow style below it."""
+    return "\n".join(lines_of(tree, rng.choice([0, 1, 2, 3, 9]), "")) + "\n"
 
 
 def lines_of(tree: Any, depth: int, indent: str) -> list[str]:
-    """The lines of a tree: blocks down to `depth` levels."""
+    """The lines of a tree in block style down to `depth` levels."""
     if not depth or not tree or not isinstance(tree, dict | list):
         return [indent + flow(tree)]
     found = []
@@ -190,14 +205,14 @@ def lines_of(tree: Any, depth: int, indent: str) -> list[str]:
 
 
 def flow(tree: Any) -> str:
-    """A tree in one line."""
+    """A tree in YAML flow style, on one line."""
     if isinstance(tree, dict):
         return "{" + ", ".join(f"{scalar(key)}: {flow(value)}" for key, value in tree.items()) + "}"
     return "[" + ", ".join(map(flow, tree)) + "]" if isinstance(tree, list) else scalar(tree)
 
 
 def scalar(value: Any) -> str:
-    """One value; plain where that is what it should read as."""
+    """One scalar: unquoted if the text contains no special character, otherwise in double quotes."""
     if isinstance(value, Raw):
         return value
     if isinstance(value, str):
@@ -208,24 +223,24 @@ def scalar(value: Any) -> str:
     return str(value)
 
 
-def noisy(raw: bytes, dice: random.Random) -> bytes:
-    """Bytes put in, taken out, cut off, or the whole in another encoding."""
-    place = dice.randrange(len(raw) + 1)
-    return dice.choice(
+def noisy(raw: bytes, rng: random.Random) -> bytes:
+    """The bytes with an insertion, a deletion, a truncation, other line endings or another encoding."""
+    offset = rng.randrange(len(raw) + 1)
+    return rng.choice(
         [
-            raw[:place] + dice.choice(NOISE) + raw[place:],
-            raw[:place] + raw[place + dice.randrange(20) :],
-            raw[:place],
+            raw[:offset] + rng.choice(NOISE) + raw[offset:],
+            raw[:offset] + raw[offset + rng.randrange(20) :],
+            raw[:offset],
             raw + raw,
-            raw.decode("utf-8", "replace").encode(dice.choice(["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])),
-            bytes(dice.randrange(256) for _ in range(200)),
-            raw.replace(b"\n", dice.choice([b"\r\n", b"\r", b"\n\t", b"\n "])),
+            raw.decode("utf-8", "replace").encode(rng.choice(["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])),
+            bytes(rng.randrange(256) for _ in range(200)),
+            raw.replace(b"\n", rng.choice([b"\r\n", b"\r", b"\n\t", b"\n "])),
         ]
     )
 
 
 def structure():
-    """Trees of anything, with keys that scenes have at places where they may not."""
+    """Strategy for random trees; keys are random text or keys of scenes at any level."""
     keys = st.one_of(st.sampled_from(KEYS), st.text(max_size=5))
     values = st.one_of(
         st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(ODD),
@@ -237,11 +252,12 @@ def structure():
 
 
 def text_of(tree):
+    """The bytes of a file with this tree."""
     return (written(tree, random.Random(0)) if isinstance(tree, dict | list) else str(tree)).encode("utf-8", "replace")
 
 
-def made_by_hypothesis(count):
-    """So many files: trees of anything, scenes with such a tree at one place, and plain text and bytes."""
+def hypothesis_files(count):
+    """`count` files: random trees, scenes with a random tree in place of one value, random text and random bytes."""
     found = []
     grafted = st.builds(graft, st.sampled_from(SCENES), st.integers(0, 10**6), structure())
     files = st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary())
@@ -259,7 +275,7 @@ def made_by_hypothesis(count):
 
 
 def graft(scene, number, tree):
-    """A scene with a tree in place of one of its values."""
+    """A scene in which a tree replaces one value."""
     scene = copied(scene)
     paths = paths_in(scene)
     path = paths[number % len(paths)]

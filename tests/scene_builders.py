@@ -1,4 +1,4 @@
-"""Small scenes for tests, said in few words, and what was seen while they ran."""
+"""Builders of small scenes for tests, and runs that return their snapshots."""
 
 from itertools import combinations_with_replacement
 
@@ -9,11 +9,11 @@ from granflow.scene import Scene
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
-"""Soft enough for steps of some microseconds at 1 m/s."""
+"""Material with a time step of some microseconds at an impact velocity of 1 m/s."""
 
 
 def particle_group(positions, diameter=0.01, material="glass", **more):
-    """A group of spheres at positions (n, 3) [m]; `velocity` and `angular_velocity` as in scenes, arrays too."""
+    """A group of particles at positions (n, 3) [m]; `velocity` and `angular_velocity` as in scenes, or as arrays."""
     positions = np.atleast_2d(np.asarray(positions, dtype=float))
     given = {name: np.asarray(value, dtype=float).tolist() for name, value in (more | {"diameter": diameter}).items()}
     insertion = {"kind": "positions", "positions": positions.tolist()}
@@ -21,9 +21,9 @@ def particle_group(positions, diameter=0.01, material="glass", **more):
 
 
 def build_scene(groups, walls=None, pair=None, **parts):
-    """A scene of groups and walls, without gravity; every pair of materials as `pair` unless `pairs` says otherwise.
+    """A scene of groups and walls, without gravity; `pair` applies to all pairs of materials that `pairs` lacks.
 
-    `rolling`, `normal`, `domain`, `run`, `numerics`, `materials` and so on replace what stands here.
+    `rolling`, `normal`, `domain`, `run`, `numerics`, `materials` and other keys replace the defaults given here.
     """
     walls = walls or {}
     used = dict.fromkeys(part["material"] for part in [*groups.values(), *walls.values()])
@@ -46,12 +46,12 @@ def build_scene(groups, walls=None, pair=None, **parts):
 
 
 def plane(point, normal, material="glass", **more):
-    """A wall that fills half of space."""
+    """A wall that fills a half space."""
     return {"shape": "plane", "point": list(point), "normal": list(normal), "material": material, **more}
 
 
 def box(size, material="glass"):
-    """Six walls about the cube from 0 to `size` [m]."""
+    """Six walls that enclose the cube from 0 to `size` [m]."""
     walls = {}
     for axis, name in enumerate("xyz"):
         unit = np.eye(3)[axis]
@@ -61,7 +61,7 @@ def box(size, material="glass"):
 
 
 def run_to_end(scene, until=None, **options):
-    """The last snapshot of a run, and the simulation, whose device memory is given back."""
+    """The last snapshot of a run, and the simulation after its device memory is freed."""
     simulation = Simulation(scene, **options)
     simulation.run(until)
     last = simulation.snapshot()
@@ -70,17 +70,17 @@ def run_to_end(scene, until=None, **options):
 
 
 def run_and_sample(scene, interval, until=None, contacts=False, **options):
-    """All snapshots of a run at an interval [s]."""
-    seen = []
+    """The snapshots of a run at an interval [s]."""
+    snapshots = []
     wants = ("particles", "walls", "totals", "contacts") if contacts else ("particles", "walls", "totals")
-    simulation = Simulation(scene, observers=[every(interval, seen.append, wants)], **options)
+    simulation = Simulation(scene, observers=[every(interval, snapshots.append, wants)], **options)
     simulation.run(until)
     simulation.free()
-    return seen
+    return snapshots
 
 
 def column(snapshots, name):
-    """One particle quantity of all snapshots: (moments, particles, ...)."""
+    """One particle quantity of all snapshots: array (times, particles, ...)."""
     return np.array([snapshot.particles[name] for snapshot in snapshots])
 
 
@@ -90,7 +90,7 @@ def times(snapshots):
 
 
 def neighbors_of(engine):
-    """Ids of owner and partner of every slot (partner -1 - wall), and the owners' chunks of both."""
+    """For each neighbor-list entry: id of the owner, id of the partner (-1 - wall), whether both share a chunk."""
     state = engine.state
     begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
     partner, ids = state.neighbors.partner.to_numpy(), state.particles.id.to_numpy()
@@ -103,7 +103,7 @@ def neighbors_of(engine):
 
 
 def prepared_simulation(scene, step=0):
-    """A simulation whose first search is done, at the time of step number `step`."""
+    """A simulation with a built neighbor list, at the time of step number `step`."""
     simulation = Simulation(scene)
     simulation.engine.state.clock.step_count = step
     simulation.engine.set_walls([True] * len(scene.walls), [()] * len(scene.walls))

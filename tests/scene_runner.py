@@ -1,4 +1,4 @@
-"""Runs of shipped scenes that are watched: frames of the particles at a regular interval, and what was not met."""
+"""Runs of shipped scenes that return frames of the particles and the expectations that are not satisfied."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ SCENES = Path(__file__).parents[1] / "scenes"
 
 
 def run_shipped_scene(name, out, interval=1e3, overrides=()):
-    """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the sentences that were not met."""
+    """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the unsatisfied expectations."""
     frames = []
     observer = every(interval, frames.append, wants=("particles",))
     scene = load_scene(SCENES / f"{name}.yaml", ["output.interval=1000 s", *overrides])

@@ -1,28 +1,28 @@
-"""A sheared box full of rough spheres of wide sizes."""
+"""A Lees-Edwards box filled with frictional particles of different sizes."""
 
 import numpy as np
 from scene_builders import build_scene, particle_group
 
 RATE = 20.0
-"""Rate of shear [1/s]."""
+"""Shear rate [1/s]."""
 
 SIZE = 0.04
 """Width of the box [m]."""
 
 
 def sheared_gas(height=0.0, duration=0.01, sizes=(0.0065, 0.0065), output=None, **run):
-    """Spheres that stream with the shear about the middle of the box, everything moved up by `height` [m].
+    """Particles with the velocity profile of the shear about the center of the box, shifted by `height` [m] along y.
 
-    Chunks of 16, so that pairs stand in one row and in two.
+    The chunk size is 16, so that the neighbor lists contain pairs within a chunk and pairs across two chunks.
     """
     rng = np.random.default_rng(8)
     positions = 0.008 * (np.argwhere(np.ones((5, 5, 5))) + 0.5)
     noise = rng.normal(0.0, 0.15, positions.shape)
     velocity = noise - noise.mean(axis=0)
     velocity[:, 0] += RATE * (positions[:, 1] - 0.5 * SIZE)
-    moved = positions[:, 1] + height
-    velocity[:, 0] += RATE * height - RATE * SIZE * np.floor(moved / SIZE)
-    positions[:, 1] = moved % SIZE
+    shifted = positions[:, 1] + height
+    velocity[:, 0] += RATE * height - RATE * SIZE * np.floor(shifted / SIZE)
+    positions[:, 1] = shifted % SIZE
     group = particle_group(positions, rng.choice(sizes, len(positions)), velocity=velocity)
     shear = {"flow": "x", "gradient": "y", "rate": RATE}
     return build_scene(

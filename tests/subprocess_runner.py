@@ -1,4 +1,4 @@
-"""Functions of test modules run in a Python of their own: for other precisions, other thread counts, second runs."""
+"""Runs functions of test modules in a separate Python process: other precisions, other thread counts, second runs."""
 
 import inspect
 import json
@@ -9,23 +9,23 @@ PROGRAM = """
 import importlib.util, json, sys
 paths, file, name, arguments = json.loads(sys.argv[1])
 sys.path[:] = paths
-spec = importlib.util.spec_from_file_location("in_child", file)
+spec = importlib.util.spec_from_file_location("in_subprocess", file)
 module = importlib.util.module_from_spec(spec)
-sys.modules["in_child"] = module
+sys.modules["in_subprocess"] = module
 spec.loader.exec_module(module)
-answer = getattr(module, name)(*arguments)
+result = getattr(module, name)(*arguments)
 print()
-print(json.dumps(answer))
+print(json.dumps(result))
 """
 
 
 def in_subprocess(function, *arguments, seconds=200):
-    """What a module-level function returns in a fresh process; arguments and answer are what JSON can say.
+    """The result of a module-level function in a new process; arguments and result must be JSON values.
 
-    Raises RuntimeError with the end of the child's stderr where it fails.
+    Raises RuntimeError with the end of the subprocess's stderr if the function fails.
     """
-    order = json.dumps([sys.path, inspect.getfile(function), function.__name__, arguments])
-    done = subprocess.run([sys.executable, "-c", PROGRAM, order], capture_output=True, text=True, timeout=seconds)
+    call = json.dumps([sys.path, inspect.getfile(function), function.__name__, arguments])
+    done = subprocess.run([sys.executable, "-c", PROGRAM, call], capture_output=True, text=True, timeout=seconds)
     if done.returncode:
-        raise RuntimeError(f"{function.__name__} failed in its own process:\n{done.stderr[-3000:]}")
+        raise RuntimeError(f"{function.__name__} failed in a subprocess:\n{done.stderr[-3000:]}")
     return json.loads(done.stdout.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""tools/dev.py: what it installs, when it does not, and what it says when it cannot. Nothing is downloaded here."""
+"""tools/dev.py: installed packages, reuse of an environment, and error messages. The tests download nothing."""
 
 import ast
 import importlib.util
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture
 def dev(tmp_path, monkeypatch):
-    """The script, loaded from a copy of the project; what it would execute lands in `dev.calls`."""
+    """The script, loaded from a copy of the project; `dev.calls` records the commands instead of executing them."""
     (tmp_path / "tools").mkdir()
     for name in ("tools/dev.py", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path / name)
@@ -39,7 +39,7 @@ def dev(tmp_path, monkeypatch):
 
 
 def set_up(dev, verb):
-    """What one start would execute to set itself up: the word venv, and pip's target."""
+    """The set-up commands of one start: the word venv for a new environment, and the target of pip."""
     dev.calls.clear()
     dev.refuse_what_cannot_work()
     dev.install(dev.EXTRAS[verb])
@@ -51,7 +51,7 @@ def test_first_start_installs_and_second_does_not(dev):
     assert set_up(dev, "test") == []
 
 
-def test_running_needs_no_tools_for_developers(dev):
+def test_run_installs_no_developer_tools(dev):
     assert set_up(dev, "run") == ["venv", ""]
     assert set_up(dev, "test") == ["[dev]"]
     assert set_up(dev, "run") == []
@@ -62,7 +62,7 @@ def test_versions_are_pinned(dev):
     assert dev.calls[-1][-4:-2] == ["-c", str(dev.ROOT / "constraints.txt")]
 
 
-def test_what_was_there_stays_when_more_is_asked(dev):
+def test_installed_extras_are_kept_on_reinstall(dev):
     set_up(dev, "slow")
     (dev.ROOT / "constraints.txt").write_text("numpy==2.2.6\n")
     assert set_up(dev, "run") == ["[dev,plot]"]
@@ -97,7 +97,7 @@ def test_moved_checkout_gets_a_new_environment(dev, tmp_path):
     assert set_up(dev, "run") == ["venv", ""]
 
 
-def test_environment_of_someone_else_is_left_alone(dev):
+def test_environment_of_another_tool_is_not_overwritten(dev):
     dev.ENVIRONMENT.mkdir()
     (dev.ENVIRONMENT / "precious").touch()
     with pytest.raises(SystemExit, match="was not made by tools/dev.py: move or remove it"):
@@ -106,30 +106,30 @@ def test_environment_of_someone_else_is_left_alone(dev):
 
 
 @pytest.mark.parametrize("version", [(3, 9, 18), (3, 14, 0)])
-def test_wrong_python_is_refused_in_one_sentence(dev, monkeypatch, version):
+def test_unsupported_python_is_rejected_in_one_sentence(dev, monkeypatch, version):
     monkeypatch.setattr(sys, "version_info", version)
     with pytest.raises(SystemExit, match=r"needs Python 3\.10 to 3\.13, but this is 3\.\d+: .*\.$"):
         set_up(dev, "run")
 
 
-def test_missing_venv_module_names_the_remedy(dev, monkeypatch):
+def test_message_about_a_missing_venv_module_contains_the_remedy(dev, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "ensurepip" else name)
     with pytest.raises(SystemExit, match=r"lacks its module ensurepip: .*apt install python3\.\d+-venv"):
         set_up(dev, "run")
 
 
-def test_old_pythons_can_read_the_script_far_enough_to_refuse():
+def test_script_parses_on_python_3_7():
     ast.parse((ROOT / "tools" / "dev.py").read_text(), feature_version=(3, 7))
 
 
 @pytest.mark.parametrize(("arguments", "status"), [([], 2), (["bake"], 2), (["--help"], 0)])
-def test_usage(dev, arguments, status, capsys):
+def test_usage_is_printed_without_a_known_verb(dev, arguments, status, capsys):
     assert dev.main(arguments) == status
-    shown = capsys.readouterr()
-    assert "python3 tools/dev.py run SCENE" in shown.out + shown.err
+    output = capsys.readouterr()
+    assert "python3 tools/dev.py run SCENE" in output.out + output.err
 
 
-@pytest.mark.skipif(os.name != "posix", reason="the stand-in for Python is a shell script")
+@pytest.mark.skipif(os.name != "posix", reason="a shell script replaces Python here")
 def test_exit_code_and_arguments_pass_through(dev):
     set_up(dev, "run")
     dev.environment_python().write_text('#!/bin/sh\necho "$@"\nexit 7\n')
@@ -139,7 +139,7 @@ def test_exit_code_and_arguments_pass_through(dev):
     assert (done.returncode, done.stdout, done.stderr) == (7, "-m granflow run my scene.yaml --until 1\n", "")
 
 
-def test_constraints_pin_exactly_and_name_no_host():
+def test_constraints_pin_exact_versions_and_contain_no_host():
     lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
     assert all("==" in line and "/" not in line and "--" not in line for line in lines)
 

@@ -1,4 +1,4 @@
-"""The shape of the package: which layer imports which, where Taichi begins, how long a function may be."""
+"""Structure of the package: imports between layers, layers that use Taichi, length of functions."""
 
 import ast
 import subprocess
@@ -27,9 +27,9 @@ LAYERS = (
     "cli",
     "__main__",
 )
-"""Ground floor first. The package's own __init__ re-exports from any of them."""
+"""From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
 TAICHI_LAYERS = {"laws", "walls", "device"}
-SHAPELESS_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
+VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
 TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),
     *("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md"),
@@ -41,6 +41,7 @@ TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
 
 
 def module_name(path):
+    """The dotted name of the module at a path."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -53,7 +54,7 @@ def modules():
 
 
 def imports(name):
-    """The dotted names a module imports, wherever in the file, in full; submodules rather than packages."""
+    """The absolute dotted names of all imports in a module; submodules rather than their packages."""
     path, tree = modules()[name]
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -66,7 +67,7 @@ def imports(name):
 
 
 def resolved(name, path, node):
-    """The absolute name that a `from ... import` starts from."""
+    """The absolute name of the module in a `from ... import`."""
     if not node.level:
         return node.module
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
@@ -75,13 +76,13 @@ def resolved(name, path, node):
 
 
 def layer(name):
-    """The layer of a module of the package; none for the package's own __init__ and for strangers."""
+    """The layer of a module of the package; None for the __init__ of the package and for other modules."""
     parts = name.split(".")
     return parts[1] if parts[0] == "granflow" and len(parts) > 1 else None
 
 
 def functions():
-    """Every function of the package, nested ones too: where it stands, and its node."""
+    """Every function of the package, including nested functions: its location and its node."""
     for path, tree in modules().values():
         for node in ast.walk(tree):
             if isinstance(node, FUNCTION_NODES):
@@ -89,7 +90,7 @@ def functions():
 
 
 def line_count(node):
-    """The lines of a function that are its own: those of functions defined inside it count for them."""
+    """The number of lines of a function, without the lines of functions nested in it."""
     inner = (n for n in ast.walk(node) if n is not node and isinstance(n, FUNCTION_NODES))
     lines = set(range(node.lineno, node.end_lineno + 1))
     return len(lines.difference(*(range(n.lineno, n.end_lineno + 1) for n in inner)))
@@ -99,7 +100,7 @@ def test_every_module_belongs_to_a_layer():
     assert not {name for name in modules() if layer(name) not in (None, *LAYERS)}
 
 
-def test_imports_point_downwards():
+def test_modules_import_only_from_lower_layers():
     upward = [
         f"{name} imports {target}"
         for name in modules()
@@ -111,7 +112,7 @@ def test_imports_point_downwards():
     assert not upward
 
 
-def test_no_import_runs_in_a_circle():
+def test_imports_have_no_cycles():
     below = {name: {t for t in imports(name) if t in modules() and t != "granflow"} for name in modules()}
     below["granflow"] = set()
     while free := {name for name, targets in below.items() if not targets}:
@@ -119,27 +120,27 @@ def test_no_import_runs_in_a_circle():
     assert not below
 
 
-def test_taichi_stays_in_its_layers():
-    strays = [
+def test_only_the_taichi_layers_import_taichi():
+    violations = [
         name
         for name in modules()
         if layer(name) not in TAICHI_LAYERS and any(t.split(".")[0] == "taichi" for t in imports(name))
     ]
-    assert not strays
+    assert not violations
 
 
-def test_taichi_files_keep_their_annotations_as_values():
+def test_taichi_modules_do_not_postpone_annotations():
     """`from __future__ import annotations` hides the types of a kernel from Taichi."""
-    strays = [
+    violations = [
         name
         for name in modules()
         if layer(name) in TAICHI_LAYERS and "taichi" in imports(name) and "__future__" in imports(name)
     ]
-    assert not strays
+    assert not violations
 
 
-def test_module_names_say_something():
-    assert not [name for name in modules() if SHAPELESS_NAMES & set(name.split("."))]
+def test_module_names_are_specific():
+    assert not [name for name in modules() if VAGUE_NAMES & set(name.split("."))]
 
 
 @pytest.mark.parametrize("name", [n for n, (path, _) in modules().items() if path.name == "__init__.py"])
@@ -167,7 +168,7 @@ def test_functions_are_short():
 
 
 def test_host_functions_of_the_taichi_layers_are_annotated():
-    """The linter asks this of the other layers; only a ti.func may leave its types to Taichi."""
+    """The linter enforces annotations in the other layers; only functions compiled by Taichi may omit types."""
 
     def runs_in_taichi(node):
         return any(ast.unparse(d).split("(")[0].split(".")[-1] in TAICHI_DECORATORS for d in node.decorator_list)
@@ -179,15 +180,15 @@ def test_host_functions_of_the_taichi_layers_are_annotated():
         return not missing and (node.returns is not None or node.name == "__init__")
 
     positions = [str(Path("granflow", name)) for name in TAICHI_LAYERS]
-    bare = [
+    unannotated = [
         where
         for where, node in functions()
         if where.startswith(tuple(positions)) and not runs_in_taichi(node) and not is_annotated(node)
     ]
-    assert not bare
+    assert not unannotated
 
 
-def test_top_level_holds_only_what_is_agreed():
+def test_top_level_contains_only_listed_entries():
     listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if listing.returncode:
         pytest.skip("not a git checkout")

@@ -26,7 +26,7 @@ WALL_TIME = "tests/device/test_wall_velocity_time.py"
 SPRINGS = "tests/laws/test_springs.py::"
 LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_reference"
 PERIODIC = "tests/device/test_periodic.py::"
-SHAPES = "tests/walls/test_shapes.py::test_known_by_hand"
+SHAPES = "tests/walls/test_shapes.py::test_distance_and_normal_of_elementary_cases"
 
 MUTATIONS = (
     # Units
@@ -105,14 +105,14 @@ MUTATIONS = (
         "granflow/walls/motion.py",
         "(np.sin(angle) - np.sin(motion.phase))",
         "np.sin(angle)",
-        (f"{MOTION}test_a_vibration_moves_as_its_schema_says",),
+        (f"{MOTION}test_vibration_follows_the_formulas_of_the_schema",),
     ),
     Mutation(
         "end of a motion",
         "granflow/walls/motion.py",
         "np.minimum(times, motion.end) - motion.start",
         "times - motion.start",
-        (f"{MOTION}test_rest_before_the_start_and_still_after_the_end",),
+        (f"{MOTION}test_wall_is_at_rest_before_the_start_and_after_the_end",),
     ),
     Mutation(
         "rotation matrix",
@@ -248,14 +248,14 @@ MUTATIONS = (
         "granflow/laws/mindlin.py",
         "ti.select(square > cap * cap,",
         "ti.select(square > 2.0 * cap * cap,",
-        (f"{SPRINGS}test_spring_holds_at_the_cap_and_never_above",),
+        (f"{SPRINGS}test_spring_force_is_limited_to_the_friction_limit",),
     ),
     Mutation(
         "work of the spring",
         "granflow/laws/mindlin.py",
         "0.5 * (stiffness_before * rotated - force)",
         "0.5 * (stiffness_before * rotated + force)",
-        (f"{SPRINGS}test_spring_of_a_steady_contact_that_sticks_loses_nothing",),
+        (f"{SPRINGS}test_sticking_spring_of_a_steady_contact_has_no_loss",),
     ),
     Mutation(
         "effective mass and radius",

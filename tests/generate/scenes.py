@@ -1,4 +1,4 @@
-"""Small scenes as models, and brute-force checks of what was generated."""
+"""Small scenes, and brute-force checks of generated particles."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,7 +11,7 @@ UNIFORM = {"distribution": "uniform", "min": 0.003, "max": 0.005}
 
 
 def scene_with(groups, seed=1):
-    """A scene with the given groups: dicts with place, count, diameter and what else differs."""
+    """A scene with the given groups: mappings with insert, count, diameter and other keys."""
     material = {"young_modulus": 1e9, "poisson_ratio": 0.3, "density": 2500}
     return Scene.model_validate(
         {
@@ -32,14 +32,14 @@ def scene_with(groups, seed=1):
 
 
 def smallest_gap(position, radius):
-    """The smallest gap [m] between any two spheres; infinite if none are near each other."""
+    """The smallest gap [m] between two particles; infinite without near pairs."""
     pairs = cKDTree(position).query_pairs(2.001 * radius.max(), output_type="ndarray")
     separation = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
     return (separation - radius[pairs].sum(axis=1)).min(initial=np.inf)
 
 
 def clearance(region, position, radius):
-    """How much room [m] the spheres leave to the boundary of their region, the tightest of them."""
+    """The smallest distance [m] between a particle surface and the boundary of the region."""
     if "box" in region:
         low, high = np.array(region["box"]["min"]), np.array(region["box"]["max"])
         return (np.minimum(position - low, high - position).min(axis=1) - radius).min()

@@ -1,4 +1,4 @@
-"""Particles at the start: exact counts, inside their region, clear of each other, the same every time."""
+"""Initial particles: exact counts, positions inside the region, no overlap, reproducible."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,11 @@ from granflow.scene.close_pairs import near_pairs
 from granflow.scene.generate import initial_particles
 
 TOUCHING = -1e-12
-"""Gap [m] that rounding may leave between spheres that touch exactly."""
+"""Smallest gap [m] between touching particles, negative because of rounding."""
 
 
 def group(kind, count, diameter=0.004, region=BOX, **more):
+    """A group of particles in a region."""
     return {"count": count, "diameter": diameter, "insert": {"kind": kind, "region": region} | more}
 
 
@@ -41,7 +42,7 @@ CASES["dense pack"]["count"] = 3500
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_exact_count_inside_and_clear(name):
+def test_packing_has_the_exact_count_inside_the_region_without_overlap(name):
     case = CASES[name]
     particles = initial_particles(scene_with({"beads": case}))
     assert len(particles) == case["count"]
@@ -52,7 +53,7 @@ def test_exact_count_inside_and_clear(name):
     )
 
 
-def test_reproducible_and_seeded():
+def test_packing_is_reproducible_and_depends_on_the_seed():
     scene = scene_with({"beads": CASES["pack"], "more": group("lattice", 20, 0.003, TUBE, jitter=1.0)})
     first, again = initial_particles(scene), initial_particles(scene)
     for name in first.__dataclass_fields__:
@@ -61,13 +62,13 @@ def test_reproducible_and_seeded():
     assert not np.any(first.position[:1000] == other.position)
 
 
-def test_other_groups_do_not_change_a_groups_sizes():
-    alone = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM)}))
-    beside = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)}))
-    np.testing.assert_array_equal(alone.radius, beside.radius[:100])
+def test_sizes_of_a_group_do_not_depend_on_other_groups():
+    one_group = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM)}))
+    two_groups = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)}))
+    np.testing.assert_array_equal(one_group.radius, two_groups.radius[:100])
 
 
-def test_groups_keep_clear_of_each_other():
+def test_groups_do_not_overlap():
     scene = scene_with(
         {
             "loose": group("pack", 2000),
@@ -82,7 +83,7 @@ def test_groups_keep_clear_of_each_other():
     assert np.all(np.diff(particles.group) >= 0)
 
 
-def test_list_is_taken_as_it_stands():
+def test_given_positions_are_used_unchanged():
     positions = [[0, 0, 0], [0.004, 0, 0]]
     scene = scene_with(
         {
@@ -105,7 +106,7 @@ def test_list_is_taken_as_it_stands():
     np.testing.assert_array_equal(particles.group, np.array([1, 1], dtype=np.int32))
 
 
-def test_a_scene_of_rain_starts_empty():
+def test_scene_with_rain_only_has_no_initial_particles():
     particles = initial_particles(scene_with({"rain": group("rain", 5, rate=10)}))
     assert len(particles) == 0 and particles.position.shape == (0, 3) and particles.group.dtype == np.int32
 
@@ -120,12 +121,12 @@ def test_a_scene_of_rain_starts_empty():
         (group("pack", 3, 0.06, {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.1]}}), "only 1 fits"),
     ],
 )
-def test_shortfall_is_told(case, fit):
+def test_message_about_too_many_particles_states_how_many_fit(case, fit):
     with pytest.raises(SceneError, match=rf"particles\.beads\.count is {case['count']}, but {fit} in its region\. "):
         initial_particles(scene_with({"beads": case}))
 
 
-def test_all_shortfalls_at_once():
+def test_all_groups_that_do_not_fit_are_reported():
     scene = scene_with({"a": group("lattice", 40_000), "b": group("pack", 5, 0.2), "c": CASES["pack"]})
     with pytest.raises(SceneError) as caught:
         initial_particles(scene)
@@ -137,8 +138,8 @@ def test_lattice_spreads_over_the_region():
     assert smallest_gap(particles.position, particles.radius) > 0.03
 
 
-def test_pack_is_even():
-    """Every tenth of a pack's height holds a tenth of it, within five standard deviations of a free throw."""
+def test_pack_is_homogeneous():
+    """Each tenth of the height contains a tenth of the particles, within five binomial standard deviations."""
     particles = initial_particles(scene_with({"beads": group("pack", 4000, 0.004, TUBE)}))
     axis = np.array([0.6, 0, 0.8])
     along = (particles.position - np.array([0, 0, 0.1])) @ axis
@@ -146,7 +147,7 @@ def test_pack_is_even():
     assert np.all(np.abs(counts - 400) < 5 * np.sqrt(4000 * 0.1 * 0.9))
 
 
-def test_near_pairs_against_brute_force():
+def test_near_pairs_equal_brute_force():
     random = np.random.default_rng(8)
     position = random.uniform(0, 1, (400, 3))
     radius = np.exp(random.uniform(np.log(0.003), np.log(0.1), 400))

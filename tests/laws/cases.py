@@ -1,4 +1,4 @@
-"""The laws of the catalog with their settings, and walks of many contacts along given overlaps."""
+"""Normal models of the catalog with their settings, and the evaluation of contacts along given overlap paths."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from granflow.laws.material import PairMaterial, VelocityRestitution
 
 @dataclass(frozen=True)
 class Units:
-    """How many of the units in use a meter, a kilogram and a second are."""
+    """A system of units: the values of 1 m, 1 kg and 1 s in it."""
 
     meter: float = 1.0
     kilogram: float = 1.0
@@ -38,28 +38,31 @@ class Units:
 SI = Units()
 MODULUS, SHEAR_MODULUS = 4e7, 1.2e7
 RADIUS, MASS, VELOCITY, TIME_STEP = 0.01, 0.01, 1.0, 1e-5
-"""A soft centimeter sphere; its largest overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
+"""A soft particle of radius 1 cm; its maximum overlap at 1 m/s is 0.35 mm, reached after 51 steps."""
 YIELD_STRENGTH = 1e6
-"""With a pressure limit of as much, a Hertz contact yields at an overlap of 15 micrometers."""
+"""With this maximum contact pressure [Pa], a Hertz contact yields at an overlap of 15 micrometers."""
 COHESION = 5e4
-"""A pull of 3.1 kN/m times the overlap, less than a sixth of the spring of 20 kN/m."""
+"""Cohesion energy density [J/m3]: an attraction of 3.1 kN/m times the overlap, below a sixth of the 20 kN/m spring."""
 ANGLE = 0.5
 
 
 def fit(units):
+    """A restitution that decreases with the impact velocity."""
     return VelocityRestitution(1.2, 0.54, 2.0 * units.velocity)
 
 
 def number(e):
+    """A constant restitution."""
     return lambda units: e
 
 
-def nothing(units):
-    """The material decides."""
+def no_restitution(units):
+    """No restitution: it follows from the yield strength of the material."""
 
 
 def pair_of(restitution, units):
-    yield_strength = YIELD_STRENGTH * units.pascal if restitution is nothing else None
+    """The pair material of a case in the given units."""
+    yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
     cohesion = COHESION * units.pascal
     return PairMaterial(
@@ -69,7 +72,7 @@ def pair_of(restitution, units):
 
 @dataclass(frozen=True)
 class Case:
-    """One law with its settings, in any units."""
+    """One normal model with its settings, in any units."""
 
     name: str
     build: Callable[[Units], NormalLaw]
@@ -77,7 +80,7 @@ class Case:
     plastic: bool = False
     """Whether unloading differs from loading."""
     adhesive: bool = False
-    """Whether an attraction was added, which the law's own closed forms do not know."""
+    """Whether the sjkr cohesion is added, which the closed forms of the normal model do not include."""
 
     def __str__(self) -> str:
         return self.name
@@ -91,11 +94,12 @@ class Case:
 
 @cache
 def law_of(case, units):
+    """The model of a case, built once per system of units."""
     return case.build(units)
 
 
 def request(name, restitution, settings=lambda units: {}):
-    """Builds the law of that name as a scene would ask for it."""
+    """A function that builds the model of that name with the settings of a scene."""
 
     def build(units):
         given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
@@ -106,7 +110,7 @@ def request(name, restitution, settings=lambda units: {}):
 
 
 def spring(number=None, velocity=None):
-    """A linear spring as a scene gives it: a number [N/m], a reference velocity [m/s], or per contact."""
+    """Settings of a linear spring: a stiffness [N/m], a reference velocity [m/s], or per contact."""
     if number is not None:
         return lambda units: {"stiffness": {"value": number * units.newton / units.meter}}
     if velocity is not None:
@@ -115,7 +119,7 @@ def spring(number=None, velocity=None):
 
 
 def bilinear(stiffness, velocity=None):
-    """Settings of walton_braun; a velocity [m/s] makes its restitution fall."""
+    """Settings of walton_braun; with a reference velocity [m/s] the restitution decreases with the impact velocity."""
 
     def settings(units):
         unloading = "constant" if velocity is None else {"reference_velocity": velocity * units.velocity}
@@ -125,31 +129,33 @@ def bilinear(stiffness, velocity=None):
 
 
 def plastic_to(depth, tension=0.0):
-    """Settings of luding: the limit is at 2 R depth / (1 - e^2)."""
+    """Settings of luding: the maximum plastic overlap is 2 R depth / (1 - e^2)."""
     return lambda units: spring(2e4)(units) | {"plasticity_depth": depth, "tension": tension}
 
 
 def reference_velocity(velocity):
+    """Settings of kuwabara_kono with a reference velocity [m/s]."""
     return lambda units: {"reference_velocity": velocity * units.velocity}
 
 
 def case(name, law, restitution, settings=lambda units: {}, **marks):
-    """A case of the law `law`."""
+    """A case of the normal model `law`."""
     return Case(name, request(law, restitution, settings), restitution, **marks)
 
 
 def adhesive(plain):
-    """The same law with adhesion."""
+    """The same normal model with sjkr cohesion."""
     return replace(plain, name=f"sjkr_{plain.name}", build=lambda units: with_sjkr(plain.build(units)), adhesive=True)
 
 
-def zhou(source, damping_ratio=0.0):
-    return lambda units: {"restitution_at": source, "damping_ratio": damping_ratio}
+def zhou(restitution_at, damping_ratio=0.0):
+    """Settings of zhou."""
+    return lambda units: {"restitution_at": restitution_at, "damping_ratio": damping_ratio}
 
 
 PLAIN = (
-    case("zhou_onset", "zhou", fit, zhou("impact"), plastic=True),
-    case("zhou_peak", "zhou", fit, zhou("max_overlap"), plastic=True),
+    case("zhou_impact", "zhou", fit, zhou("impact"), plastic=True),
+    case("zhou_max_overlap", "zhou", fit, zhou("max_overlap"), plastic=True),
     case("zhou_constant", "zhou", number(0.6), plastic=True),
     case("zhou_small", "zhou", number(0.05), plastic=True),
     case("zhou_without_rebound", "zhou", number(0.0), plastic=True),
@@ -161,8 +167,8 @@ PLAIN = (
     case("linear_reference", "linear", number(0.6), spring(velocity=0.7)),
     case("linear_number", "linear", number(0.6), spring(2e4)),
     case("linear_elastic", "linear", number(1.0), spring(2e4)),
-    case("thornton", "thornton", nothing, lambda units: {"yield_ratio": 1.0}, plastic=True),
-    case("thornton_elastic", "thornton", nothing, lambda units: {"yield_ratio": 10.0}),
+    case("thornton", "thornton", no_restitution, lambda units: {"yield_ratio": 1.0}, plastic=True),
+    case("thornton_elastic", "thornton", no_restitution, lambda units: {"yield_ratio": 10.0}),
     case("walton_braun_onset", "walton_braun", number(0.6), bilinear(spring()), plastic=True),
     case("walton_braun_reference", "walton_braun", number(0.6), bilinear(spring(velocity=0.7)), plastic=True),
     case("walton_braun_number", "walton_braun", number(0.6), bilinear(spring(2e4)), plastic=True),
@@ -175,22 +181,22 @@ PLAIN = (
     case("kuwabara_kono", "kuwabara_kono", number(0.6), reference_velocity(0.7)),
     case("kuwabara_kono_elastic", "kuwabara_kono", number(1.0), reference_velocity(0.7)),
 )
-STICKY = ("zhou_onset", "hertz_elastic", "linear_number", "thornton", "walton_braun_number", "luding_tension")
-CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*STICKY, "kuwabara_kono")))
+COHESIVE = ("zhou_impact", "hertz_elastic", "linear_number", "thornton", "walton_braun_number", "luding_tension")
+CASES = (*PLAIN, *(adhesive(each) for each in PLAIN if each.name in (*COHESIVE, "kuwabara_kono")))
 
 
 CONTINUOUS = tuple(each for each in CASES if each.name != "zhou_without_rebound")
-"""Laws that are defined without a time step: at restitution 0 unloading is as steep as the step allows."""
+"""Cases that are defined without a time step; at restitution 0 the time step limits the unloading stiffness."""
 
 
 @dataclass(frozen=True)
-class Walk:
-    """What contacts gave along their overlaps: arrays (contacts, steps), history (contacts, steps, numbers)."""
+class PathResult:
+    """Forces [N] and energies [J] of contacts along paths: (contacts, steps); history: (contacts, steps, numbers)."""
 
     force: np.ndarray
     viscous: np.ndarray
-    pressing: np.ndarray
-    """Force without attraction: what friction is capped with."""
+    repulsion: np.ndarray
+    """Normal force without the attraction; it limits the friction."""
     stored: np.ndarray
     lost: np.ndarray
     history: np.ndarray
@@ -200,81 +206,84 @@ class Walk:
         return self.force - self.viscous
 
 
-def walk(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME_STEP):
-    """Contacts led on the device along overlaps and rates (contacts, steps); apart, a contact forgets.
+def evaluate_path(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_step=TIME_STEP):
+    """Evaluate contacts on the device along overlaps and rates (contacts, steps); separation resets the history.
 
-    With a time step of 0 [s] nothing is averaged over a step: the law as it is written in the source.
+    With a time step of 0 [s] the model does not average over a step and equals the formulas of its source.
     """
     law = case.law(units)
     shape = overlap.shape
     found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(law.history_count, 1)))
     constants = np.array(law.pair_constants(case.pair(units)))
-    bodies = (radius * units.meter, mass * units.kilogram, time_step * units.second)
+    pair_arguments = (radius * units.meter, mass * units.kilogram, time_step * units.second)
     given = (overlap * units.meter, rate * units.velocity)
-    kernel_for(law, len(constants))(constants, *bodies, *(np.ascontiguousarray(g) for g in given), *found, history)
-    return Walk(*found, history)
+    kernel_for(law, len(constants))(
+        constants, *pair_arguments, *(np.ascontiguousarray(g) for g in given), *found, history
+    )
+    return PathResult(*found, history)
 
 
 @cache
 def kernel_for(law, constant_count):
-    """A kernel that leads contacts along their overlaps."""
-    memory_size, force_of = max(law.history_count, 1), complete_force(law)
+    """A kernel that evaluates contacts along their overlaps."""
+    history_size, force_of = max(law.history_count, 1), complete_force(law)
     table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
 
     @ti.kernel
-    def lead(
+    def evaluate(
         numbers: ti.types.ndarray(ti.f64, 1), radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
-        force: table, viscous: table, pressing: table, stored: table, lost: table, history: cube
+        force: table, viscous: table, repulsion: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
             constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
-            memory = ti.Vector.zero(ti.f64, memory_size)
+            history_now = ti.Vector.zero(ti.f64, history_size)
             for s in range(overlap.shape[1]):
                 d = overlap[i, s]
                 if d > 0.0:
-                    f, v, memory = force_of(constants, radius, mass, dt, d, rate[i, s], memory)
-                    force[i, s], viscous[i, s], pressing[i, s] = f, v, f
+                    f, v, history_now = force_of(constants, radius, mass, dt, d, rate[i, s], history_now)
+                    force[i, s], viscous[i, s], repulsion[i, s] = f, v, f
                     if ti.static(law.attracts):
-                        pressing[i, s] = f + law.attraction(constants, radius, d, memory)
-                    stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, memory)
-                    lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, memory)
+                        repulsion[i, s] = f + law.attraction(constants, radius, d, history_now)
+                    stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, history_now)
+                    lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, history_now)
                 else:
-                    memory = 0.0 * memory
-                for k in ti.static(range(memory_size)):
-                    history[i, s, k] = memory[k]
+                    history_now = 0.0 * history_now
+                for k in ti.static(range(history_size)):
+                    history[i, s, k] = history_now[k]
 
-    return lead
+    return evaluate
 
 
-def reference_walk(case, overlap, rate):
-    """The same walk by the numpy twin: force, history, and the force at an overlap larger by a relative NUDGE."""
+def evaluate_reference(case, overlap, rate):
+    """Force, force at an overlap larger by a relative `PERTURBATION`, and history of the numpy reference."""
     law = case.law()
     constants = np.array(law.pair_constants(case.pair()))
     size = max(law.history_count, 1)
-    force, nudged, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
+    force, perturbed, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
     for i in range(len(overlap)):
         history_new = np.zeros(size)
         for s, (d, v) in enumerate(zip(overlap[i], rate[i], strict=True)):
             if d > 0.0:
-                bodies = (constants, RADIUS, MASS, TIME_STEP)
-                force[i, s], history_new = law.reference_force(*bodies, d, v, history_new)
-                nudged[i, s], _ = law.reference_force(*bodies, d * (1.0 + NUDGE), v, history_new)
+                pair_arguments = (constants, RADIUS, MASS, TIME_STEP)
+                force[i, s], history_new = law.reference_force(*pair_arguments, d, v, history_new)
+                perturbed[i, s], _ = law.reference_force(*pair_arguments, d * (1.0 + PERTURBATION), v, history_new)
             else:
                 history_new = np.zeros(size)
             history[i, s] = history_new
-    return force, nudged, history
+    return force, perturbed, history
 
 
-NUDGE = 1e-7
+PERTURBATION = 1e-7
+"""Relative change of the overlap for the tangent stiffness."""
 
 
-def random_walks(contacts, steps, seed=1):
-    """Overlaps [m] that rise, fall and rise again by random amounts, now and then apart, and rates [m/s]."""
+def random_paths(contacts, steps, seed=1):
+    """Overlaps [m] that increase and decrease by random amounts, with some separations, and overlap rates [m/s]."""
     rng = np.random.default_rng(seed)
-    turns = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
-    insertion = np.arange(steps) / 4.0
-    overlap = np.array([np.interp(insertion, np.arange(turns.shape[1]), row) for row in turns])
+    turning_points = rng.uniform(-1e-4, 4e-4, (contacts, steps // 4 + 2))
+    x = np.arange(steps) / 4.0
+    overlap = np.array([np.interp(x, np.arange(turning_points.shape[1]), row) for row in turning_points])
     direction = np.sign(np.diff(overlap, axis=1, prepend=-1.0))
     rate = direction * rng.uniform(0.01, 1.9, overlap.shape)
     rate[::7] *= -1.0

@@ -1,4 +1,4 @@
-"""Laws whose force has no branch are worked out in batches: as one contact at a time, and no compiler crashes."""
+"""Contact models without branches are evaluated in batches: same results as single contacts, and no compiler crash."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ SIDE, DIAMETER = 6, 0.01
 STEPS, TIME_STEP = 250, 1e-6
 
 
-def pressed_lattice(law, cohesion, chunk_size):
-    """Spheres that touch their neighbors from the start, in motion, so that contacts load, unload, pull and part."""
+def overlapping_lattice(law, cohesion, chunk_size):
+    """Moving particles in contact with their neighbors initially: contacts load, unload, attract and separate."""
     rng = np.random.default_rng(3)
     positions = 0.999 * DIAMETER * (np.argwhere(np.ones((SIDE, SIDE, SIDE))) - 2.5)
     group = particle_group(positions, DIAMETER, velocity=rng.normal(0.0, 0.3, positions.shape))
@@ -33,16 +33,16 @@ def pressed_lattice(law, cohesion, chunk_size):
     )  # fmt: skip
 
 
-def both_ways(law, cohesion):
-    """Positions, velocities and spins after the same steps, contact by contact and in batches; contacts by then."""
-    seen, contacts = [], []
+def single_and_batched(law, cohesion):
+    """Positions, velocities, angular velocities and contact counts after `STEPS` for both ways of evaluation."""
+    states, contacts = [], []
     for chunk_size in (1, SIDE**3):
-        scene = pressed_lattice(law, cohesion, chunk_size)
+        scene = overlapping_lattice(law, cohesion, chunk_size)
         assert plan_for(scene).chunk_size == chunk_size
         last, _ = run_to_end(scene)
-        seen.append([last.particles[name].tolist() for name in ("position", "velocity", "angular_velocity")])
+        states.append([last.particles[name].tolist() for name in ("position", "velocity", "angular_velocity")])
         contacts.append(last.totals["contact_count"])
-    return seen, contacts
+    return states, contacts
 
 
 @pytest.mark.parametrize(
@@ -54,9 +54,9 @@ def both_ways(law, cohesion):
         pytest.param("luding, no tension", "none", marks=pytest.mark.slow),
     ],
 )
-def test_batches_give_what_single_contacts_give(law, cohesion):
-    """But for rounding, since forces are summed in another order: 1e-16 a step, which 250 steps of collisions raise."""
-    (single, batched), contacts = in_subprocess(both_ways, law, cohesion)
+def test_batches_equal_single_contacts_within_rounding(law, cohesion):
+    """The sum over forces has another order: rounding of 1e-16 per step, which 250 steps of collisions amplify."""
+    (single, batched), contacts = in_subprocess(single_and_batched, law, cohesion)
     assert 0.3 * 3 * SIDE**2 * (SIDE - 1) < contacts[0] == contacts[1]
     for one, other, scale in zip(single, batched, (SIDE * DIAMETER, 0.3, 0.3 / DIAMETER), strict=True):
         np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-11 * scale)

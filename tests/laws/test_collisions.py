@@ -1,11 +1,11 @@
-"""What every normal law promises of a binary collision: restitution, duration, energy that is accounted for."""
+"""Binary collisions with every normal model: restitution, duration and energy balance."""
 
 from functools import cache
 
 import numpy as np
 import pytest
 import taichi as ti
-from laws.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, walk
+from laws.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path
 
 from granflow.laws.complete_force import complete_force
 
@@ -17,9 +17,11 @@ TABLE = ti.types.ndarray(ti.f64, 1)
 
 @cache
 def kernel_for(law, constant_count):
-    """A kernel that lets one pair collide for each velocity, by leapfrog as the many-particle step does."""
-    memory_size, force_of = max(law.history_count, 1), complete_force(law)
-    since_parting = 1.0 if law.name == "zhou" else 0.5  # steps; a mean over the step ends half a step later
+    """A kernel that integrates one collision per velocity with the leapfrog scheme of the engine."""
+    history_size, force_of = max(law.history_count, 1), complete_force(law)
+    since_separation = (
+        1.0 if law.name == "zhou" else 0.5
+    )  # steps; a force averaged over the step ends half a step later
 
     @ti.kernel
     def collide(
@@ -28,7 +30,7 @@ def kernel_for(law, constant_count):
     ):  # fmt: skip
         for i in range(velocity.shape[0]):
             constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
-            memory = ti.Vector.zero(ti.f64, memory_size)
+            history = ti.Vector.zero(ti.f64, history_size)
             overlap, half, force, viscous_work, time = start[i] * dt[i] * velocity[i], velocity[i], 0.0, 0.0, 0.0
             over, free = 0, 0
             for _ in range(limit):
@@ -37,11 +39,11 @@ def kernel_for(law, constant_count):
                     if ti.static(law.rate_dependent):
                         rate = half - 0.5 * dt[i] * force / mass
                     before = force
-                    force, viscous, memory = force_of(constants, radius, mass, dt[i], overlap, rate, memory)
+                    force, viscous, history = force_of(constants, radius, mass, dt[i], overlap, rate, history)
                     viscous_work += viscous * rate * dt[i]
                     if force == 0.0 and before > 0.0:
                         free = 1
-                        duration[i] = time - since_parting * dt[i]
+                        duration[i] = time - since_separation * dt[i]
                     half -= dt[i] * force / mass
                     if overlap + dt[i] * half <= 0.0:
                         over = 1
@@ -50,13 +52,16 @@ def kernel_for(law, constant_count):
                     overlap += dt[i] * half
                     time += dt[i]
             rebound[i] = -half
-            lost[i] = viscous_work + law.lost_energy(constants, radius, mass, dt[i], 0.0, memory)
+            lost[i] = viscous_work + law.lost_energy(constants, radius, mass, dt[i], 0.0, history)
 
     return collide
 
 
 def collisions(case, steps, phases=7, velocities=VELOCITIES):
-    """Restitution, duration over the law's and energy missing over the energy brought: (velocities, phases)."""
+    """Restitution, duration over that of the model, relative energy error: (velocities, phases).
+
+    The phases are initial overlaps as fractions of the distance per time step.
+    """
     law, pair = case.law(), case.pair()
     velocity = np.repeat(velocities, phases)
     expected = np.repeat([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in velocities], phases)
@@ -77,8 +82,8 @@ COARSE, FINE = 200, 800
 """Steps per collision."""
 
 
-def promised(case, steps):
-    """Restitution that the law promises, or the least that it can reach with as many steps: (velocities, 1)."""
+def expected_restitution(case, steps):
+    """Restitution of the model, or the smallest that it reaches with this number of steps: (velocities, 1)."""
     law, pair = case.law(), case.pair()
     found = np.array([law.restitution(pair, RADIUS, MASS, v) for v in VELOCITIES])
     if law.least_restitution is not None:
@@ -91,12 +96,14 @@ def promised(case, steps):
 
 
 @pytest.mark.parametrize("case", [case for case in PLAIN if case.name != "zhou_damped"], ids=str)
-def test_restitution_is_reached_in_second_order(taichi_f64, case):
-    """Within 1e-4 at 200 steps, whatever the law: first touch, turning point and parting are met inside a step.
+def test_restitution_converges_in_second_order(taichi_f64, case):
+    """Error below 1e-4 at 200 steps: onset, maximum overlap and separation are resolved within a time step.
 
-    At a restitution of 0 it is the least that the step can reach, which falls with the step: of first order.
+    At restitution 0 the result is the smallest value that the time step permits, which is of first order in the step.
     """
-    coarse, fine = (np.abs(collisions(case, steps)[0] - promised(case, steps)).max() for steps in (COARSE, FINE))
+    coarse, fine = (
+        np.abs(collisions(case, steps)[0] - expected_restitution(case, steps)).max() for steps in (COARSE, FINE)
+    )
     assert coarse <= 1e-4
     assert coarse / fine >= 0.9 * 4.0 ** (1.0 if case.name == "zhou_without_rebound" else 2.0)
 
@@ -106,50 +113,50 @@ def test_restitution_is_reached_in_second_order(taichi_f64, case):
     [case for case in PLAIN if not case.name.startswith(("linear", "hertz_damped", "zhou_damped", "zhou_without"))],
     ids=str,
 )
-def test_duration_is_that_of_the_closed_form(taichi_f64, case):
-    """Within half a step, as the moment of parting is known here; those with a dashpot give undamped durations."""
+def test_duration_equals_the_closed_form(taichi_f64, case):
+    """Within the resolution of the separation time, half a step; models with a dashpot state undamped durations."""
     for steps in (COARSE, FINE):
         assert np.abs(collisions(case, steps)[1] - 1.0).max() <= 0.51 / steps + 1e-4
 
 
 @every_law
-def test_energy_is_accounted_for_in_second_order(taichi_f64, case):
-    """What the kinetic energy lost is what the law says it took, plastic work and damping together.
+def test_energy_balance_converges_in_second_order(taichi_f64, case):
+    """The loss of kinetic energy equals the dissipation of the model: plastic work plus damping.
 
-    At the last velocity adhesion holds some spheres together: their energy is stored still.
+    At the largest velocity some cohesive contacts do not separate, and their energy is still stored.
     """
-    parting = VELOCITIES[:-1] if case.adhesive else VELOCITIES
-    coarse, fine = (np.abs(collisions(case, steps, velocities=parting)[2]).max() for steps in (COARSE, FINE))
+    separating = VELOCITIES[:-1] if case.adhesive else VELOCITIES
+    coarse, fine = (np.abs(collisions(case, steps, velocities=separating)[2]).max() for steps in (COARSE, FINE))
     assert coarse <= 2e-4
     assert coarse / fine >= 9.0
 
 
 @pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)
-def test_steepest_tangent_is_the_one_met(taichi_f64, case):
-    """The time step rests on it: the steepest chord of the elastic force around the largest overlap of a collision."""
+def test_unloading_stiffness_equals_the_steepest_chord(taichi_f64, case):
+    """The steepest chord of the elastic force near the maximum overlap of a collision; it determines the time step."""
     law, pair, velocity = case.law(), case.pair(), 1.0
     steepest = law.unloading_stiffness(pair, RADIUS, MASS, velocity)
     rising = np.linspace(0.0, 1.2e-3, 12001)[1:]
     rate = np.full((1, len(rising)), velocity)
-    force = walk(case, rising[None, :], rate, time_step=0.0).elastic[0]
+    force = evaluate_path(case, rising[None, :], rate, time_step=0.0).elastic[0]
     turn = int(np.searchsorted(np.cumsum(force) * rising[0], 0.5 * MASS * velocity**2))
     path = np.concatenate([rising[: turn + 1], rising[:turn][::-1]])
-    elastic = walk(case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0).elastic[0]
-    met = np.abs(np.diff(elastic) / np.diff(path)).max()
-    assert met <= 1.002 * steepest
+    elastic = evaluate_path(case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0).elastic[0]
+    chord_max = np.abs(np.diff(elastic) / np.diff(path)).max()
+    assert chord_max <= 1.002 * steepest
     if np.isfinite(steepest):
-        assert met >= 0.98 * steepest
+        assert chord_max >= 0.98 * steepest
 
 
-def test_cohesion_alone_loses_nothing(taichi_f64):
-    """It is a conservative force: an elastic sphere comes back as fast as it came."""
+def test_cohesion_is_conservative(taichi_f64):
+    """The restitution of an elastic contact with cohesion is 1."""
     (case,) = (case for case in CASES if case.name == "sjkr_hertz_elastic")
     np.testing.assert_allclose(collisions(case, FINE)[0], 1.0, atol=1e-6)
 
 
 def test_cohesion_lowers_the_restitution_of_a_bilinear_contact(taichi_f64):
-    """The pull is a spring of -kc: the contact gets deeper, and e^2 = 1 - (1 - e0^2) / (1 - kc / k1)."""
+    """The attraction is a spring of -kc, which increases the overlap: e^2 = 1 - (1 - e0^2) / (1 - kc / k1)."""
     (case,) = (case for case in CASES if case.name == "sjkr_walton_braun_number")
-    pull = 2.0 * np.pi * COHESION * RADIUS
-    expected = np.sqrt(1.0 - (1.0 - 0.6**2) / (1.0 - pull / 2e4))
+    attraction = 2.0 * np.pi * COHESION * RADIUS
+    expected = np.sqrt(1.0 - (1.0 - 0.6**2) / (1.0 - attraction / 2e4))
     np.testing.assert_allclose(collisions(case, FINE)[0], expected, atol=1e-4)

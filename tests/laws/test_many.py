@@ -1,4 +1,4 @@
-"""The laws in the many-particle step: the ledger closes, and adhesion lets friction grip."""
+"""Contact models in many-particle simulations: energy budget, and friction of cohesive contacts."""
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ NORMALS = {
 
 
 def bouncing_box(law, cohesion, time_step):
+    """Particles that bounce in a box under gravity."""
     rng = np.random.default_rng(5)
     positions = 0.012 * (np.argwhere(np.ones((3, 3, 4))) + 0.55)
     group = particle_group(
@@ -39,7 +40,7 @@ def bouncing_box(law, cohesion, time_step):
         pytest.param("kuwabara_kono", "none", marks=pytest.mark.slow),
     ],
 )
-def test_energy_energy_budget_closes_in_a_box_of_bouncing_spheres(taichi_f64, law, cohesion):
+def test_energy_budget_closes_in_a_box_of_bouncing_spheres(taichi_f64, law, cohesion):
     totals = run_to_end(bouncing_box(law, cohesion, 2e-6))[0].totals
     dissipated = "damping_dissipation" if law == "kuwabara_kono" else "plastic_dissipation"
     for part in ("friction_dissipation", dissipated):
@@ -47,15 +48,15 @@ def test_energy_energy_budget_closes_in_a_box_of_bouncing_spheres(taichi_f64, la
     assert abs(totals["energy_error"]) < 1e-4
 
 
-def test_cohesion_presses_for_friction(taichi_f64):
-    """A sphere slides on a wall with nothing but adhesion to hold it: it slows by mu times the repulsion, the pull.
+def test_cohesion_increases_the_friction_limit(taichi_f64):
+    """A particle slides on a wall with cohesion as the only normal load: friction is mu times the repulsion.
 
-    Where k d^1.5 = 2 pi w R d the whole force is 0; capped with it, friction would be 0 too.
+    At k d^1.5 = 2 pi w R d repulsion and attraction balance; a limit of mu times the total force would be 0.
     """
     radius, friction, cohesion, speed = 0.005, 0.3, 1e6, 0.5
     modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
-    spring, pull = 4.0 / 3.0 * modulus * np.sqrt(radius), 2.0 * np.pi * cohesion * radius
-    overlap = (pull / spring) ** 2
+    spring, attraction = 4.0 / 3.0 * modulus * np.sqrt(radius), 2.0 * np.pi * cohesion * radius
+    overlap = (attraction / spring) ** 2
     sphere = particle_group([0.0, 0.0, radius - overlap], 2.0 * radius, velocity=[[speed, 0.0, 0.0]])
     pair = {"restitution": 1.0, "friction": friction, "cohesion_energy_density": cohesion}
     scene = build_scene(
@@ -63,10 +64,10 @@ def test_cohesion_presses_for_friction(taichi_f64):
         contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "sjkr"},
         run={"duration": 3e-4, "time_step": 1e-6, "velocity_max": speed},
     )  # fmt: skip
-    seen = run_and_sample(scene, 1e-5)
-    velocity, moment = column(seen, "velocity")[:, 0], times(seen)
+    snapshots = run_and_sample(scene, 1e-5)
+    velocity, time = column(snapshots, "velocity")[:, 0], times(snapshots)
     mass = 4.0 / 3.0 * np.pi * radius**3 * SOFT["density"]
-    late = moment > 1e-4
-    slowing = -np.polyfit(moment[late], velocity[late, 0], 1)[0]
-    assert slowing == pytest.approx(friction * pull * overlap / mass, rel=2e-3)
+    late = time > 1e-4
+    deceleration = -np.polyfit(time[late], velocity[late, 0], 1)[0]
+    assert deceleration == pytest.approx(friction * attraction * overlap / mass, rel=2e-3)
     assert np.abs(velocity[:, 2]).max() < 1e-3 * speed

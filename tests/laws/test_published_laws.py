@@ -1,8 +1,8 @@
-"""The laws beside zhou against the closed forms and numbers of their own papers, and against solve_ivp."""
+"""Normal models other than zhou against the closed forms and numbers of their papers, and against solve_ivp."""
 
 import numpy as np
 import pytest
-from laws.cases import CASES, MASS, RADIUS, SHEAR_MODULUS, SI, walk
+from laws.cases import CASES, MASS, RADIUS, SHEAR_MODULUS, SI, evaluate_path
 from scipy.integrate import solve_ivp
 
 from granflow.laws.catalog import NORMAL_LAWS
@@ -15,15 +15,17 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 def law_of(name, pair, **settings):
+    """The normal model of that name for one pair."""
     return NORMAL_LAWS[name].build(ModelRequest(settings, (pair,), 1.0, 0.5))
 
 
 def terminal(event):
+    """The event ends the integration when it crosses zero from above."""
     event.terminal, event.direction = True, -1.0
     return event
 
 
-def test_thornton_yields_at_the_velocity_of_his_equation():
+def test_thornton_yields_at_the_published_velocity():
     """v_y = 1.56 sqrt(p^5 / (E^4 rho)) for a sphere on a wall (Thornton 1997, Eq. 21)."""
     radius, pair = 0.01, PairMaterial(modulus_eff(STEEL, STEEL), 1.0, None, 0.0, yield_strength=STEEL.yield_strength)
     mass = 4.0 / 3.0 * np.pi * radius**3 * STEEL.density
@@ -33,7 +35,7 @@ def test_thornton_yields_at_the_velocity_of_his_equation():
     assert law.restitution(pair, radius, mass, 1.001 * expected) < 1.0
 
 
-def test_thornton_falls_with_the_fourth_root_far_above():
+def test_thornton_restitution_decreases_with_the_fourth_root_of_velocity():
     """e = 1.185 (v_y / v)^(1/4) for v >> v_y (Thornton 1997)."""
     case = BY_NAME["thornton"]
     law, pair = case.law(), case.pair()
@@ -44,8 +46,8 @@ def test_thornton_falls_with_the_fourth_root_far_above():
 
 
 @pytest.mark.parametrize("velocity", [0.02, 0.3, 4.0])
-def test_thornton_against_the_equation_of_motion(velocity):
-    """Loading and unloading by his force relations, integrated with scipy."""
+def test_thornton_agrees_with_the_equation_of_motion(velocity):
+    """The published force of loading and unloading, integrated with scipy."""
     case = BY_NAME["thornton"]
     law, pair = case.law(), case.pair()
     pressure, modulus = pair.yield_strength, pair.modulus_eff
@@ -64,22 +66,22 @@ def test_thornton_against_the_equation_of_motion(velocity):
         events=terminal(lambda t, s: s[1]),
         **exact,
     )
-    largest = down.y_events[0][0][0]
-    area = RADIUS * largest
-    curvature = RADIUS * k * largest**1.5 / loading(largest)
-    residual = largest - area / curvature
+    overlap_max = down.y_events[0][0][0]
+    area = RADIUS * overlap_max
+    curvature = RADIUS * k * overlap_max**1.5 / loading(overlap_max)
+    residual = overlap_max - area / curvature
 
     def unloading(d):
         return 4.0 / 3.0 * modulus * np.sqrt(curvature) * max(d - residual, 0.0) ** 1.5
 
     free = terminal(lambda t, s: s[0] - residual - 1e-12)
-    up = solve_ivp(lambda t, s: [s[1], -unloading(s[0]) / MASS], (0.0, 0.1), [largest, 0.0], events=free, **exact)
+    up = solve_ivp(lambda t, s: [s[1], -unloading(s[0]) / MASS], (0.0, 0.1), [overlap_max, 0.0], events=free, **exact)
     assert -up.y_events[0][0][1] / velocity == pytest.approx(law.restitution(pair, RADIUS, MASS, velocity), rel=1e-5)
     found = law.phase_durations(pair, RADIUS, MASS, velocity)
     assert found == pytest.approx((down.t_events[0][0], up.t_events[0][0]), rel=1e-5)
 
 
-def test_walton_and_braun_slope():
+def test_walton_braun_restitution_follows_the_published_slope():
     """e = sqrt(w0 / (S v + w0)), w0 = sqrt(2 k1 / m), for two spheres of mass m and k2 = k1 + S F_max (1986)."""
     k1, e, reference = 2e4, 0.6, 0.7
     pair = PairMaterial(4e7, SHEAR_MODULUS, e, 0.0)
@@ -92,13 +94,14 @@ def test_walton_and_braun_slope():
 
 
 def luding(**settings):
+    """The luding model and its pair, with changed settings."""
     pair = PairMaterial(4e7, SHEAR_MODULUS, 0.6, 0.0)
     given = {"stiffness": {"value": 2e4}, "plasticity_depth": 0.01, "tension": 0.0}
     return law_of("luding", pair, **(given | settings)), pair
 
 
-def test_luding_is_least_where_the_limit_is_just_reached():
-    """There k2 = kp = k1 / e^2; below and above it the restitution is higher."""
+def test_luding_restitution_is_minimal_at_the_maximum_plastic_overlap():
+    """At this overlap k2 = kp = k1 / e^2; at smaller and larger overlaps the restitution is higher."""
     law, pair = luding()
     limit = 2.0 * 0.01 * RADIUS / (1.0 - 0.6**2)
     velocity = limit * np.sqrt(2e4 / MASS)
@@ -107,8 +110,8 @@ def test_luding_is_least_where_the_limit_is_just_reached():
         assert law.restitution(pair, RADIUS, MASS, factor * velocity) > 0.6
 
 
-def test_luding_with_much_tension_holds_spheres_that_deform():
-    """At the limit the springs give back 0.36 of the energy, and parting with kc = 5 k1 takes 0.73 of it."""
+def test_luding_with_high_tension_prevents_separation_after_plastic_deformation():
+    """At the limit the springs return 0.36 of the energy, and separation with kc = 5 k1 requires 0.73 of it."""
     law, pair = luding(tension=5.0)
     velocity = 2.0 * 0.01 * RADIUS / (1.0 - 0.6**2) * np.sqrt(2e4 / MASS)
     assert law.restitution(pair, RADIUS, MASS, velocity) == 0.0
@@ -117,12 +120,12 @@ def test_luding_with_much_tension_holds_spheres_that_deform():
     assert 0.0 < law.restitution(pair, RADIUS, MASS, 5.0) < luding()[0].restitution(pair, RADIUS, MASS, 5.0)
 
 
-def test_luding_under_tension_accounts_for_every_path(taichi_f64):
-    """Down to the tension line, along it, up again, beyond the old largest overlap, and down to nothing."""
+def test_luding_energy_balance_holds_under_tension(taichi_f64):
+    """Unloading to the tension line and along it, reloading beyond the previous maximum overlap, full unloading."""
     corners = np.array([1e-9, 2.5e-4, 6e-5, 1.5e-4, 3e-5, 4e-4, 1e-5, 1e-9])
     lengths = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners)))])
     path = np.interp(np.linspace(0.0, lengths[-1], 100_001), lengths, corners)[None, :]
-    found = walk(BY_NAME["luding_tension"], path, np.ones_like(path))
+    found = evaluate_path(BY_NAME["luding_tension"], path, np.ones_like(path))
     work = np.concatenate([[0.0], np.cumsum(0.5 * (found.force[0, 1:] + found.force[0, :-1]) * np.diff(path[0]))])
     accounting = found.stored[0] + found.lost[0]
     np.testing.assert_allclose(work, accounting, atol=1e-6 * accounting.max())
@@ -132,7 +135,7 @@ def test_luding_under_tension_accounts_for_every_path(taichi_f64):
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.7, 3.0])
-def test_kuwabara_and_kono_against_the_equation_of_motion(velocity):
+def test_kuwabara_kono_agrees_with_the_equation_of_motion(velocity):
     case = BY_NAME["kuwabara_kono"]
     law, pair = case.law(), case.pair(SI)
     k = 4.0 / 3.0 * pair.modulus_eff * np.sqrt(RADIUS)
@@ -153,23 +156,23 @@ def test_kuwabara_and_kono_against_the_equation_of_motion(velocity):
     assert law.restitution(pair, RADIUS, MASS, 0.7) == pytest.approx(0.6, abs=1e-9)
 
 
-def test_kuwabara_and_kono_begin_with_the_published_coefficients():
+def test_kuwabara_kono_expansion_has_the_published_coefficients():
     """e = 1 - 1.15344 g + 0.79826 g^2 (Ramirez et al. 1999), g = (3/2) A (k/M)^(2/5) v^(1/5).
 
-    Parting where the force is 0 adds a term in g^(5/2) (Schwager & Poeschel 2008), here with a factor below 1/2.
+    Separation at zero force adds a term in g^(5/2) (Schwager & Poeschel 2008), here with a factor below 1/2.
     """
     for g in (1e-3, 1e-2):
         assert 1.0 - rebound_of(g)[0] == pytest.approx(1.15344 * g - 0.79826 * g**2, abs=0.5 * g**2.5)
 
 
 @pytest.mark.parametrize("e", [0.0, -0.5, 1.2, 1e-4])
-def test_kuwabara_and_kono_refuse_what_they_cannot_reach(e):
+def test_kuwabara_kono_rejects_unreachable_restitution(e):
     with pytest.raises(ValueError, match=r"restitution"):
         dissipation_for(e)
 
 
 @pytest.mark.parametrize("name", list(NORMAL_LAWS))
-def test_every_law_says_what_it_needs_and_where_it_fails(name):
+def test_every_model_describes_its_constants_limits_and_source(name):
     kind = NORMAL_LAWS[name]
     given = {key: each.default for key, each in kind.settings.items()} | dict(kind.example)
     pair = PairMaterial(4e7, SHEAR_MODULUS, None if kind.restitution == "nothing" else 0.7, 0.0, yield_strength=1e6)
@@ -177,4 +180,4 @@ def test_every_law_says_what_it_needs_and_where_it_fails(name):
     assert law.name == name
     assert len(law.pair_constants(pair)) == len(law.constant_names)
     assert len(law.limits) > 20 and not law.limits.endswith(".")
-    assert any(character.isdigit() for character in law.source), "a source has a year"
+    assert any(character.isdigit() for character in law.source), "the source contains a year"

@@ -1,4 +1,4 @@
-"""Closed forms against the paper's figures, against quadrature and root finding, and against the equation of motion."""
+"""Closed forms against the values of the paper, quadrature, root finding, and the equation of motion."""
 
 import numpy as np
 import pytest
@@ -15,16 +15,16 @@ FIGURES = {
     0.9: (0.290089, 0.79440, 1.2067, 2.6783, 1.14),
     1.0: (0.0, 0.0, 1.4716, 2.9433, 1.0),
 }
-"""e: x, Lambda, eta2, T/Ts, unloading over Hertz tangent; computed from Zhou 2011, Eqs. 7, 8, 13-15 beforehand."""
+"""e: x, Lambda, eta2, T/Ts, ratio of unloading to Hertz tangent; computed from Zhou 2011, Eqs. 7, 8, 13-15."""
 RESTITUTIONS = (0.05, 0.2, 0.5, 0.7, 0.9, 0.99, 1.0)
 
 STAINLESS = Solid(193e9, 0.35, 8030.0, 0.310e9)
 CHROME = Solid(203e9, 0.28, 7830.0, 2.03e9)
-"""Stainless steel 316 and chrome steel 52100 of the paper's Figs. 3-4."""
+"""Stainless steel 316 and chrome steel 52100 of Figs. 3-4 of the paper."""
 
 
 @pytest.mark.parametrize("e", FIGURES)
-def test_figures_of_the_model(e):
+def test_closed_forms_equal_the_tabulated_values(e):
     found = (
         1.0 - theory.recovery(e),
         theory.unloading_slope(e),
@@ -37,8 +37,8 @@ def test_figures_of_the_model(e):
         assert value == pytest.approx(given, abs=1.001 * half)
 
 
-def test_loading_takes_the_integral_of_equation_14():
-    # u = 1 - s^2 takes the singularity away
+def test_loading_duration_equals_the_integral_of_equation_14():
+    # the substitution u = 1 - s^2 removes the singularity
     value, _ = quad(lambda s: 2.0 * s / np.sqrt(1.0 - (1.0 - s * s) ** 2.5), 0.0, 1.0, epsabs=1e-13)
     assert pytest.approx(value, rel=1e-9) == theory.LOADING_DURATION
     assert pytest.approx(1.471637592, abs=1e-9) == theory.LOADING_DURATION
@@ -51,33 +51,33 @@ def test_recovery_is_the_root_of_equation_8(e):
 
 
 @pytest.mark.parametrize("e", [-0.01, 1.01])
-def test_recovery_refuses_what_is_no_restitution(e):
+def test_recovery_rejects_restitution_outside_0_to_1(e):
     with pytest.raises(ValueError, match=r"must be in \[0, 1\]"):
         theory.recovery(e)
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
-def test_unloading_gives_back_the_restitution(e):
-    """Work of Eq. 4's unloading branch over that of loading is e squared: what Eq. 8 was solved for."""
+def test_unloading_work_is_the_squared_restitution(e):
+    """The ratio of unloading to loading work in Eq. 4 is e^2, the condition that Eq. 8 solves."""
     y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
     work, _ = quad(lambda u: slope * u + e**3 * u**1.5, 0.0, y, epsabs=1e-15)
     assert work / 0.4 == pytest.approx(e**2, rel=1e-10)
     assert slope * y + e**3 * y**1.5 == pytest.approx(1.0, rel=1e-12), "continuous with loading at dmax"
 
 
-def test_closed_form_of_the_residual_is_about_as_good_as_the_paper_says():
-    """Within 1 % up to e = 0.99; at e = 1 both go to 0 as 1 - e, with slopes that differ by 1.15 %.
+def test_closed_form_of_the_residual_has_the_published_accuracy():
+    """Within 1 % up to e = 0.99; at e = 1 both approach 0 as 1 - e, with slopes that differ by 1.15 %.
 
     Slopes dx/d(1 - e) at e = 1: of Eq. 8, y' (1 - 1/2) = 8/5 + 3/5, so 22/5; of Eq. 9, 8/5 + (8 + (1-c)/c)/5 + 1.
     """
     c = 0.8**2.5
     limit = 1.0 - (1.6 + 0.2 * (8.0 + (1.0 - c) / c) + 1.0) / 4.4
     e = np.linspace(1e-3, 1.0 - 1e-7, 200001)
-    exact, close = 1.0 - theory.recovery(e), theory.residual_closed_form(e)
-    error = np.abs(close / exact - 1.0)
+    exact, approximation = 1.0 - theory.recovery(e), theory.residual_closed_form(e)
+    error = np.abs(approximation / exact - 1.0)
     assert error[e <= 0.99].max() < 0.01
     assert error[-1] == error.max() == pytest.approx(limit, rel=1e-4)
-    assert np.max(np.abs((close - exact) / (1.0 - exact))) == pytest.approx(0.0046, abs=5e-5)
+    assert np.max(np.abs((approximation - exact) / (1.0 - exact))) == pytest.approx(0.0046, abs=5e-5)
     np.testing.assert_allclose(theory.residual_closed_form(np.array([0.0, 1.0])), [1.0, 0.0], atol=1e-15)
 
 
@@ -86,7 +86,7 @@ def test_unloading_duration_is_the_integral_of_equation_15(e):
     y, kappa = float(theory.recovery(e)), 1.25 * e**2 * float(theory.unloading_slope(e))
 
     def integrand(w):
-        # u - x = w: singular at the end as 1 / sqrt(y - w), which the weight of quad takes
+        # u - x = w: singular at the end as 1 / sqrt(y - w), which the weight function of quad includes
         rest = kappa * (y + w) + e**5 * (y**2.5 - w**2.5) / (y - w) if w < y else 2 * kappa * y + 2.5 * e**5 * y**1.5
         return e / np.sqrt(rest)
 
@@ -95,12 +95,12 @@ def test_unloading_duration_is_the_integral_of_equation_15(e):
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
-def test_duration_and_rebound_are_those_of_the_equation_of_motion(e):
+def test_duration_and_rebound_agree_with_the_equation_of_motion(e):
     k, mass, velocity = 5.3e6, 0.012, 1.7
-    largest, lam = float(theory.overlap_max(k, mass, velocity)), 0.0
+    overlap_max, lam = float(theory.overlap_max(k, mass, velocity)), 0.0
     scale = float(theory.time_scale(k, mass, velocity))
-    lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
-    residual = largest * (1.0 - float(theory.recovery(e)))
+    lam = k * np.sqrt(overlap_max) * float(theory.unloading_slope(e))
+    residual = overlap_max * (1.0 - float(theory.recovery(e)))
 
     def loading(t, s):
         return [s[1], -k * max(s[0], 0.0) ** 1.5 / mass]
@@ -115,22 +115,23 @@ def test_duration_and_rebound_are_those_of_the_equation_of_motion(e):
     up = solve_ivp(
         unloading, (0.0, 5 * scale), [at_rest[0], 0.0], events=terminal(lambda t, s: s[0] - residual - 1e-13), **exact
     )
-    assert at_rest[0] == pytest.approx(largest, rel=1e-9)
+    assert at_rest[0] == pytest.approx(overlap_max, rel=1e-9)
     assert -up.y_events[0][0][1] / velocity == pytest.approx(e, rel=1e-6)
     assert turn + up.t_events[0][0] == pytest.approx(theory.duration(e, k, mass, velocity), rel=1e-6)
 
 
 def terminal(event):
+    """The event ends the integration when it crosses zero from above."""
     event.terminal = True
     event.direction = -1.0
     return event
 
 
-def test_equivalent_spring_stores_what_the_hertz_contact_does():
+def test_equivalent_spring_stores_the_energy_of_the_hertz_contact():
     k, mass, velocity = 2.2e7, 0.03, 0.8
-    largest = theory.overlap_max(k, mass, velocity)
+    overlap_max = theory.overlap_max(k, mass, velocity)
     spring = theory.equivalent_spring(k, mass, velocity)
-    assert 0.5 * spring * largest**2 == pytest.approx(0.5 * mass * velocity**2, rel=1e-12)
+    assert 0.5 * spring * overlap_max**2 == pytest.approx(0.5 * mass * velocity**2, rel=1e-12)
     assert spring == pytest.approx(0.8 * (1.25 * k**4 * mass * velocity**2) ** 0.2, rel=1e-12), "Eq. 19"
 
 
@@ -154,21 +155,23 @@ def test_damping_ratio_gives_the_restitution_in_the_equation_of_motion(e, power)
 
 
 @pytest.mark.parametrize("e", [0.0, -0.1, 1.1])
-def test_no_dashpot_reaches_such_a_restitution(e):
+def test_damping_ratio_rejects_unreachable_restitution(e):
     with pytest.raises(ValueError, match="any restitution in"):
         theory.damping_ratio_for(e)
 
 
-def test_yield_velocities_of_the_two_steels():
-    """Eq. 11 with the yield strengths of the paper's steels, whose ratio it gives as 6.5."""
+def test_yield_velocities_of_two_steels_equal_the_published_values():
+    """Eq. 11 with the yield strengths of the two steels; the paper gives their ratio as 6.5."""
     assert limit_velocity(STAINLESS, STAINLESS) == pytest.approx(np.sqrt(3 * 0.310e9 / 8030.0), rel=1e-14)
     assert limit_velocity(STAINLESS, CHROME) == limit_velocity(CHROME, STAINLESS)
-    assert limit_velocity(STAINLESS, CHROME) == limit_velocity(STAINLESS, STAINLESS), "the weaker one rules"
+    assert limit_velocity(STAINLESS, CHROME) == limit_velocity(STAINLESS, STAINLESS), (
+        "the lower yield strength determines the velocity"
+    )
     stiff, hard = (modulus_eff(steel, steel) / steel.yield_strength for steel in (STAINLESS, CHROME))
-    assert stiff / hard == pytest.approx(6.5, abs=0.05), "the paper's own check"
+    assert stiff / hard == pytest.approx(6.5, abs=0.05), "value of the paper"
 
 
-def test_restitution_falls_with_velocity_to_zero_at_the_limit():
+def test_restitution_decreases_with_velocity_to_zero_at_the_limit():
     law = VelocityRestitution(3.0432, 0.540, 340.0)
     velocity = np.array([0.0, 1e-6, 0.01, 1.0, 100.0, 339.0, 340.0, 1e4])
     e = law(velocity)
@@ -178,7 +181,7 @@ def test_restitution_falls_with_velocity_to_zero_at_the_limit():
     assert e[3] == pytest.approx(np.exp(-3.0432 * (1.0 / 339.0) ** 0.540), rel=1e-14)
 
 
-def test_moduli_are_symmetric_and_halve_with_a_reference():
+def test_effective_moduli_are_symmetric_and_half_for_equal_materials():
     assert modulus_eff(STAINLESS, CHROME) == modulus_eff(CHROME, STAINLESS)
     assert shear_modulus_eff(STAINLESS, CHROME) == shear_modulus_eff(CHROME, STAINLESS)
     assert modulus_eff(CHROME, CHROME) == pytest.approx(0.5 * 203e9 / (1.0 - 0.28**2), rel=1e-14)

@@ -1,4 +1,4 @@
-"""Every bad scene gives its sentences, each with its place, and nothing else."""
+"""Messages about invalid scenes: the exact sentences with their positions, and no others."""
 
 from pathlib import Path
 
@@ -15,6 +15,7 @@ DEEPEST_KEY = "particles.grit.diameter.classes.0.fraction"
 
 
 def changed(change):
+    """The valid scene with some of its text replaced."""
     text = GOOD
     for old, new in change.items():
         assert old in text
@@ -23,22 +24,23 @@ def changed(change):
 
 
 def sentences(path, *overrides):
+    """The messages about an invalid scene."""
     with pytest.raises(SceneError) as caught:
         load(path, overrides)
     return list(caught.value.problems)
 
 
-def test_the_good_scene_is_good():
+def test_valid_scene_is_accepted():
     assert load(HERE / "good.yaml").title == "Small hopper on a shaker"
 
 
-def test_there_are_many_cases_with_names_of_their_own():
+def test_case_names_are_unique():
     names = [case["name"] for case in CASES]
     assert len(names) == len(set(names)) >= 100
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"].replace(" ", "_"))
-def test_a_bad_scene_says_what_is_wrong(case, tmp_path):
+def test_invalid_scene_gives_its_messages(case, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text(changed(case["change"]), encoding="utf-8")
     assert sentences(path) == [f"{path}:{sentence}" for sentence in case["says"]]
@@ -56,30 +58,30 @@ FILES = [
 
 
 @pytest.mark.parametrize(("raw", "sentence"), FILES)
-def test_a_file_that_is_no_scene(raw, sentence, tmp_path):
+def test_file_that_is_not_a_scene_is_rejected(raw, sentence, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(raw)
     assert sentences(path) == [f"{path}{sentence}"]
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_missing_file_is_reported_with_a_similar_name(tmp_path):
     (tmp_path / "hopper.yaml").touch()
-    near, far = tmp_path / "hoper.yaml", tmp_path / "x.yaml"
-    assert sentences(near) == [f"{near}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"]
-    assert sentences(far) == [f"{far}: there is no such file."]
+    similar, different = tmp_path / "hoper.yaml", tmp_path / "x.yaml"
+    assert sentences(similar) == [f"{similar}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"]
+    assert sentences(different) == [f"{different}: there is no such file."]
 
 
-def test_a_directory(tmp_path):
+def test_directory_is_rejected(tmp_path):
     assert sentences(tmp_path) == [f"{tmp_path}: this is a directory; give the scene file in it."]
 
 
-def test_a_bom_is_no_problem(tmp_path):
+def test_byte_order_mark_is_ignored(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
     assert load(path) == load(HERE / "good.yaml")
 
 
-def test_all_at_once_in_the_order_of_the_file(tmp_path):
+def test_all_problems_are_reported_in_the_order_of_the_file(tmp_path):
     changes = {
         "  - {quantity: mass_flow.outlet,": "  - {quantity: mass_flow.outlets,",
         "density: 8030": "density: heavy",
@@ -138,11 +140,11 @@ OVERRIDES = [
 
 
 @pytest.mark.parametrize(("override", "sentence"), OVERRIDES, ids=lambda text: text.split("=")[0])
-def test_a_bad_override_says_what_is_wrong(override, sentence):
+def test_invalid_override_gives_its_message(override, sentence):
     assert sentences(HERE / "good.yaml", override) == [f"--set {override}: {sentence}"]
 
 
-def test_a_missing_key_in_an_override_stands_at_the_override():
+def test_missing_key_in_an_override_is_reported_with_the_override():
     assert sentences(HERE / "good.yaml", "walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}") == [
         "--set walls.lid={shape: disc, material: steel, center: [0, 0, 0], radius: 1}: "
         "walls.lid.normal is missing: normal; its length and sign do not matter."

@@ -1,8 +1,8 @@
 """A bed at rest stays at rest: energy budget, rolling dissipation and rotation with every rolling model.
 
-Equal spheres in face-centered cubic layers, twelve neighbors each, settle under gravity in a box from random angular
-velocities. After that nothing does work on them: the energy of the bed can only fall, what falls must be booked as
-dissipation, and rolling cannot dissipate more than the bed loses.
+Equal particles in face-centered cubic layers with twelve neighbors each settle under gravity in a box, from random
+angular velocities. No external work is done on the bed, so its energy can only decrease, the dissipation equals the
+decrease, and rolling dissipates at most that energy.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from granflow.simulation import Simulation
 DIAMETER = 0.01
 SIDE = 7
 DISSIPATED = tuple(f"{name}_dissipation" for name in ("plastic", "friction", "rolling", "damping"))
-HELD = tuple(f"{name}_energy" for name in ("kinetic", "rotational", "gravitational", "elastic"))
+STORED = tuple(f"{name}_energy" for name in ("kinetic", "rotational", "gravitational", "elastic"))
 
 
 def layers(count=8):
-    """Centers [m] of square layers, each in the hollows of the one below: alternately 7 x 7 and 6 x 6 spheres."""
+    """Centers [m] of square layers, alternately 7 x 7 and 6 x 6, each placed in the hollows of the layer below."""
     positions = []
     for layer in range(count):
         inset = layer % 2
@@ -29,7 +29,7 @@ def layers(count=8):
 
 
 def bed(rolling, normal, duration, chunk_size):
-    """Soft spheres with angular velocities at random, rms 17 rad/s, in a box that the 7 x 7 layers fill."""
+    """Soft particles with random angular velocities (rms 17 rad/s) in a box as wide as the 7 x 7 layers."""
     positions = layers()
     angular_velocity = np.random.default_rng(4).normal(0.0, 10.0, positions.shape)
     walls = box(SIDE * DIAMETER) | {"high_z": plane([0.0, 0.0, 0.2], [0.0, 0.0, -1.0])}
@@ -48,26 +48,26 @@ def bed(rolling, normal, duration, chunk_size):
     )
 
 
-def resolve_scene(rolling, normal, chunk_size):
+def run_bed(rolling, normal, chunk_size):
     """Snapshots at 0, 30 and 60 ms, and one step later."""
-    seen = []
+    snapshots = []
     scene = bed(rolling, normal, 0.06, chunk_size)
-    simulation = Simulation(scene, observers=[every(0.03, seen.append, ("particles", "totals"))])
+    simulation = Simulation(scene, observers=[every(0.03, snapshots.append, ("particles", "totals"))])
     simulation.run()
     simulation.engine.advance(1)
-    seen.append(simulation.snapshot())
+    snapshots.append(simulation.snapshot())
     simulation.free()
-    return seen
+    return snapshots
 
 
 def budget(snapshot):
-    """Energy of the bed, energy dissipated, and what is missing between them and the energy brought in [J]."""
+    """Stored energy, dissipated energy, and the residual of the energy budget [J]."""
     totals = snapshot.totals
-    held, dissipated = (sum(totals[name] for name in names) for names in (HELD, DISSIPATED))
-    return held, dissipated, held + dissipated + totals["removed_energy"] - totals["wall_work"]
+    stored, dissipated = (sum(totals[name] for name in names) for names in (STORED, DISSIPATED))
+    return stored, dissipated, stored + dissipated + totals["removed_energy"] - totals["wall_work"]
 
 
-def rotation(snapshot):
+def rms_angular_velocity(snapshot):
     """Root mean square angular velocity [rad/s]."""
     return float(np.sqrt(np.mean(np.sum(snapshot.particles["angular_velocity"] ** 2, axis=1))))
 
@@ -81,17 +81,17 @@ BEDS = [
 
 @pytest.mark.parametrize(("rolling", "normal", "chunk_size"), BEDS)
 def test_bed_at_rest_closes_its_energy_budget_and_stops_rotating(taichi_f64, rolling, normal, chunk_size):
-    """Chunk size 1 evaluates contacts one at a time instead of in batches."""
-    start, early, late, next_step = resolve_scene(rolling, normal, chunk_size)
-    (held, dissipated, residual), (held_late, dissipated_late, residual_late) = budget(early), budget(late)
-    lost = held - held_late
-    # what is left of vibration, far below the elastic energy that carries the weight of the bed
-    assert 0.0 < lost < 0.25 * late.totals["elastic_energy"]
-    rolled = late.totals["rolling_dissipation"] - early.totals["rolling_dissipation"]
-    assert 0.0 <= rolled < lost
+    """With chunk size 1, contacts are evaluated one at a time instead of in batches."""
+    start, early, late, next_step = run_bed(rolling, normal, chunk_size)
+    (stored, dissipated, residual), (stored_late, dissipated_late, residual_late) = budget(early), budget(late)
+    loss = stored - stored_late
+    # the residual vibration is far below the elastic energy that carries the weight of the bed
+    assert 0.0 < loss < 0.25 * late.totals["elastic_energy"]
+    rolling_loss = late.totals["rolling_dissipation"] - early.totals["rolling_dissipation"]
+    assert 0.0 <= rolling_loss < loss
     assert abs(residual_late - residual) < 0.02 * (dissipated_late - dissipated)
     assert abs(residual_late) < 1e-3 * dissipated_late
-    assert rotation(late) < rotation(early) < 0.05 * rotation(start)
+    assert rms_angular_velocity(late) < rms_angular_velocity(early) < 0.05 * rms_angular_velocity(start)
     torque, torque_next = late.particles["torque"], next_step.particles["torque"]
-    # vibrations last 20 steps or more: torques that alternate from step to step are the time step's, not the bed's
+    # vibration periods are at least 20 steps: torques that alternate from step to step are an artifact of the time step
     assert np.sum(torque * torque_next) > 0.5 * np.sum(torque * torque)

@@ -1,5 +1,5 @@
-"""Falling, bouncing and squeezed spheres; figures of the MFiX verification manual (Garg et al. 2012,
-doi 10.1016/j.powtec.2011.09.019) and equations of motion solved beside."""
+"""Falling, bouncing and compressed particles against the MFiX verification manual (Garg et al. 2012,
+doi 10.1016/j.powtec.2011.09.019) and against numerical solutions of the equations of motion."""
 
 import numpy as np
 import pytest
@@ -16,52 +16,53 @@ HEIGHTS = (0.42400, 0.36244, 0.312576, 0.272187, 0.239471)
 
 
 def test_free_fall_is_exact(taichi_f64):
-    """Leapfrog integrates a constant acceleration exactly: positions and velocities to rounding of 4000 steps."""
+    """Leapfrog integrates a constant acceleration exactly, within the rounding error of 4000 steps."""
     scene = build_scene(
         {"ball": particle_group([[0.1, -0.2, 0.5]], velocity=[1.0, 0.3, 2.0])}, gravity=[0.5, 0.0, -GRAVITY],
-        run={"duration": 0.2, "time_step": 5e-5, "velocity_max": 4.0}, domain=region(2.0),
+        run={"duration": 0.2, "time_step": 5e-5, "velocity_max": 4.0}, domain=cubic_domain(2.0),
     )  # fmt: skip
-    seen = run_and_sample(scene, 0.05)
-    t = times(seen)[:, None]
+    snapshots = run_and_sample(scene, 0.05)
+    t = times(snapshots)[:, None]
     acceleration = np.array([0.5, 0.0, -GRAVITY])
-    insertion = [0.1, -0.2, 0.5] + t * [1.0, 0.3, 2.0] + 0.5 * t**2 * acceleration
+    position = [0.1, -0.2, 0.5] + t * [1.0, 0.3, 2.0] + 0.5 * t**2 * acceleration
     rounding = 4000 * np.finfo(float).eps
-    np.testing.assert_allclose(column(seen, "position")[:, 0], insertion, rtol=0, atol=rounding)
+    np.testing.assert_allclose(column(snapshots, "position")[:, 0], position, rtol=0, atol=rounding)
     np.testing.assert_allclose(
-        column(seen, "velocity")[:, 0], [1.0, 0.3, 2.0] + t * acceleration, rtol=0, atol=4 * rounding
+        column(snapshots, "velocity")[:, 0], [1.0, 0.3, 2.0] + t * acceleration, rtol=0, atol=4 * rounding
     )
 
 
-def region(half):
+def cubic_domain(half):
+    """A cube about the origin with half the side `half` [m]."""
     return {"min": [-half] * 3, "max": [half] * 3, "on_exit": "error"}
 
 
 @pytest.mark.parametrize("law", ["zhou", "hertz"])
-def test_heights_of_a_bouncing_ball(taichi_f64, law):
-    """Hard spheres in the limit of a stiff material: each bounce may miss its height by the overlap it needs."""
+def test_bouncing_ball_reaches_the_rebound_heights_of_a_hard_sphere(taichi_f64, law):
+    """A stiff material approaches the hard sphere: each bounce may change the height by the maximum overlap."""
     stiff = {"young_modulus": 1e12, "poisson_ratio": 0.3, "density": 2600.0}
     scene = build_scene(
         {"ball": particle_group([[0.0, 0.0, 0.5]], 0.2)}, walls={"floor": FLOOR}, materials={"glass": stiff},
         pair={"restitution": 0.9}, normal=law, gravity=[0.0, 0.0, -GRAVITY],
-        run={"duration": 2.4, "velocity_max": 2.9}, domain=region(1.0), numerics={"time_step_fraction": 0.02},
+        run={"duration": 2.4, "velocity_max": 2.9}, domain=cubic_domain(1.0), numerics={"time_step_fraction": 0.02},
     )  # fmt: skip
-    seen = run_and_sample(scene, 0.01)
-    z, speed = column(seen, "position")[:, 0, 2], column(seen, "velocity")[:, 0, 2]
-    flying = z > 0.1
-    reached = (z + speed**2 / (2.0 * GRAVITY))[flying]
-    bounces = np.cumsum(np.diff(reached, prepend=reached[0]) < -0.01)
+    snapshots = run_and_sample(scene, 0.01)
+    z, speed = column(snapshots, "position")[:, 0, 2], column(snapshots, "velocity")[:, 0, 2]
+    in_flight = z > 0.1
+    apex = (z + speed**2 / (2.0 * GRAVITY))[in_flight]
+    bounces = np.cumsum(np.diff(apex, prepend=apex[0]) < -0.01)
     mass = 4.0 / 3.0 * np.pi * 1e-3 * 2600.0
     k = theory.hertz_stiffness(1e12 / (2.0 * (1.0 - 0.3**2)), 0.1)
     overlap = theory.overlap_max(k, mass, np.sqrt(2.0 * GRAVITY * 0.4))
     for number, height in enumerate((0.5, *HEIGHTS)):
-        there = reached[bounces == number]
-        assert len(there) > 10
-        np.testing.assert_allclose(there, height, rtol=0.0, atol=number * overlap + 1e-9)
+        heights = apex[bounces == number]
+        assert len(heights) > 10
+        np.testing.assert_allclose(heights, height, rtol=0.0, atol=number * overlap + 1e-9)
     assert overlap < 3e-4
 
 
-def test_two_stacked_spheres_squeezed_between_walls(taichi_f64):
-    """Light above heavy, both pressed into the walls 1.8 mm apart: the two coupled equations of motion beside it."""
+def test_two_stacked_spheres_between_walls_follow_their_equations_of_motion(taichi_f64):
+    """A light particle on a heavy one, compressed between walls at a distance of 1.8 mm: two coupled equations."""
     radius, modulus, restitution = 5e-4, 1e6, 0.8
     soft = {"young_modulus": modulus, "poisson_ratio": 0.3}
     scene = build_scene(
@@ -74,11 +75,11 @@ def test_two_stacked_spheres_squeezed_between_walls(taichi_f64):
         pair={"restitution": restitution},
         normal="hertz",
         gravity=[0.0, 0.0, -GRAVITY],
-        domain=region(0.1),
+        domain=cubic_domain(0.1),
         numerics={"max_overlap": 0.5},
         run={"duration": 0.01, "time_step": 1e-7},
     )
-    seen = run_and_sample(scene, 1e-4)
+    snapshots = run_and_sample(scene, 1e-4)
     volume = 4.0 / 3.0 * np.pi * radius**3
     m1, m2 = volume * 2e4, volume * 1e4
     modulus_eff = modulus / (2.0 * (1.0 - 0.3**2))
@@ -91,15 +92,15 @@ def test_two_stacked_spheres_squeezed_between_walls(taichi_f64):
     def motion(t, s):
         y1, y2, v1, v2 = s
         floor = force(radius - y1, -v1, radius, m1)
-        distance = force(2.0 * radius - (y2 - y1), v1 - v2, 0.5 * radius, m1 * m2 / (m1 + m2))
+        contact = force(2.0 * radius - (y2 - y1), v1 - v2, 0.5 * radius, m1 * m2 / (m1 + m2))
         lid = force(y2 + radius - 1.8e-3, v2, radius, m2)
-        return [v1, v2, (floor - distance) / m1 - GRAVITY, (distance - lid) / m2 - GRAVITY]
+        return [v1, v2, (floor - contact) / m1 - GRAVITY, (contact - lid) / m2 - GRAVITY]
 
     exact = solve_ivp(
         motion, (0.0, 0.01), [4.5e-4, 1.35e-3, 0.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-15,
-        t_eval=np.minimum(times(seen), 0.01), max_step=1e-5,
+        t_eval=np.minimum(times(snapshots), 0.01), max_step=1e-5,
     )  # fmt: skip
-    insertion = column(seen, "position")[:, :, 2].T
-    swing = np.ptp(exact.y[:2], axis=1)
-    assert np.all(swing > 5e-6)
-    np.testing.assert_allclose((insertion - exact.y[:2]) / swing[:, None], 0.0, atol=1e-3)
+    height = column(snapshots, "position")[:, :, 2].T
+    amplitude = np.ptp(exact.y[:2], axis=1)
+    assert np.all(amplitude > 5e-6)
+    np.testing.assert_allclose((height - exact.y[:2]) / amplitude[:, None], 0.0, atol=1e-3)

@@ -1,4 +1,4 @@
-"""Balls on meshes: as on the walls they stand for."""
+"""Particles on mesh walls against particles on the primitive walls that the meshes approximate."""
 
 import meshio
 import numpy as np
@@ -15,7 +15,7 @@ CORNER = {"shape": "rectangle", "corner": [0.6, -0.1, 0.0]}
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The folder that scenes without a file look for meshes in."""
+    """The working directory, from which scenes without a file read meshes."""
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "two.stl", *sheet(1, 0.4))
     write(tmp_path / "many.obj", *sheet(32, 0.2))
@@ -36,7 +36,10 @@ def wall(file, **more):
 
 
 def on_floor():
-    """Positions, velocities and spins of balls that hit z = 0 askew, some above corners and seams every 6.25 mm."""
+    """Positions, velocities and angular velocities of oblique impacts on z = 0, some on vertices and shared edges.
+
+    The spacing of the mesh is 6.25 mm.
+    """
     rng = np.random.default_rng(0)
     lattice = 0.019 * np.array([[x, y] for x in range(-2, 3) for y in range(-2, 3)])
     positions = np.concatenate([lattice + rng.uniform(-0.003, 0.003, (25, 2)), np.full((25, 1), 0.0051)], axis=1)
@@ -48,11 +51,11 @@ def on_floor():
     return positions, velocity, angular_velocity
 
 
-def elsewhere():
-    """Positions, velocities and spins: six in the tube, two in the corner, three at the plate, five at the cube."""
-    angle = np.pi / 6 * np.arange(6)  # middles of facets
-    out = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    in_tube = 0.0949 * out + [0.0, 0.0, 0.6], out + [0.0, 0.0, 0.3]
+def on_other_walls():
+    """The same for six particles in the tube, two in the corner, three at the plate and five at the cube."""
+    angle = np.pi / 6 * np.arange(6)  # centers of facets
+    radial = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    in_tube = 0.0949 * radial + [0.0, 0.0, 0.6], radial + [0.0, 0.0, 0.3]
     in_corner = (
         np.array([[0.6051, 0.01, 0.0051], [0.6053, -0.04, 0.0051]]),
         np.array([[-0.7, 0.2, -0.7], [-1.0, 0.0, -0.9]]),
@@ -70,10 +73,10 @@ def elsewhere():
     return positions, velocities, np.zeros_like(positions)
 
 
-def hits(walls, where=(on_floor, elsewhere), **parts):
-    """All balls of those places at once."""
+def impacts(walls, sources=(on_floor, on_other_walls), **parts):
+    """A scene with the particles of all `sources`."""
     positions, velocity, angular_velocity = (
-        np.concatenate(all_of) for all_of in zip(*(each() for each in where), strict=True)
+        np.concatenate(all_of) for all_of in zip(*(each() for each in sources), strict=True)
     )
     given = {"pair": {"friction": 0.3, "restitution": 0.7}, "run": {"duration": 1.2e-3, "velocity_max": 5.0}}
     output = {"interval": 1.2e-3, "energy_budget": True}
@@ -96,6 +99,7 @@ PRIMITIVES = {
 
 
 def meshes():
+    """Mesh walls in place of `PRIMITIVES`, and a cube."""
     return {
         "floor": wall("many.obj"),
         "tube": wall("tube.ply", translate=[0, 0, 0.4]),
@@ -105,13 +109,13 @@ def meshes():
     }
 
 
-def test_meshes_act_as_the_walls_they_stand_for(taichi_f64, folder):
-    """On a flat mesh to the bit, contacts sliding over seams with what they remember; elsewhere to rounding."""
-    exact, _ = run_to_end(hits(PRIMITIVES))
-    found, simulation = run_to_end(hits(meshes()), out=folder / "out")
-    assert np.all(exact.particles["velocity"][:25, 2] > 0.5), "all have left the floor"
-    slid = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], elsewhere()[0]]))[:25, :2].max()
-    assert slid > 0.00442, "balls slid further than the triangles are high: seams were crossed"
+def test_meshes_act_as_the_primitive_walls_that_they_replace(taichi_f64, folder):
+    """Bit for bit on a flat mesh, including contact history across shared edges; within rounding on other meshes."""
+    exact, _ = run_to_end(impacts(PRIMITIVES))
+    found, simulation = run_to_end(impacts(meshes()), out=folder / "out")
+    assert np.all(exact.particles["velocity"][:25, 2] > 0.5), "all particles have rebounded from the floor"
+    slip = np.abs(found.particles["position"] - np.concatenate([on_floor()[0], on_other_walls()[0]]))[:25, :2].max()
+    assert slip > 0.00442, "particles slide farther than the height of a triangle, across shared edges"
     for name in ("position", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(found.particles[name][:25], exact.particles[name][:25])
         size = np.abs(exact.particles[name]).max()
@@ -119,8 +123,8 @@ def test_meshes_act_as_the_walls_they_stand_for(taichi_f64, folder):
             found.particles[name][25:36], exact.particles[name][25:36], rtol=0.0, atol=1e-9 * size
         )
     rebound = found.particles["velocity"][36:]
-    away = elsewhere()[1][11:]
-    np.testing.assert_allclose(rebound, found.particles["velocity"][12, 2] * -away, rtol=0.0, atol=1e-9)
+    incoming = on_other_walls()[1][11:]
+    np.testing.assert_allclose(rebound, found.particles["velocity"][12, 2] * -incoming, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(found.particles["angular_velocity"][36:], 0.0, atol=1e-9)
     assert found.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], rel=0.5)
     counts = np.bincount(meshio.read(folder / "out" / "walls_0001.vtu").cell_data["wall"][0])
@@ -129,11 +133,11 @@ def test_meshes_act_as_the_walls_they_stand_for(taichi_f64, folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["hertz", "linear"])
-def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
-    """Over a half space, over two triangles and over 2048."""
+def test_flat_mesh_is_bit_identical_to_a_plane(taichi_f64, folder, law):
+    """A half space, a mesh of two triangles and a mesh of 2048 triangles."""
     normal = {"law": "linear", "stiffness": {"reference_velocity": 1.0}} if law == "linear" else law
     floors = {"plane": plane([0, 0, 0], [0, 0, 1]), "two": wall("two.stl"), "many": wall("many.obj")}
-    ends = {name: run_to_end(hits({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
+    ends = {name: run_to_end(impacts({"floor": each}, [on_floor], normal=normal))[0] for name, each in floors.items()}
     for name in ("two", "many"):
         for quantity in ("position", "velocity", "angular_velocity"):
             np.testing.assert_array_equal(ends[name].particles[quantity], ends["plane"].particles[quantity])
@@ -141,10 +145,10 @@ def test_a_flat_mesh_gives_the_bits_of_a_plane(taichi_f64, folder, law):
 
 
 @pytest.mark.slow
-def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder):
-    """Without friction or loss it hops from facet to facet, and has its energy back whenever it touches none.
+def test_energy_is_conserved_in_a_faceted_tube(taichi_f64, folder):
+    """Without friction and dissipation the particle bounces along the facets and has its initial energy in free flight.
 
-    A facet lies within R (1/cos(pi/n) - 1) = 1.4e-4 m of the round tube, a height worth 0.2 % of the fall.
+    The facets deviate from the round tube by at most R (1/cos(pi/n) - 1) = 1.4e-4 m, 0.2 % of the height of fall.
     """
     write(folder / "fine.ply", *tube(60, 0.1, 0.4))
     group = particle_group([[0.0949, 0.0, 0.2]], 0.01)
@@ -153,20 +157,20 @@ def test_a_ball_swings_in_a_tube_of_facets_as_in_a_round_one(taichi_f64, folder)
         {"ball": group}, walls={"tube": wall("fine.ply")},
         run={"duration": 1.0, "velocity_max": 2.0, "time_step": 1e-5}, output={"interval": 1.0}, **parts,
     )  # fmt: skip
-    seen = []
-    last, _ = run_to_end(scene, observers=[every(0.002, seen.append, ("particles", "totals"))])
-    height = np.array([each.particles["position"][0, 1] for each in seen])
-    square = np.array([(each.particles["velocity"] ** 2).sum() for each in seen])
+    snapshots = []
+    last, _ = run_to_end(scene, observers=[every(0.002, snapshots.append, ("particles", "totals"))])
+    height = np.array([each.particles["position"][0, 1] for each in snapshots])
+    square = np.array([(each.particles["velocity"] ** 2).sum() for each in snapshots])
     assert square.max() == pytest.approx(2 * 9.81 * 0.095, rel=0.02)
     energy = 0.5 * square + 9.81 * height
-    free = np.array([each.totals["contact_count"] == 0 for each in seen])
+    free = np.array([each.totals["contact_count"] == 0 for each in snapshots])
     assert free.sum() > 50
     assert np.abs(energy[free]).max() < 1e-3 * 9.81 * 0.095
-    assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in seen]).T)).max() < 0.0953
+    assert np.abs(np.hypot(*np.array([each.particles["position"][0, :2] for each in snapshots]).T)).max() < 0.0953
 
 
-def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
-    """Balls at rest in the walls by a known overlap: F = 4/3 E* sqrt(R) d^(3/2), E* = E / (2 (1 - nu^2)) (Hertz)."""
+def test_wall_frames_contain_pressure_and_traction_of_each_triangle(taichi_f64, folder):
+    """Particles at rest with a known overlap: F = 4/3 E* sqrt(R) d^(3/2), E* = E / (2 (1 - nu^2)) (Hertz)."""
     overlaps = np.array([1e-5, 4e-5, 2e-5, 3e-5])
     positions = np.array([[0.1, -0.1, 0.0], [-0.1, 0.1, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, -0.5]])
     positions[:, 2] += 0.005 - overlaps
@@ -184,13 +188,13 @@ def test_frames_of_walls_show_what_presses_on_each_triangle(taichi_f64, folder):
     run_to_end(scene, out=folder / "out")
     forces = 4.0 / 3.0 * 1e8 / (2.0 * (1.0 - 0.25**2)) * np.sqrt(0.005) * overlaps**1.5
     frame = meshio.read(folder / "out" / "walls_0000.vtu")
-    middles = frame.points[frame.cells_dict["triangle"]].mean(axis=1)
+    centroids = frame.points[frame.cells_dict["triangle"]].mean(axis=1)
     pressure, traction, of_wall = (frame.cell_data[name][0] for name in ("pressure", "traction", "wall"))
-    below_diagonal = middles[:2, 1] < middles[:2, 0]
+    below_diagonal = centroids[:2, 1] < centroids[:2, 0]
     assert below_diagonal.sum() == 1
     np.testing.assert_allclose(pressure[:2], np.where(below_diagonal, *forces[:2]) / (0.4 * 0.4 / 2.0), rtol=1e-5)
     np.testing.assert_allclose(pressure[of_wall == 1], forces[2] / (0.1 * 0.1), rtol=1e-5)
-    assert np.isnan(pressure[of_wall == 2]).all(), "half of space has no area"
+    assert np.isnan(pressure[of_wall == 2]).all(), "a half space has no area"
     bounded = of_wall < 2
     np.testing.assert_allclose(traction[bounded, 2], -pressure[bounded], rtol=1e-6)
     np.testing.assert_allclose(traction[bounded, :2], 0.0, atol=1e-6 * pressure[:2].max())

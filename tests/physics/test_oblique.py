@@ -1,4 +1,4 @@
-"""Oblique impacts: against Coulomb's closed forms, one ordinary differential equation, and published measurements.
+"""Oblique impacts against closed forms for sliding contacts, an ordinary differential equation, and measurements.
 
 Chung & Ooi 2011, Granular Matter 13:643, tests 4, 5, 6 and 8; Kharaz, Gorham & Salman 2001, Powder Technol. 120:281.
 """
@@ -13,53 +13,54 @@ from granflow.study.paper import oblique
 
 @pytest.fixture(scope="module")
 def run(taichi_f64):
+    """The results of all sweeps by name."""
     return oblique.oblique_run(angles=30, ratios=15)
 
 
 def mean_overlap(setup, speed):
-    """Mean overlap over the impulse, int F d dt / int F dt, under Zhou's law; by scipy in units of dmax and v."""
+    """Impulse-weighted mean overlap, int F d dt / int F dt, of Zhou's model; by quadrature in units of dmax and v."""
     e, (k, mass) = setup.restitution, setup.reduced
-    largest = (1.25 * mass * speed**2 / k) ** 0.4
+    overlap_max = (1.25 * mass * speed**2 / k) ** 0.4
     y = brentq(lambda y: y - 0.8 * e**2 - 0.2 * e**3 * y**2.5, 0.0, 1.0 + 1e-9, xtol=1e-15)
     slope = (1.0 - e**3 * y**1.5) / y
 
     def energy(s):
-        """Work the unloading branch has given back at s above the residual overlap, over M v^2 / 2."""
+        """Work returned by the unloading branch at s above the residual overlap, over M v^2 / 2."""
         return max(e**2 - 1.25 * slope * s**2 - e**3 * s**2.5, 0.0)
 
     # F dt = F dd / rate, with F = (5/4) u^1.5 and (5/4) (Lambda s + e^3 s^1.5) in units of M v^2 / dmax
     loading = quad(lambda u: 1.25 * u**2.5 / np.sqrt(1.0 - u**2.5), 0.0, 1.0)[0]
-    force = quad(
+    unloading = quad(
         lambda s: 1.25 * (slope * s + e**3 * s**1.5) * (s + 1.0 - y) / np.sqrt(energy(s)) if energy(s) else 0.0, 0.0, y
     )[0]
-    return largest * (loading + force) / (1.0 + e)
+    return overlap_max * (loading + unloading) / (1.0 + e)
 
 
 @pytest.mark.parametrize("name", ["glass_zhou", "test4_zhou", "test5_zhou", "test6_zhou", "test8_zhou"])
-def test_a_contact_that_slides_throughout_follows_coulomb(run, name):
+def test_sliding_contacts_follow_coulombs_law(run, name):
     """v_n' = e v_n, v_t' = v_t - mu (1 + e) v_n, R w' = R w + 2.5 mu (1 + e) v_n (1 - overlap/R), within 0.1 %."""
     sweep = run[name]
     setup, before, after = sweep.setup, sweep.before, sweep.after
     speed, slip = -before.normal, before.along - setup.radius * before.spin
-    kick = setup.friction * (1.0 + setup.restitution) * speed
-    sliding = slip > 1.05 * 3.5 * kick
+    impulse = setup.friction * (1.0 + setup.restitution) * speed
+    sliding = slip > 1.05 * 3.5 * impulse
     assert sliding.sum() >= 3
-    share = 1.0 if setup.partner_radius is None else setup.partner_radius / (setup.partner_radius + setup.radius)
-    arm = 1.0 - share * np.array([mean_overlap(setup, each) for each in speed]) / setup.radius
-    turned = setup.radius * (after.spin - before.spin)
+    fraction = 1.0 if setup.partner_radius is None else setup.partner_radius / (setup.partner_radius + setup.radius)
+    arm = 1.0 - fraction * np.array([mean_overlap(setup, each) for each in speed]) / setup.radius
+    spin_change = setup.radius * (after.spin - before.spin)
     np.testing.assert_allclose(after.normal[sliding], (setup.restitution * speed)[sliding], rtol=1e-3)
-    np.testing.assert_allclose((before.along - after.along)[sliding], kick[sliding], rtol=1e-3)
-    np.testing.assert_allclose(turned[sliding], (2.5 * kick * arm)[sliding], rtol=1e-3)
-    # the textbook's lever arm is the radius itself
-    np.testing.assert_allclose(turned[sliding], 2.5 * kick[sliding], rtol=1e-2)
+    np.testing.assert_allclose((before.along - after.along)[sliding], impulse[sliding], rtol=1e-3)
+    np.testing.assert_allclose(spin_change[sliding], (2.5 * impulse * arm)[sliding], rtol=1e-3)
+    # textbooks use the radius as the lever arm
+    np.testing.assert_allclose(spin_change[sliding], 2.5 * impulse[sliding], rtol=1e-2)
 
 
 def no_slip_spring(setup, ratio, damping=0.0, steps=20000):
-    """Slip after over friction times velocity, for slip before `ratio` of that, by small steps of the contact alone.
+    """Slip velocity after the impact over mu v_n, for the ratio `ratio` before it; one contact in small time steps.
 
-    Hertz with Tsuji's damping; Mindlin's spring dF_t = k_t ds with k_t / (k sqrt(d)) = 6 G*/E*, whose force goes down
-    with the contact radius while that shrinks, held at mu F; the slip changes by 3.5 F_t / M. Units: M, k and the
-    velocity towards the plate are 1.
+    Normal force: Hertz with Tsuji's damping. Tangential force: Mindlin's spring dF_t = k_t ds with
+    k_t / (k sqrt(d)) = 6 G*/E*, reduced in proportion to the contact radius during unloading and limited to mu F.
+    The slip velocity changes by 3.5 F_t / M. Units: M, k and the normal impact velocity are 1.
     """
     nu, friction = setup.sphere["poisson_ratio"], setup.friction
     stiffness = 6.0 * (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
@@ -80,8 +81,8 @@ def no_slip_spring(setup, ratio, damping=0.0, steps=20000):
         before = overlap
 
 
-def test_contacts_that_stick_and_slip_follow_mindlins_spring(run):
-    """Test 5, where it does not slide throughout; the lever arm is half a per cent off there."""
+def test_contacts_with_stick_and_slip_follow_mindlins_spring(run):
+    """Test 5 where the contact also sticks; the lever arm differs from the radius by 0.5 %."""
     sweep = run["test5_zhou"]
     part = slice(0, 5)
     found = oblique.plotted_quantities(sweep, "test5")["slip"][part]
@@ -89,11 +90,11 @@ def test_contacts_that_stick_and_slip_follow_mindlins_spring(run):
 
 
 def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
-    """Test 6 with Hertz's law: sqrt(5) zeta of the restitution after Antypov & Elliott 2011, e = .5."""
+    """Test 6 with the hertz model: damping sqrt(5) zeta after Antypov & Elliott 2011 for e = 0.5."""
     sweep, e = run["test6_hertz"], oblique.TEST_6.restitution
 
     def rebound(zeta):
-        """Schwager & Poeschel 2007: a dashpot that lets go when the force is zero."""
+        """Schwager & Poeschel 2007: the contact ends when the force of spring and dashpot is zero."""
         root = np.sqrt(1.0 - zeta**2)
         return np.exp(-zeta / root * (np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)))
 
@@ -105,32 +106,32 @@ def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
 
 @pytest.mark.parametrize("law", ["hertz", "zhou"])
 @pytest.mark.parametrize(
-    ("quantity", "off"), [("tangential_restitution", 0.025), ("spin", 50.0), ("rebound_angle", 2.0)]
+    ("quantity", "tolerance"), [("tangential_restitution", 0.025), ("spin", 50.0), ("rebound_angle", 2.0)]
 )
-def test_rebounds_as_measured(run, law, quantity, off):
-    """From 10 degrees on; nearer the normal Hertz-Mindlin contacts are known to keep too much, see below."""
+def test_rebounds_agree_with_measurements(run, law, quantity, tolerance):
+    """Above 10 degrees; at smaller angles Hertz-Mindlin contacts are known to return too much tangential velocity."""
     sweep = run[f"glass_{law}"]
     angle, measured = oblique.published("kharaz_2001")[quantity].T
     found = np.interp(angle, sweep.x, oblique.plotted_quantities(sweep, "test4")[quantity])
-    known = angle > 10.0
-    np.testing.assert_allclose(found[known], measured[known], rtol=0.0, atol=off)
+    compared = angle > 10.0
+    np.testing.assert_allclose(found[compared], measured[compared], rtol=0.0, atol=tolerance)
     if quantity == "tangential_restitution":
         assert np.all((found - measured)[angle < 5.0] > 0.05)
 
 
 @pytest.mark.parametrize("law", ["hertz", "zhou"])
 @pytest.mark.parametrize(
-    ("quantity", "off"), [("tangential_restitution", 0.025), ("spin", 15.0), ("rebound_angle", 1.5)]
+    ("quantity", "tolerance"), [("tangential_restitution", 0.025), ("spin", 15.0), ("rebound_angle", 1.5)]
 )
-def test_rebounds_as_published_for_a_rigid_plate(run, law, quantity, off):
-    """Chung & Ooi's curves of test 4 from 10 degrees on, as closely as they can be read."""
+def test_rebounds_agree_with_published_curves_for_a_rigid_plate(run, law, quantity, tolerance):
+    """Chung & Ooi's curves of test 4 above 10 degrees, within the reading error of the figures."""
     sweep = run[f"test4_{law}"]
     angle, published = oblique.published("chung_ooi_2011")[f"test4_{quantity}"].T
     found = np.interp(angle, sweep.x, oblique.plotted_quantities(sweep, "test4")[quantity])
-    np.testing.assert_allclose(found[angle > 9.0], published[angle > 9.0], rtol=0.0, atol=off)
+    np.testing.assert_allclose(found[angle > 9.0], published[angle > 9.0], rtol=0.0, atol=tolerance)
 
 
-def test_no_impact_makes_energy(run):
+def test_no_impact_increases_the_energy(run):
     for name, sweep in run.items():
         before, after = (
             each.normal**2 + each.along**2 + 0.4 * (sweep.setup.radius * each.spin) ** 2
@@ -139,18 +140,18 @@ def test_no_impact_makes_energy(run):
         assert np.all(after < before * (1.0 + 1e-9)), name
 
 
-def test_a_large_heavy_sphere_is_as_good_as_a_rigid_plate(run):
-    """Test 8 gives the curve of test 6."""
-    one, other = (oblique.plotted_quantities(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou"))
-    np.testing.assert_allclose(one, other, atol=3e-3)
+def test_large_heavy_sphere_acts_as_a_rigid_plate(run):
+    """Test 8 reproduces the curve of test 6."""
+    plate, sphere = (oblique.plotted_quantities(run[name], "test6")["slip"] for name in ("test6_zhou", "test8_zhou"))
+    np.testing.assert_allclose(plate, sphere, atol=3e-3)
 
 
-def test_the_figure_meets_its_targets(run, tmp_path):
-    plate = oblique.oblique_figure(run)
-    assert len(plate.deviations) == 10
-    assert all(each.is_within_target and each.target == 1e-3 for each in plate.deviations)
+def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
+    figure_data = oblique.oblique_figure(run)
+    assert len(figure_data.deviations) == 10
+    assert all(each.is_within_target and each.target == 1e-3 for each in figure_data.deviations)
     pytest.importorskip("matplotlib")
     from granflow.study.figures import draw_to
 
-    draw_to(tmp_path / "figure.png", lambda figure: plate.draw(figure, plate.columns), plate.height)
+    draw_to(tmp_path / "figure.png", lambda figure: figure_data.draw(figure, figure_data.columns), figure_data.height)
     assert (tmp_path / "figure.png").stat().st_size > 10000

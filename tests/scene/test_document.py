@@ -1,4 +1,4 @@
-"""YAML 1.2: what plain text means, and where things stand."""
+"""YAML 1.2 reader: types of plain scalars, positions of keys and values, rejected documents."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from granflow.scene.document import DocumentError
 from granflow.scene.yaml12 import parse
 
-FACTS = [
+SCALARS = [
     ("012", 12),
     ("0o14", 12),
     ("0x1F", 31),
@@ -35,17 +35,17 @@ FACTS = [
 ]
 
 
-@pytest.mark.parametrize(("text", "value"), FACTS, ids=lambda value: str(value)[:20])
-def test_plain_text(text, value):
+@pytest.mark.parametrize(("text", "value"), SCALARS, ids=lambda value: str(value)[:20])
+def test_scalars_have_their_yaml_1_2_type(text, value):
     data = parse(f"key: {text}", "file").root.data()["key"]
     assert data == value and type(data) is type(value)
 
 
-def test_nan_is_nan():
+def test_nan_is_read_as_nan():
     assert math.isnan(parse(".nan", "file").root.data())
 
 
-def test_places_of_keys_and_values():
+def test_positions_of_keys_and_values():
     document = parse("a:\n  - b: 1\n    c: [2, {d: 3}]\n", "file")
     assert str(document.key_position(("a",))) == "file:1:1"
     assert str(document.key_position(("a", 0, "c"))) == "file:3:5"
@@ -53,31 +53,31 @@ def test_places_of_keys_and_values():
     assert document.where(("a", 0, "c", 1, "x", "y")) == "file:3"
 
 
-def test_anchors_and_aliases():
+def test_aliases_are_resolved():
     assert parse("a: &x {b: 1}\nc: *x\n", "file").root.data() == {"a": {"b": 1}, "c": {"b": 1}}
 
 
 @pytest.mark.parametrize(
     "text", ["&a [*a]", "&a {b: *a}", "*a", "!!python/object:os {}", "a: 1\n---\nb: 2", "? [a]\n: b"]
 )
-def test_what_is_refused(text):
+def test_unsupported_yaml_is_rejected(text):
     with pytest.raises(DocumentError):
         parse(text, "file")
 
 
-def test_duplicate_keys_do_not_stop_the_reading():
+def test_all_duplicate_keys_are_reported():
     document = parse("a: 1\na: 2\nb: 3\nb: 4\n", "file")
     assert document.root.data() == {"a": 1, "b": 3}
     assert [str(problem.position) for problem in document.problems] == ["file:2:1", "file:4:1"]
 
 
-def test_aliases_that_multiply_are_refused():
+def test_exponential_aliases_are_rejected():
     lines = ["a0: &a0 [1]"] + [f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 10) + "]" for i in range(1, 30)]
     with pytest.raises(DocumentError, match="aliases add more than"):
         parse("\n".join(lines), "file")
 
 
-def test_escaped_halves_of_a_character():
+def test_escaped_surrogates_are_accepted_only_in_pairs():
     assert parse(r'"\ud83d\ude00"', "file").root.data() == "\U0001f600"
     with pytest.raises(DocumentError, match="escaped surrogate"):
         parse(r'"\ud83d"', "file")

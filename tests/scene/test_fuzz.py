@@ -1,4 +1,4 @@
-"""`granflow check` of anything at all ends in a scene or in sentences with places: no traceback, hang or flood."""
+"""`granflow check` of arbitrary files: a valid scene or messages with positions, in bounded time and memory."""
 
 import contextlib
 import io
@@ -12,7 +12,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from fuzzing import SCENES, made_by_hypothesis, mutated_file, written
+from fuzzing import SCENES, hypothesis_files, mutated_file, written
 from subprocess_runner import in_subprocess
 
 from granflow.cli import main
@@ -20,40 +20,40 @@ from granflow.errors import SceneError
 from granflow.plan import memory_check
 from granflow.scene import load
 
-SECONDS, WAITING = 20, 200
-"""More computing, or more waiting, than this for one input is a hang; a shipped scene takes a fiftieth of a second."""
+CPU_TIME_MAX, WALL_TIME_MAX = 20, 200
+"""CPU time and wall time [s] above which one input counts as a hang; a shipped scene takes 0.02 s."""
 
 MEMORY = 2**30
-"""Bytes that one input may take."""
+"""Largest memory of one input [bytes]."""
 
-FREE = 120_000_000
-"""Memory [bytes] that the machine is made to have, so that no great pack is placed: that takes time by right."""
+AVAILABLE_MEMORY = 120_000_000
+"""Simulated available memory [bytes]; it excludes large packings, which take a long time to generate."""
 
-PLACE = re.compile(r".*scene\.yaml(:\d+:\d+)?: \S.*[.?]")
+POSITION = re.compile(r".*scene\.yaml(:\d+:\d+)?: \S.*[.?]")
 
 
 class Hang(BaseException):
-    """An input took too long."""
+    """The time limit of one input is exceeded."""
 
 
-def alarmed(*_):
-    raise Hang(f"more than {SECONDS} s of computing or {WAITING} s of waiting")
+def raise_hang(*_):
+    raise Hang(f"more than {CPU_TIME_MAX} s of CPU time or {WALL_TIME_MAX} s of wall time")
 
 
-def set_alarm(computing, queued):
-    signal.setitimer(signal.ITIMER_PROF, computing)
-    signal.setitimer(signal.ITIMER_REAL, queued)
+def set_alarm(cpu_time, wall_time):
+    signal.setitimer(signal.ITIMER_PROF, cpu_time)
+    signal.setitimer(signal.ITIMER_REAL, wall_time)
 
 
 def peak():
-    """Most memory this process has held [bytes]."""
+    """Peak memory of this process [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def check(path):
-    """Exit code of `granflow check` and what it says on stderr."""
+    """Exit code of `granflow check` and its output on stderr; None and the traceback if it raises an exception."""
     message = io.StringIO()
-    set_alarm(SECONDS, WAITING)
+    set_alarm(CPU_TIME_MAX, WALL_TIME_MAX)
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(io.StringIO()):
             return main(["check", str(path)]), message.getvalue()
@@ -63,138 +63,141 @@ def check(path):
         set_alarm(0, 0)
 
 
-def complaint(path):
-    """Exit code of `granflow check` of a file, and what is wrong with the way it takes the file, or None."""
+def checked(path):
+    """Exit code of `granflow check` of a file, and a description of incorrect behavior, or None."""
     code, message = check(path)
     lines = message.splitlines()
     if code == 0:
-        right = all(line.startswith("granflow: warning: ") for line in lines)
+        correct = all(line.startswith("granflow: warning: ") for line in lines)
     else:
-        counted = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
-        invented = "nan" in message and "nan" not in path.read_text("latin-1")
-        right = code == 2 and counted and all(PLACE.fullmatch(line) for line in lines[:-1]) and not invented
-    return code, None if right else f"exit code {code}: {message}"
+        has_count = lines and re.fullmatch(r"\d+ problems? found\.", lines[-1])
+        nan_not_in_file = "nan" in message and "nan" not in path.read_text("latin-1")
+        positions = all(POSITION.fullmatch(line) for line in lines[:-1])
+        correct = code == 2 and has_count and positions and not nan_not_in_file
+    return code, None if correct else f"exit code {code}: {message}"
 
 
-def limited():
-    """Set the alarm and the limits of this process, and make warnings errors."""
+def set_limits():
+    """Set the time and memory limits of this process, and turn warnings into errors."""
     for each in (signal.SIGALRM, signal.SIGPROF):
-        signal.signal(each, alarmed)
+        signal.signal(each, raise_hang)
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (virtual + MEMORY, virtual + MEMORY))
-    memory_check.available_memory = lambda: FREE
+    memory_check.available_memory = lambda: AVAILABLE_MEMORY
     warnings.simplefilter("error")
 
 
-def outcome(folder, files):
-    """How many files are scenes, the most memory taken [bytes]; of failures number, bytes and what went wrong."""
+def check_files(folder, files):
+    """Number of valid scenes, increase of the peak memory [bytes], and number, content and description of failures."""
     path, failures, accepted = Path(folder) / "scene.yaml", [], 0
     path.write_text(written(SCENES[0], random.Random(0)), encoding="utf-8")
-    assert complaint(path)[1] is None, "what is loaded on first use must not count"
-    limited()
+    assert checked(path)[1] is None, "the first check loads modules, which do not count as memory of an input"
+    set_limits()
     before = peak()
     for number, raw in enumerate(files):
         path.write_bytes(raw)
-        code, wrong = complaint(path)
+        code, failure = checked(path)
         accepted += code == 0
-        if wrong:
-            failures.append([number, raw[:300].decode("latin-1"), wrong])
+        if failure:
+            failures.append([number, raw[:300].decode("latin-1"), failure])
     return accepted, peak() - before, failures
 
 
-def mutants_outcome(folder, first, count):
-    return outcome(folder, (mutated_file(random.Random(number)) for number in range(first, first + count)))
+def check_mutated_files(folder, first, count):
+    return check_files(folder, (mutated_file(random.Random(number)) for number in range(first, first + count)))
 
 
-def hypothesis_outcome(folder, count):
-    return outcome(folder, made_by_hypothesis(count))
+def check_hypothesis_files(folder, count):
+    return check_files(folder, hypothesis_files(count))
 
 
-def survives(found, count):
-    accepted, memory, failures = found
-    shown = "\n".join(f"--- input {number}\n{raw}\n--- {wrong}" for number, raw, wrong in failures[:3])
-    assert not failures, f"{len(failures)} of {count} inputs:\n{shown}"
+def accepted_count(result, count):
+    """The number of valid scenes, after assertions on failures and memory."""
+    accepted, memory, failures = result
+    examples = "\n".join(f"--- input {number}\n{raw}\n--- {failure}" for number, raw, failure in failures[:3])
+    assert not failures, f"{len(failures)} of {count} inputs:\n{examples}"
     assert memory < MEMORY
     assert accepted < count
     return accepted
 
 
-def test_changed_scenes(tmp_path):
-    accepted = survives(in_subprocess(mutants_outcome, str(tmp_path), 0, 300), 300)
-    assert accepted > 20, "some changes leave a scene"
+def test_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path):
+    accepted = accepted_count(in_subprocess(check_mutated_files, str(tmp_path), 0, 300), 300)
+    assert accepted > 20, "some changes result in a valid scene"
 
 
-def test_anything(tmp_path):
-    survives(in_subprocess(hypothesis_outcome, str(tmp_path), 200), 200)
+def test_random_files_are_accepted_or_rejected_with_positions(tmp_path):
+    accepted_count(in_subprocess(check_hypothesis_files, str(tmp_path), 200), 200)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("first", range(1000, 13_000, 3000))
-def test_many_changed_scenes(tmp_path, first):
-    survives(in_subprocess(mutants_outcome, str(tmp_path), first, 3000, seconds=3500), 3000)
+def test_many_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path, first):
+    accepted_count(in_subprocess(check_mutated_files, str(tmp_path), first, 3000, seconds=3500), 3000)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_much_of_anything(tmp_path):
-    survives(in_subprocess(hypothesis_outcome, str(tmp_path), 8000, seconds=3500), 8000)
+def test_many_random_files_are_accepted_or_rejected_with_positions(tmp_path):
+    accepted_count(in_subprocess(check_hypothesis_files, str(tmp_path), 8000, seconds=3500), 8000)
 
 
-MANY = 3000
-LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(60))
-TRAPS = {
-    "aliases that double": LAUGHS,
-    "an anchor in itself": "title: &a [*a]",
-    "an anchor in itself, further down": "title: &a {b: {c: [1, *a]}}",
+REPEAT_COUNT = 3000
+ALIAS_BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(60))
+MALICIOUS = {
+    "aliases that double": ALIAS_BOMB,
+    "recursive anchor": "title: &a [*a]",
+    "nested recursive anchor": "title: &a {b: {c: [1, *a]}}",
     "merge key": "a: &a {b: 1}\nc: {<<: *a}",
     "python tag": "title: !!python/object/apply:os.system ['touch pwned']",
     "pickle": "title: !!binary gASVBQAAAAAAAACMAWGULg==",
-    "nothing": "",
-    "only comments": "# a\n" * MANY,
+    "empty file": "",
+    "only comments": "# a\n" * REPEAT_COUNT,
     "only a tab": "\t",
     "tabs": "title: x\nrun:\n\tduration: 1\n",
     "NUL": "title: a\0b",
     "deep lists": "[" * 100_000,
     "deep mappings": "{a: " * 100_000,
-    "deep blocks": "".join(" " * n + f"k{n}:\n" for n in range(MANY)),
+    "deep blocks": "".join(" " * n + f"k{n}:\n" for n in range(REPEAT_COUNT)),
     "deep dashes": "- " * 100_000,
-    "questions": "? " * 100_000,
+    "question marks": "? " * 100_000,
     "a long integer": "seed: " + "9" * 1_000_000,
     "a long hexadecimal": "seed: 0x" + "f" * 1_000_000,
     "a long key": "k" * 1_000_000 + ": 1",
     "a long word": "title: " + "x" * 1_000_000,
     "a key that begins with a space": '" title": x',
-    "the same key": "title: x\n" * MANY,
+    "the same key": "title: x\n" * REPEAT_COUNT,
     "many keys": "".join(f"k{n}: 1\n" for n in range(6000)),
-    "many documents": "---\n" * MANY,
-    "many anchors": "title: [" + ", ".join(f"&a{n} x" for n in range(MANY)) + "]",
-    "many tags": "%TAG ! tag:x,2000:\n" * MANY + "---\na: 1",
-    "half a surrogate": 'title: "\\ud800"',
+    "many documents": "---\n" * REPEAT_COUNT,
+    "many anchors": "title: [" + ", ".join(f"&a{n} x" for n in range(REPEAT_COUNT)) + "]",
+    "many tags": "%TAG ! tag:x,2000:\n" * REPEAT_COUNT + "---\na: 1",
+    "single surrogate": 'title: "\\ud800"',
     "infinities": "gravity: [.inf, -.inf, .nan]",
-    "beyond floats": "gravity: [1e308, 1e400, -1e999]",
-    "materials without end": "materials:\n" + "".join(f"  m{n}: {{density: 1}}\n" for n in range(MANY)),
-    "particles without end": "particles:\n" + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(MANY)),
+    "numbers beyond float64": "gravity: [1e308, 1e400, -1e999]",
+    "many materials": "materials:\n" + "".join(f"  m{n}: {{density: 1}}\n" for n in range(REPEAT_COUNT)),
+    "many particle groups": "particles:\n" + "".join(f"  m{n}: {{material: x{n}}}\n" for n in range(REPEAT_COUNT)),
 }
 
 
-def traps_outcome(folder, kind):
-    return outcome(folder, (text.encode() for text in (TRAPS if kind == "small" else floods()).values()))
+def check_malicious_files(folder, kind):
+    return check_files(folder, (text.encode() for text in (MALICIOUS if kind == "small" else large_files()).values()))
 
 
-def test_traps(tmp_path):
-    """Bombs, loops, tags, depth and length: each is refused."""
-    assert survives(in_subprocess(traps_outcome, str(tmp_path), "small"), len(TRAPS)) == 0
+def test_malicious_files_are_rejected(tmp_path):
+    """Alias bombs, recursion, tags, deep nesting and long scalars."""
+    assert accepted_count(in_subprocess(check_malicious_files, str(tmp_path), "small"), len(MALICIOUS)) == 0
     assert not list(tmp_path.glob("pwned"))
 
 
-def floods():
-    """Files of 10 MB, and of almost the 4 MiB that are read."""
-    return {f"{name}, {scale}": text for scale in (10**7, 2**22 - 200) for name, text in floods_of(scale).items()}
+def large_files():
+    """Files of 10 MB, and of slightly less than the limit of 4 MiB."""
+    return {f"{name}, {size}": text for size in (10**7, 2**22 - 200) for name, text in files_of_size(size).items()}
 
 
-def floods_of(scale):
-    shapes = {
+def files_of_size(size):
+    """Files of `size` bytes that repeat one construct of YAML or of scenes."""
+    parts = {
         "scalars": ("title: [", "0,", "0]"), "lists": ("title: [", "[],", "0]"), "dashes": ("title:\n", "- a\n", ""),
         "text": ("title: '", "a", "'"), "words": ("title: ", "a ", "a"), "block": ("title: |\n", " b\n", ""),
         "lines": ("", "\n", ""), "comments": ("", "#\n", ""), "quote": ("a: '", "\n", ""),
@@ -204,27 +207,28 @@ def floods_of(scale):
         "bad items": ("particles: {a: {insert: {kind: positions, positions: [", "0," + 15 * " ", "0]}}}"),
         "bad walls": ("walls:\n", "  w: {" + ", ".join(f"k{k}: 1" for k in range(48)) + "}\n", ""),
     }  # fmt: skip
-    found = {name: head + body * (scale // len(body)) + tail for name, (head, body, tail) in shapes.items()}
+    found = {name: head + body * (size // len(body)) + tail for name, (head, body, tail) in parts.items()}
     return found | {"bad walls": renumbered(found["bad walls"])}
 
 
 def renumbered(text):
-    """Walls with names of their own."""
+    """The text with a different name for each wall."""
     return "".join(line.replace("  w:", f"  w{n}:", 1) for n, line in enumerate(text.splitlines(True)))
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_floods(tmp_path):
-    assert survives(in_subprocess(traps_outcome, str(tmp_path), "large", seconds=3500), len(floods())) == 0
+def test_large_files_are_rejected(tmp_path):
+    result = in_subprocess(check_malicious_files, str(tmp_path), "large", seconds=3500)
+    assert accepted_count(result, len(large_files())) == 0
 
 
-def odd_files(folder):
-    """Things that are no scene files, by what must be said of them."""
+def unreadable_paths(folder):
+    """Paths that are no readable scene files, and a fragment of the message about each."""
     folder = Path(folder)
     os.mkfifo(folder / "fifo.yaml")
     (folder / "loop.yaml").symlink_to("loop.yaml")
-    (folder / "nowhere.yaml").symlink_to("gone.yaml")
+    (folder / "nowhere.yaml").symlink_to("missing.yaml")
     (folder / "zero.yaml").symlink_to("/dev/zero")
     (folder / "up.yaml").symlink_to(folder)
     (folder / "sparse.yaml").write_bytes(b"")
@@ -245,29 +249,29 @@ def odd_files(folder):
     }
 
 
-def said_of_odd_files(folder):
-    files, answers = odd_files(folder), []
-    limited()
-    for name, words in files.items():
+def check_unreadable_paths(folder):
+    paths, results = unreadable_paths(folder), []
+    set_limits()
+    for name, words in paths.items():
         code, message = check(name)
-        answers.append([name, code, words in message, message])
-    return answers
+        results.append([name, code, words in message, message])
+    return results
 
 
-def test_files_that_are_none(tmp_path):
-    for name, code, reported, message in in_subprocess(said_of_odd_files, str(tmp_path)):
+def test_unreadable_paths_are_reported(tmp_path):
+    for name, code, reported, message in in_subprocess(check_unreadable_paths, str(tmp_path)):
         assert code == 2, name
         assert reported, f"{name}: {message}"
         assert message.endswith("1 problem found.\n")
 
 
-def test_a_link_to_a_scene_is_that_scene(tmp_path):
+def test_symbolic_link_to_a_scene_is_followed(tmp_path):
     scene = Path(__file__).parents[2] / "scenes" / "two_spheres.yaml"
     (tmp_path / "link.yaml").symlink_to(scene)
     assert main(["check", str(tmp_path / "link.yaml")]) == 0
 
 
-TOO_MUCH = {
+LIMITS_EXCEEDED = {
     "walls:\n" + "".join(f"  w{n}: 1\n" for n in range(5001)): (
         ":5002:3: this mapping has more than 5000 keys, too many for a scene.",
     ),
@@ -284,13 +288,13 @@ TOO_MUCH = {
 }
 
 
-@pytest.mark.parametrize("text", TOO_MUCH, ids=["keys", "values", "entries", "problems"])
-def test_what_is_said_of_too_much(tmp_path, text):
+@pytest.mark.parametrize("text", LIMITS_EXCEEDED, ids=["keys", "values", "entries", "problems"])
+def test_messages_state_the_exceeded_limit(tmp_path, text):
     path = tmp_path / "scene.yaml"
     path.write_text(text)
-    with pytest.raises(SceneError) as refused:
+    with pytest.raises(SceneError) as caught:
         load(path)
-    message = refused.value.problems
-    assert len(message) <= 101
-    for sentence in TOO_MUCH[text]:
-        assert any(problem.startswith(f"{path}{sentence}") for problem in message), message[-3:]
+    problems = caught.value.problems
+    assert len(problems) <= 101
+    for sentence in LIMITS_EXCEEDED[text]:
+        assert any(problem.startswith(f"{path}{sentence}") for problem in problems), problems[-3:]

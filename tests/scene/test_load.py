@@ -1,4 +1,4 @@
-"""A scene is read into SI, presets and defaults filled in; it writes itself back and reads again the same."""
+"""Reading of scenes: SI units, presets, defaults, overrides, and a lossless round trip through text."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,7 @@ def scene():
     return load(GOOD)
 
 
-def test_numbers_are_si(scene):
+def test_numbers_are_converted_to_si(scene):
     assert scene.walls["tube"].radius == 0.05
     assert scene.walls["tube"].motion[0].frequency == 25.0
     assert scene.materials["steel"].young_modulus == 193e9
@@ -28,7 +28,7 @@ def test_numbers_are_si(scene):
     assert scene.gravity == (0.0, 0.0, -9.81)
 
 
-def test_presets_are_filled_in(scene):
+def test_presets_define_missing_properties(scene):
     glass = scene.materials["glass"]
     assert (glass.young_modulus, glass.yield_strength) == (PRESETS["glass"].young_modulus, 50e6)
     steel = load(GOOD, ["materials.steel={preset: stainless_316}"]).materials["steel"]
@@ -43,7 +43,7 @@ def test_every_preset_has_a_source():
     assert all(preset.source for preset in PRESETS.values())
 
 
-def test_what_is_left_out_is_filled_in(scene):
+def test_omitted_keys_have_their_defaults(scene):
     assert scene.output.timeseries_interval == scene.output.interval == 0.01
     assert scene.particles["pair"].count == 2
     assert scene.contact.normal.law == "zhou" and scene.contact.normal.restitution_at == "impact"
@@ -51,22 +51,22 @@ def test_what_is_left_out_is_filled_in(scene):
     assert scene.run.time_step == "auto"
 
 
-def test_shares_of_classes_sum_to_1(scene):
+def test_fractions_of_classes_are_normalized(scene):
     assert [each.fraction for each in scene.particles["grit"].diameter.classes] == [0.75, 0.25]
 
 
-def test_a_number_in_every_pair_makes_the_restitution_constant():
+def test_restitution_is_constant_if_every_pair_has_a_number():
     scene = load(GOOD, ["pairs.glass-steel.restitution=0.5"])
     assert scene.contact.normal.restitution_at == "constant"
 
 
-def test_without_stages_there_is_one_named_run(scene):
+def test_scene_without_stages_has_one_stage_named_run(scene):
     assert [stage.name for stage in scene.schedule] == ["fill", "settle", "discharge"]
     short = load(GOOD, ["stages=[]", "run.duration=2", "walls.gate.stages=[run]"])
     assert [(stage.name, stage.duration) for stage in short.schedule] == [("run", 2.0)]
 
 
-def test_pairs_in_either_order(scene):
+def test_pair_does_not_depend_on_the_order_of_materials(scene):
     assert scene.pair("steel", "glass") is scene.pair("glass", "steel") is scene.pairs["glass-steel"]
     with pytest.raises(KeyError):
         scene.pair("steel", "steel")
@@ -76,14 +76,14 @@ def test_pairs_in_either_order(scene):
     "given",
     [{"amplitude": 0.001, "frequency": 25}, {"frequency": 25, "gamma": 2.5151}, {"amplitude": 1e-3, "gamma": 2.5151}],
 )
-def test_two_of_three_give_a_vibration(given):
+def test_two_of_amplitude_frequency_and_gamma_define_a_vibration(given):
     vibration = scene_schema.VibrationSpec(kind="vibration", direction=[0, 0, 1], **given)
     amplitude, omega = vibration.amplitude_and_angular_frequency((0.0, 0.0, -9.81))
     assert amplitude == pytest.approx(0.001, rel=1e-4)
     assert omega == pytest.approx(50 * math.pi, rel=1e-4)
 
 
-def test_where(scene):
+def test_where_returns_the_position_of_a_key(scene):
     assert scene.where("walls", "tube", "radius") == f"{GOOD}:26"
     assert scene.where("walls", "tube", "appears_at") == f"{GOOD}:22"
     assert scene.where("run", "velocity_max") == f"{GOOD}:68"
@@ -91,7 +91,7 @@ def test_where(scene):
     assert scene.path == GOOD
 
 
-def test_text_reads_again_to_the_same_scene(scene, tmp_path):
+def test_text_of_a_scene_is_read_back_as_an_equal_scene(scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.text(), encoding="utf-8")
     again = load(path)
@@ -103,17 +103,17 @@ def test_text_reads_again_to_the_same_scene(scene, tmp_path):
     "title",
     ["a: b", "1e-5", "true", "", "'", '"', "{x}", "# no", "ü\n\t\\", "- a", "null", "012", "\U00010000", "\x00\x85"],
 )
-def test_any_title_comes_back(title, scene, tmp_path):
+def test_every_title_is_read_back_unchanged(title, scene, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(scene.model_copy(update={"title": title}).text(), encoding="utf-8")
     assert load(path).title == title
 
 
-def test_scenes_that_differ_are_not_equal(scene):
+def test_different_scenes_are_not_equal(scene):
     assert scene != load(GOOD, ["seed=8"])
 
 
-def test_overrides():
+def test_overrides_replace_values_of_the_file():
     scene = load(
         GOOD,
         [
@@ -136,7 +136,7 @@ def test_overrides():
     assert scene.title == "a = b"
 
 
-def test_an_override_changes_one_of_two_walls_that_share_an_anchor(tmp_path):
+def test_override_changes_only_one_of_two_walls_with_a_common_anchor(tmp_path):
     path = tmp_path / "scene.yaml"
     text = GOOD.read_text(encoding="utf-8").replace("  floor: {", "  base: &base {", 1)
     path.write_text(text.replace("  tube:\n", "  floor: *base\n  tube:\n", 1), encoding="utf-8")
@@ -144,7 +144,7 @@ def test_an_override_changes_one_of_two_walls_that_share_an_anchor(tmp_path):
     assert (scene.walls["base"].point[2], scene.walls["floor"].point[2]) == (0.0, 1.0)
 
 
-def test_scenes_are_frozen(scene):
+def test_scenes_are_immutable(scene):
     with pytest.raises(ValidationError):
         scene.seed = 2
     with pytest.raises(ValidationError):
@@ -152,20 +152,21 @@ def test_scenes_are_frozen(scene):
 
 
 def models():
+    """All models of the scene schema."""
     return [each for each in vars(scene_schema).values() if isinstance(each, type) and issubclass(each, BaseModel)]
 
 
-def test_every_field_is_described():
-    bare = [
+def test_every_field_has_a_description():
+    undescribed = [
         f"{model.__name__}.{name}"
         for model in models()
         for name, field in model.model_fields.items()
         if not field.description
     ]
-    assert bare == []
+    assert undescribed == []
 
 
-def test_json_schema():
+def test_json_schema_contains_required_keys_and_alternatives():
     schema = json_schema()
     definitions = schema["$defs"]
     assert set(schema["required"]) >= {"title", "gravity", "materials", "pairs", "contact", "particles", "output"}
@@ -177,7 +178,7 @@ def test_json_schema():
     assert "from" in definitions["Cylinder"]["properties"]
 
 
-def test_scene_files_fit_the_json_schema(scene):
+def test_scene_file_conforms_to_the_json_schema(scene):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json_schema())
     data = scene._document.root.data()
@@ -186,7 +187,7 @@ def test_scene_files_fit_the_json_schema(scene):
     assert list(validator.iter_errors(data))
 
 
-def test_models_are_checked_when_made_in_python():
+def test_models_created_in_python_are_validated():
     with pytest.raises(ValidationError):
         scene_schema.Plane(shape="plane", point=[0, 0], normal=[0, 0, 1], material="a")
     assert isinstance(load(GOOD), Scene)

@@ -1,4 +1,4 @@
-"""Whatever is done to a scene file, reading it ends in a Scene or in a SceneError with places, never otherwise."""
+"""Reading of changed scene files: the result is a Scene or a SceneError with positions, never another exception."""
 
 from pathlib import Path
 
@@ -56,6 +56,7 @@ QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCh
 
 
 def read(path, text, overrides=()):
+    """Read the text as a scene; check the messages of an error, or the round trip of a valid scene."""
     path.write_text(text, encoding="utf-8", newline="")
     try:
         scene = load(path, overrides)
@@ -74,7 +75,7 @@ def read(path, text, overrides=()):
 
 @QUICK
 @given(st.data())
-def test_one_word_changed(tmp_path, data):
+def test_replaced_token_gives_a_scene_or_messages(tmp_path, data):
     old = data.draw(st.sampled_from(TOKENS))
     new = data.draw(st.sampled_from(TOKENS + ODD))
     at = data.draw(st.sampled_from([i for i in range(len(TEXT)) if TEXT.startswith(old, i)]))
@@ -83,7 +84,7 @@ def test_one_word_changed(tmp_path, data):
 
 @QUICK
 @given(st.data())
-def test_lines_lost_doubled_and_moved(tmp_path, data):
+def test_deleted_repeated_and_moved_lines_give_a_scene_or_messages(tmp_path, data):
     lines = list(LINES)
     for _ in range(data.draw(st.integers(1, 3))):
         line = lines.pop(data.draw(st.integers(0, len(lines) - 1)))
@@ -93,10 +94,10 @@ def test_lines_lost_doubled_and_moved(tmp_path, data):
 
 
 @QUICK
-@given(at=st.integers(0, len(TEXT)), text=st.text(max_size=5), lost=st.integers(0, 20))
-def test_characters_put_in(tmp_path, at, text, lost):
+@given(at=st.integers(0, len(TEXT)), text=st.text(max_size=5), deleted=st.integers(0, 20))
+def test_replaced_characters_give_a_scene_or_messages(tmp_path, at, text, deleted):
     text = text.encode("utf-8", "ignore").decode()
-    read(tmp_path / "scene.yaml", TEXT[:at] + text + TEXT[at + lost :])
+    read(tmp_path / "scene.yaml", TEXT[:at] + text + TEXT[at + deleted :])
 
 
 KEYS = [
@@ -119,12 +120,12 @@ KEYS = [
 
 @QUICK
 @given(keys=st.lists(st.sampled_from(KEYS), max_size=5), value=st.sampled_from(TOKENS + ODD))
-def test_overrides(tmp_path, keys, value):
+def test_random_overrides_give_a_scene_or_messages(tmp_path, keys, value):
     read(tmp_path / "scene.yaml", TEXT, [f"{'.'.join(keys)}={value}"])
 
 
 @pytest.mark.parametrize("raw", [b"\x00", b"\xff", b"\xfe\xff", b"a: \xc3", b"%YAML 9.9\n---\na: 1", b"\x1b[0m"])
-def test_bytes(raw, tmp_path):
+def test_invalid_bytes_raise_scene_error(raw, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(raw)
     with pytest.raises(SceneError):

@@ -1,4 +1,4 @@
-"""Tables of particles in the dresses that other programs give them, and what is said of bad rows."""
+"""Particle tables in the formats of other programs, and messages about invalid rows."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from granflow.scene.particle_table import MOST_SHOWN, read_table
 POSITION = np.array([[0.1, -0.2, 0.3], [0.0, 1.5e-3, -4.0]])
 RADIUS = np.array([0.002, 0.0035])
 
-SAME = {
+FORMATS = {
     "commas": "id,x,y,z,r\n1,0.1,-0.2,0.3,0.002\n2,0,1.5e-3,-4,0.0035\n",
     "semicolons and decimal commas": "X; Y; Z; Diameter\n0,1;-0,2;0,3;0,004\n0;0,0015;-4;0,007\n",
     "tabs": "Radius\tPosition X\tPosition Y\tPosition Z\n0.002\t0.1\t-0.2\t0.3\n0.0035\t0\t0.0015\t-4\n",
@@ -30,15 +30,15 @@ def written(tmp_path, text, name="start.csv"):
     return path
 
 
-@pytest.mark.parametrize("text", SAME.values(), ids=SAME)
-def test_the_same_two_spheres_in_every_dress(tmp_path, text):
+@pytest.mark.parametrize("text", FORMATS.values(), ids=FORMATS)
+def test_all_formats_give_the_same_particles(tmp_path, text):
     table = read_table(written(tmp_path, text))
     np.testing.assert_allclose(table.position, POSITION, rtol=1e-15)
     np.testing.assert_allclose(table.radius, RADIUS, rtol=1e-15)
     assert table.velocity is None and table.angular_velocity is None
 
 
-def test_velocity_spin_and_material(tmp_path):
+def test_velocity_angular_velocity_and_material_are_read(tmp_path):
     heads = "x,y,z,r,vx[cm/s],vy[cm/s],vz[cm/s],spin_x,spin_y,spin_z,material"
     table = read_table(written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n"))
     np.testing.assert_allclose(table.velocity, [[1, 0, -0.5], [0, 0, 0]])
@@ -68,7 +68,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("text", BAD)
-def test_bad_rows_are_named(tmp_path, text):
+def test_invalid_rows_are_reported_with_their_line(tmp_path, text):
     path = written(tmp_path, text)
     with pytest.raises(SceneError) as caught:
         read_table(path)
@@ -76,20 +76,20 @@ def test_bad_rows_are_named(tmp_path, text):
         assert found.startswith(f"{path}:{message}")
 
 
-def test_files_that_are_none(tmp_path, monkeypatch):
-    for path, why in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "this is not a regular file")):
-        with pytest.raises(SceneError, match=why):
+def test_unreadable_files_are_rejected(tmp_path, monkeypatch):
+    for path, message in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "this is not a regular file")):
+        with pytest.raises(SceneError, match=message):
             read_table(path)
     broken = written(tmp_path, "<VTKFile", "broken.vtu")
     with pytest.raises(SceneError, match="this file cannot be read as VTU"):
         read_table(broken)
     monkeypatch.setattr("granflow.scene.particle_table.LARGEST_FILE", 10)
     with pytest.raises(SceneError, match="too large for a table"):
-        read_table(written(tmp_path, SAME["commas"]))
+        read_table(written(tmp_path, FORMATS["commas"]))
 
 
-def test_a_frame_of_granflow_comes_back(tmp_path):
-    """To the width of the file: positions as they are there, the rest in float32."""
+def test_vtu_frame_of_granflow_is_read_back(tmp_path):
+    """In the precision of the file, float32."""
     snapshot = snapshot_of(particles=particles_of(50))
     ParticleFrames(tmp_path, 0.1).observe(snapshot)
     table = read_table(tmp_path / "particles_0000.vtu")

@@ -1,4 +1,4 @@
-"""Counts from masses and ends, particles from files, and scenes of another size."""
+"""Resolved scenes: counts derived from mass or duration, particles from files, and scaled scenes."""
 
 from math import pi
 
@@ -17,13 +17,13 @@ from granflow.scene.schema import MeshWall, VibrationSpec
 from granflow.scene.size_sampling import draw_diameters
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
-"""Mass [kg] of a bead of the scene."""
+"""Mass [kg] of a particle of the scene."""
 
 BEADS = TEXT[TEXT.index("    count: 10\n") : TEXT.index("domain:")]
 
 
 def scene_with(tmp_path, beads, *overrides, **files):
-    """The scene of ten beads with other lines for its group, and files beside it."""
+    """The scene of ten particles with other lines for its group, and with CSV files in its folder."""
     for name, text in files.items():
         (tmp_path / f"{name}.csv").write_text(text)
     path = tmp_path / "beads.yaml"
@@ -32,6 +32,7 @@ def scene_with(tmp_path, beads, *overrides, **files):
 
 
 def problems(tmp_path, *given, **files):
+    """The messages about an invalid scene, without the path of its folder."""
     with pytest.raises(SceneError) as caught:
         scene_with(tmp_path, *given, **files)
     return [problem.replace(f"{tmp_path}/", "") for problem in caught.value.problems]
@@ -52,15 +53,15 @@ CLASSES = "{distribution: classes, by: mass, classes: [{diameter: 2 mm, fraction
         ("count: 30", "kind: rain, rate: 10, end: 1.55 s", 16),
     ],
 )
-def test_counts_that_follow(tmp_path, amount, insertion, count):
+def test_count_is_derived_from_mass_or_duration(tmp_path, amount, insertion, count):
     scene = scene_with(tmp_path, f"    {amount}\n    diameter: 4 mm\n    insert: {{{insertion}, {REGION}}}\n")
     assert scene.particles["beads"].count == plan_for(scene).particle_capacity == count
-    assert scene_of(scene.text(), "as run").particles == scene.particles, "a settled scene stays as it is"
+    assert scene_of(scene.text(), "as run").particles == scene.particles, "resolving is idempotent"
 
 
 @pytest.mark.parametrize("sizes", [UNIFORM, CLASSES])
-def test_a_mass_is_met_within_a_particle(tmp_path, sizes):
-    """Half the mass in grains of 2 mm and half in 4 mm, 8 to 1 by number: 8/9 8 + 1/9 64 mm^3 each on average."""
+def test_mass_is_exact_within_one_particle(tmp_path, sizes):
+    """Half of the mass in 2 mm and half in 4 mm, numbers 8 : 1, so the mean of d^3 is 8/9 8 + 1/9 64 mm^3."""
     requested = 300.4 * PARTICLE
     scene = scene_with(
         tmp_path, f"    mass: {requested!r}\n    diameter: {sizes}\n    insert: {{kind: pack, {REGION}}}\n"
@@ -74,7 +75,7 @@ def test_a_mass_is_met_within_a_particle(tmp_path, sizes):
 
 
 def initial_radius(scene):
-    """Radii as the generator draws them, without placing them: the pack would be too dense."""
+    """Radii [m] from the generator without positions, because the packing would be too dense."""
     from granflow.scene.particle_data import random_for
 
     return (
@@ -82,7 +83,7 @@ def initial_radius(scene):
     )
 
 
-def test_too_much_is_refused(tmp_path):
+def test_mass_with_too_many_particles_is_rejected(tmp_path):
     beads = f"    mass: 1e20 kg\n    diameter: {UNIFORM}\n    insert: {{kind: pack, {REGION}}}\n"
     assert problems(tmp_path, beads)[0].startswith("beads.yaml:18:11: particles.beads.mass results in ")
 
@@ -91,8 +92,8 @@ FILE = "    insert: {kind: file, file: start.csv}\n"
 ROWS = "x,y,z,r,vx,vy,vz\n0.005,0,0,0.002,3,0,4\n0.0085,0,0,0.002,0,0,0\n0.01,0.02,0,0.001,0,0,0\n"
 
 
-def test_particles_from_a_file(tmp_path):
-    """Two overlap by 0.5 mm of 2 mm; the fastest moves at 5 m/s."""
+def test_file_defines_count_diameters_and_velocities(tmp_path):
+    """Two particles of radius 2 mm overlap by 0.5 mm; the largest speed is 5 m/s."""
     scene = scene_with(tmp_path, FILE, "run.velocity_max=null", start=ROWS)
     group = scene.particles["beads"]
     assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (3, 0.002, 0.004)
@@ -107,10 +108,10 @@ def test_particles_from_a_file(tmp_path):
     assert particles.radius.tolist() == [0.002, 0.002, 0.001]
     (tmp_path / "start.csv").unlink()
     again = scene_of(scene.text(), str(tmp_path / "checkpoint.npz"))
-    assert again.particles == scene.particles, "what a run goes on with needs no file"
+    assert again.particles == scene.particles, "the resolved scene does not need the file"
 
 
-def test_rows_go_to_the_group_of_their_material(tmp_path):
+def test_rows_are_assigned_to_the_group_of_their_material(tmp_path):
     rows = "x,y,z,d,material\n0,0,0,4e-3,steel\n0.01,0,0,4e-3,glass\n0.02,0,0,4e-3,1\n"
     both = FILE + "  shot: {material: steel, insert: {kind: file, file: start.csv}}\n"
     scene = scene_with(tmp_path, both, "pairs.steel-steel={restitution: 0.7, friction: 0}", start=rows)
@@ -124,7 +125,7 @@ def test_rows_go_to_the_group_of_their_material(tmp_path):
     ]
 
 
-MISFITS = {
+CONFLICTS = {
     "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
     "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
     FILE.replace("start.csv", "../x"): "18:32: particles.beads.insert.file is ../x, but the file must be in the "
@@ -132,13 +133,13 @@ MISFITS = {
 }
 
 
-@pytest.mark.parametrize("beads", MISFITS)
-def test_files_that_do_not_fit(tmp_path, beads):
-    assert problems(tmp_path, beads, start=ROWS) == [f"beads.yaml:{MISFITS[beads]}"]
+@pytest.mark.parametrize("beads", CONFLICTS)
+def test_conflicts_between_file_and_group_are_rejected(tmp_path, beads):
+    assert problems(tmp_path, beads, start=ROWS) == [f"beads.yaml:{CONFLICTS[beads]}"]
     assert problems(tmp_path, FILE.replace("start", "none")) == ["none.csv: there is no such file."]
 
 
-def test_a_link_does_not_lead_out(tmp_path):
+def test_link_out_of_the_scene_folder_is_rejected(tmp_path):
     inside = tmp_path / "inside"
     inside.mkdir()
     (tmp_path / "start.csv").write_text(ROWS)
@@ -146,13 +147,13 @@ def test_a_link_does_not_lead_out(tmp_path):
     assert "leads out of the scene's folder" in problems(inside, FILE)[0]
 
 
-def test_rows_outside_the_domain(tmp_path):
+def test_rows_outside_the_domain_are_rejected(tmp_path):
     assert problems(tmp_path, FILE, start="x,y,z,r\n0,0,0,1e-3\n0,0,5,1e-3\n0,0,6,1e-3\n") == [
         "start.csv:3: this particle and 1 more lie outside the domain."
     ]
 
 
-def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
+def test_scale_changes_equipment_and_amounts_only(tmp_path):
     rain = f"    mass: {100 * PARTICLE!r}\n    diameter: 4 mm\n    velocity: [0, 0, -1]\n"
     rain += f"    insert: {{kind: rain, rate: 50, {REGION}}}\n"
     extra = [
@@ -168,7 +169,7 @@ def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
     assert beads.insert.region.box.max == (0.04, 0.04, 0.02)
     assert (two.domain.min[0], two.domain.max[2]) == (-0.02, 0.06)
     assert (wall.center[2], wall.radius, wall.normal) == (0.01, 0.008, (0.0, 0.0, 1.0))
-    assert wall.motion == one.walls["plate"].motion, "how far it shakes stays"
+    assert wall.motion == one.walls["plate"].motion, "the amplitude does not scale"
     assert (two.output.flow_meters["out"].point[2], two.output.flow_meters["out"].radius) == (0.002, 0.006)
     assert (beads.diameter, beads.velocity, two.run, two.materials, two.numerics) == (
         0.004, one.particles["beads"].velocity, one.run, one.materials, one.numerics,
@@ -179,16 +180,16 @@ def test_size_scales_equipment_and_amounts_and_nothing_else(tmp_path):
         "diameters, velocities and times are not.",
         "scale 2: 1 expectations apply to scale 1 only and are not evaluated.",
     )
-    assert scene_of(two.text(), "as run") == two, "a run goes on with what was made"
+    assert scene_of(two.text(), "as run") == two, "resolving is idempotent"
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
         "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave scale out."
     ]
 
 
-def test_size_scales_a_mesh_and_not_what_measures_particles(tmp_path):
-    """Walked through the schema, so that a new key needs its type only."""
+def test_scale_changes_mesh_walls_but_not_amplitudes(tmp_path):
+    """The type of a key in the schema determines its exponent."""
     wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
     larger = scaled(wall, 3.0)
     assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
-    shaken = VibrationSpec(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
-    assert scaled(shaken, 3.0) == shaken
+    vibration = VibrationSpec(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
+    assert scaled(vibration, 3.0) == vibration

@@ -1,4 +1,4 @@
-"""Suggestions for unknown names."""
+"""Suggestions for unknown and renamed keys."""
 
 import pytest
 
@@ -6,12 +6,12 @@ from granflow.scene.suggest import RENAMED_KEYS, nearest, suggestion_or_list
 
 
 @pytest.mark.parametrize(("old", "new"), RENAMED_KEYS.items())
-def test_a_renamed_key_is_reported_with_its_new_name(old, new):
+def test_renamed_key_is_reported_with_its_new_name(old, new):
     known = ["material", new, "diameter"]
     assert nearest(old, known) == new
     assert suggestion_or_list(old, known, "keys") == f"{old} was renamed to {new}."
 
 
-def test_an_old_key_is_not_suggested_where_its_new_name_is_unknown():
+def test_renamed_key_is_not_suggested_if_its_new_name_is_unknown():
     assert nearest("place", ["material", "diameter"]) is None
     assert suggestion_or_list("place", ["material"], "keys") == "The keys are material"

@@ -1,4 +1,4 @@
-"""Every unit against its value in SI units, from the SI brochure (9th edition) and NIST SP 811, appendix B."""
+"""SI value of every unit, from the SI brochure (9th edition) and NIST SP 811, appendix B."""
 
 import math
 
@@ -51,11 +51,11 @@ def test_every_unit_has_its_si_value(dimension):
     assert {unit: to_si(f"1 {unit}", dimension) for unit in VALUES[dimension]} == VALUES[dimension]
 
 
-def test_the_table_contains_every_unit():
+def test_table_contains_every_unit():
     assert {name: set(found.units) for name, found in DIMENSIONS.items()} == {n: set(v) for n, v in VALUES.items()}
 
 
 @pytest.mark.parametrize("dimension", sorted(VALUES))
-def test_units_scale_any_number(dimension):
+def test_units_multiply_any_number(dimension):
     for unit, value in VALUES[dimension].items():
         assert math.isclose(to_si(f"-2.5e3 {unit}", dimension), -2500.0 * value, rel_tol=1e-15)

@@ -1,4 +1,4 @@
-"""Units in text: the SI number, rounded once; what is refused."""
+"""Units in text: SI value with a single rounding, and rejected text."""
 
 import math
 
@@ -31,21 +31,21 @@ GOOD = [
 
 
 @pytest.mark.parametrize(("text", "dimension", "value"), GOOD, ids=lambda value: str(value)[:20])
-def test_text_to_si(text, dimension, value):
+def test_text_is_converted_to_si(text, dimension, value):
     assert to_si(text, dimension) == value
 
 
 @pytest.mark.parametrize("text", ["four mm", "4 furlong", "4 Pa", "4 m m", "1e", "4,5 mm", "", "mm", "4 MM", "0x10 m"])
-def test_what_is_no_length(text):
+def test_invalid_lengths_are_rejected(text):
     with pytest.raises(UnitError):
         to_si(text, "length")
 
 
-def test_a_unit_of_two_kinds_is_refused_where_any_is_asked():
+def test_ambiguous_unit_is_rejected_without_a_dimension():
     with pytest.raises(UnitError, match="g is ambiguous"):
         to_si("2 g", "any")
 
 
-def test_every_example_is_of_its_dimension():
+def test_example_of_every_dimension_is_valid():
     for name, dimension in DIMENSIONS.items():
         assert math.isfinite(to_si(dimension.example, name))

@@ -1,12 +1,12 @@
-"""A ridge is left where the beads beside it ran out: it comes to rest, with straight slopes at the expected angle."""
+"""A ridge remains after the particles on both sides flow out; its slopes are straight and have the expected angle."""
 
 import pytest
 from scene_runner import run_shipped_scene
 
 
 @pytest.mark.slow
-def test_small_form(tmp_path, taichi_f64):
-    """Twenty beads wide and four deep, and only until the first have run out."""
+def test_reduced_angle_of_repose_satisfies_its_expectations(tmp_path, taichi_f64):
+    """20 particles wide and 4 deep, until the first particles have flowed out."""
     small = (
         "materials.glass.young_modulus=4 MPa",
         "materials.plate.young_modulus=4 MPa",
@@ -32,5 +32,5 @@ def test_small_form(tmp_path, taichi_f64):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_slopes(tmp_path, taichi_f64):
+def test_angle_of_repose_satisfies_its_expectations(tmp_path, taichi_f64):
     assert run_shipped_scene("angle_of_repose", tmp_path)[1] == []

@@ -1,21 +1,21 @@
-"""The large ball rises through the shaken beads with the convection that the rough side drives.
+"""A large particle rises through vibrated small particles with the convection that the rough side wall drives.
 
-Rosato, Strandburg, Prinz & Swendsen, Phys. Rev. Lett. 58 (1987) 1038: the large one ends on top. Knight, Jaeger &
-Nagel, Phys. Rev. Lett. 70 (1993) 3728: beads go up in the middle and down in a thin layer along the side, and a large
-ball rises as fast as the beads about it.
+Rosato, Strandburg, Prinz & Swendsen, Phys. Rev. Lett. 58 (1987) 1038: the large particle rises to the top. Knight,
+Jaeger & Nagel, Phys. Rev. Lett. 70 (1993) 3728: the small particles rise at the center and sink in a thin layer at the
+side wall, and the large particle rises as fast as the particles around it.
 """
 
 import numpy as np
 import pytest
 from scene_runner import run_shipped_scene
 
-CYCLE = 1 / 12  # [s]
-SIDE = 6.5e-3  # beads within this of the side go down [m]
-CUP = 26e-3  # radius [m]
+PERIOD = 1 / 12  # [s]
+SIDE_LAYER = 6.5e-3  # thickness of the sinking layer at the side wall [m]
+CUP_RADIUS = 26e-3  # [m]
 
 
 @pytest.mark.slow
-def test_small_form(tmp_path, taichi_f64):
+def test_reduced_brazil_nut_rises(tmp_path, taichi_f64):
     small = (
         "particles.nut.diameter=12 mm",
         "particles.nut.insert.region.box={min: [-6 mm, -6 mm, 0], max: [6 mm, 6 mm, 12 mm]}",
@@ -30,17 +30,17 @@ def test_small_form(tmp_path, taichi_f64):
         "expect=[{quantity: particle_count, equals: 301, tolerance: 0}, "
         "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
     )
-    frames, unmet = run_shipped_scene("brazil_nut", tmp_path, overrides=small)
-    assert unmet == []
+    frames, unsatisfied = run_shipped_scene("brazil_nut", tmp_path, overrides=small)
+    assert unsatisfied == []
     assert frames[-1].particles["position"][0, 2] > frames[0].particles["position"][0, 2] + 2e-3
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_the_ball_rises_with_the_beads_about_it(tmp_path, taichi_f64):
-    frames, unmet = run_shipped_scene("brazil_nut", tmp_path, CYCLE)
-    assert unmet == []
-    # The bed is thrown for more than a cycle, so it lies on the floor at the end of every other one.
+def test_brazil_nut_rises_with_the_surrounding_particles(tmp_path, taichi_f64):
+    frames, unsatisfied = run_shipped_scene("brazil_nut", tmp_path, PERIOD)
+    assert unsatisfied == []
+    # The flight of the bed takes more than one period, so it lies on the floor at the end of every second period.
     frames = [frame for frame in frames if frame.time > 0.4][::2]
     nut = np.array([frame.particles["position"][0, 2] for frame in frames])
     above = [np.mean(frame.particles["position"][1:, 2] > height) for frame, height in zip(frames, nut, strict=True)]
@@ -51,12 +51,12 @@ def test_the_ball_rises_with_the_beads_about_it(tmp_path, taichi_f64):
 
 
 def convection(frames):
-    """Mean rise [m] of a bead from frame to frame in the middle and along the side, half way up."""
-    rise, inner = [], []
+    """Mean vertical displacement [m] between frames at the center and at the side wall, at half height."""
+    displacements, distances = [], []
     for before, after in zip(frames, frames[1:], strict=False):
         x, y = before.particles["position"][1:], after.particles["position"][1:]
-        here = (x[:, 2] > 8e-3) & (x[:, 2] < 32e-3)
-        rise.append((y - x)[here, 2])
-        inner.append(np.hypot(x[here, 0], x[here, 1]))
-    moves, radius = np.concatenate(rise), np.concatenate(inner)
-    return moves[radius < CUP / 2].mean(), moves[radius > CUP - SIDE].mean()
+        counted = (x[:, 2] > 8e-3) & (x[:, 2] < 32e-3)
+        displacements.append((y - x)[counted, 2])
+        distances.append(np.hypot(x[counted, 0], x[counted, 1]))
+    rise, radius = np.concatenate(displacements), np.concatenate(distances)
+    return rise[radius < CUP_RADIUS / 2].mean(), rise[radius > CUP_RADIUS - SIDE_LAYER].mean()

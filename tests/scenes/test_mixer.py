@@ -1,4 +1,4 @@
-"""The stirrer is a mesh that a script makes; it mixes two halves, and no bead goes through it or through the bowl."""
+"""Mixer: the mesh of the stirrer from its script, mixing of two halves, and no particle passes through a wall."""
 
 import importlib.util
 from collections import Counter
@@ -12,7 +12,8 @@ from scene_runner import SCENES, run_shipped_scene
 TOOL = Path(__file__).parents[2] / "tools" / "make_mixer.py"
 
 
-def made():
+def stirrer():
+    """Points [mm] and triangles of the stirrer from the script."""
     spec = importlib.util.spec_from_file_location("make_mixer", TOOL)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -20,25 +21,25 @@ def made():
     return mesh.points, mesh.cells_dict["triangle"]
 
 
-def test_parts_are_closed_and_seen_from_outside():
-    points, triangles = made()
-    sides = np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T.tolist()
-    edges = Counter(map(tuple, sides))
+def test_stirrer_is_closed_with_outward_normals():
+    points, triangles = stirrer()
+    vertex_pairs = np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T.tolist()
+    edges = Counter(map(tuple, vertex_pairs))
     assert all(count == 1 and edges[b, a] == 1 for (a, b), count in edges.items())
     a, b, c = (points[triangles[:, i]] for i in range(3))
     blades = 4 * 35.5 * 14.0 * 3.0  # [mm3]
-    shaft = 28.5 * 12 / 2 * 5.0**2 * np.sin(np.pi / 6)  # a prism with twelve sides
+    shaft = 28.5 * 12 / 2 * 5.0**2 * np.sin(np.pi / 6)  # prism with twelve sides [mm3]
     assert np.sum(a * np.cross(b, c)) / 6 == pytest.approx(blades + shaft, rel=1e-12)
 
 
-def test_the_shipped_file_is_what_the_script_makes():
-    points, triangles = made()
+def test_shipped_stirrer_equals_the_mesh_of_the_script():
+    points, triangles = stirrer()
     shipped = meshio.read(SCENES / "meshes" / "stirrer.stl")
     corners = shipped.points[shipped.cells_dict["triangle"]]
-    np.testing.assert_allclose(corners, points[triangles], atol=1e-5)  # STL is in single precision [mm]
+    np.testing.assert_allclose(corners, points[triangles], atol=1e-5)  # STL has single precision [mm]
 
 
-def test_small_form(tmp_path, taichi_f64):
+def test_reduced_mixer_satisfies_its_expectations(tmp_path, taichi_f64):
     small = (
         "particles.left.count=150",
         "particles.right.count=150",
@@ -54,5 +55,5 @@ def test_small_form(tmp_path, taichi_f64):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_two_halves_become_one(tmp_path, taichi_f64):
+def test_mixer_satisfies_its_expectations(tmp_path, taichi_f64):
     assert run_shipped_scene("mixer", tmp_path)[1] == []

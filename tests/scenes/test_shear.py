@@ -1,4 +1,4 @@
-"""Steady shear of a layer under its own weight and of a box without walls: friction and solid fraction of dense flows.
+"""Steady shear of a layer under gravity and of a Lees-Edwards box: friction and solid fraction of dense flows.
 
 Friction mu(I) = mu_1 + (mu_2 - mu_1) / (1 + I_0 / I) with mu_1 = tan 20.9, mu_2 = tan 32.76 and I_0 = 0.279 for glass
 beads (Jop, Forterre & Pouliquen, Nature 441 (2006) 727), I = shear rate d / sqrt(P / density); solid fraction
@@ -15,7 +15,7 @@ from scene_runner import run_shipped_scene
 SLOPE = np.radians(25.0)
 
 
-def test_small_form(tmp_path, taichi_f64):
+def test_reduced_sheared_layer_satisfies_its_expectations(tmp_path, taichi_f64):
     small = (
         "particles.base.count=21",
         "particles.base.insert.region.box={min: [-12 mm, -6 mm, 0], max: [12 mm, 6 mm, 8 mm]}",
@@ -33,12 +33,12 @@ def test_small_form(tmp_path, taichi_f64):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_friction_and_shear_rate(tmp_path, taichi_f64):
+def test_friction_and_solid_fraction_of_the_layer_follow_mu_of_i(tmp_path, taichi_f64):
     assert run_shipped_scene("sheared_layer", tmp_path)[1] == []
     height, fraction, velocity, stress = profile(tmp_path / "fields_profile_mean.vtu")
     bulk = (height > 14e-3) & (height < 44e-3)
     normal, shear = -stress[:, 2, 2], stress[:, 0, 2]
-    # Nearly steady: in the mean over the depth the weight above, along the slope and across it.
+    # In nearly steady flow the mean stress over the depth balances the weight, parallel and normal to the slope.
     friction = (shear[bulk] / normal[bulk]).mean()
     assert friction == pytest.approx(np.tan(SLOPE), rel=0.05)
     rate = np.gradient(velocity, height)[bulk]
@@ -48,16 +48,16 @@ def test_friction_and_shear_rate(tmp_path, taichi_f64):
     assert fraction[bulk].mean() == pytest.approx(0.6 - 0.1 * inertial_number.mean(), rel=0.05)
 
 
-def test_small_cell(tmp_path, taichi_f64):
+def test_reduced_shear_cell_satisfies_its_expectations(tmp_path, taichi_f64):
     small = ("stages.0.duration=0.05 s", "stages.1.duration=0.02 s")
     assert run_shipped_scene("shear_cell", tmp_path, overrides=small)[1] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_stress_and_velocity_of_the_cell(tmp_path, taichi_f64):
-    frames, unmet = run_shipped_scene("shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"])
-    assert unmet == []
+def test_stress_and_velocity_profile_of_the_shear_cell(tmp_path, taichi_f64):
+    frames, unsatisfied = run_shipped_scene("shear_cell", tmp_path, 0.02, ["output.timeseries_interval=20 ms"])
+    assert unsatisfied == []
     frames = [frame for frame in frames if frame.time > 0.61]
     height = np.concatenate([frame.particles["position"][:, 2] for frame in frames])
     velocity = np.concatenate([frame.particles["velocity"][:, 0] for frame in frames])
@@ -74,6 +74,7 @@ def test_stress_and_velocity_of_the_cell(tmp_path, taichi_f64):
 
 
 def friction_at(inertial_number):
+    """Friction mu(I) of the rheology above."""
     low, high = np.tan(np.radians([20.9, 32.76]))
     return low + (high - low) / (1.0 + 0.279 / inertial_number)
 

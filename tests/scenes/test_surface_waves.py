@@ -1,20 +1,20 @@
-"""A layer shaken at three times gravity is wavy, every other cycle alike; at twice gravity it stays flat.
+"""A layer vibrated at three times gravity has surface waves of twice the vibration period; at twice gravity it is flat.
 
-Melo, Umbanhowar & Swinney, Phys. Rev. Lett. 72 (1994) 172 and Physica A 249 (1998) 1: waves of half the frequency from
-2.5 times gravity on. Bizon, Shattuck, Swift, McCormick & Swinney, Phys. Rev. Lett. 80 (1998) 57: their length.
+Melo, Umbanhowar & Swinney, Phys. Rev. Lett. 72 (1994) 172 and Physica A 249 (1998) 1: waves of half the frequency above
+2.5 times gravity. Bizon, Shattuck, Swift, McCormick & Swinney, Phys. Rev. Lett. 80 (1998) 57: wavelength.
 """
 
 import numpy as np
 import pytest
 from scene_runner import run_shipped_scene
 
-CYCLE = 1 / 8  # [s]
+PERIOD = 1 / 8  # [s]
 WIDTH = 0.44  # of the box [m]
-BINS = 44
-LAST = 6  # cycles that are looked at
+BIN_COUNT = 44
+PERIOD_COUNT = 6  # number of evaluated periods at the end
 
 
-def test_small_form(tmp_path, taichi_f64):
+def test_reduced_surface_waves_satisfy_their_expectations(tmp_path, taichi_f64):
     small = (
         "materials.glass.young_modulus=5 MPa",
         "particles.beads.count=330",
@@ -30,15 +30,15 @@ def test_small_form(tmp_path, taichi_f64):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_waves_at_three_times_gravity(tmp_path, taichi_f64):
-    frames, unmet = run_shipped_scene("surface_waves", tmp_path, CYCLE)
-    assert unmet == []
+def test_waves_at_three_times_gravity_have_the_expected_length(tmp_path, taichi_f64):
+    frames, unsatisfied = run_shipped_scene("surface_waves", tmp_path, PERIOD)
+    assert unsatisfied == []
     waves = alternating(frames)
-    count = int(waves.argmax())  # of waves in the box
+    count = int(waves.argmax())  # number of waves in the box
     assert waves[count] > 0.2
     depth = layer_depth(frames[0])
-    length = depth * (1.0 + 1.1 * (np.sqrt(depth / 9.81) / CYCLE) ** -1.32)
-    # A whole number of waves fits into the box: one more or less is 20 %.
+    length = depth * (1.0 + 1.1 * (np.sqrt(depth / 9.81) / PERIOD) ** -1.32)
+    # The number of waves in the box is an integer; a change by one is 20 %.
     assert abs(WIDTH / count - length) < 0.25 * length
 
 
@@ -46,23 +46,23 @@ def test_waves_at_three_times_gravity(tmp_path, taichi_f64):
 @pytest.mark.timeout(1500)
 def test_no_waves_at_twice_gravity(tmp_path, taichi_f64):
     frames, _ = run_shipped_scene(
-        "surface_waves", tmp_path, CYCLE, ["walls.floor.motion.gamma=2", "stages.1.duration=1.25 s"]
+        "surface_waves", tmp_path, PERIOD, ["walls.floor.motion.gamma=2", "stages.1.duration=1.25 s"]
     )
     assert alternating(frames).max() < 0.05
 
 
 def alternating(frames):
-    """Amplitude over the mean of what alternates from cycle to cycle in the mass at a place; by waves in the box."""
+    """Relative amplitude of the mass distribution that alternates between periods, by number of waves in the box."""
     profiles = []
-    for frame in frames[-1 - LAST : -1]:
+    for frame in frames[-1 - PERIOD_COUNT : -1]:
         x = frame.particles["position"][:, 0]
-        mass, _ = np.histogram((x / WIDTH + 0.5) % 1.0, BINS, (0.0, 1.0), weights=frame.particles["mass"])
+        mass, _ = np.histogram((x / WIDTH + 0.5) % 1.0, BIN_COUNT, (0.0, 1.0), weights=frame.particles["mass"])
         profiles.append(mass / mass.mean())
-    signs = (-1.0) ** np.arange(LAST)
-    return 2 * np.abs(np.fft.rfft(signs @ profiles / LAST))[: BINS // 3] / BINS
+    signs = (-1.0) ** np.arange(PERIOD_COUNT)
+    return 2 * np.abs(np.fft.rfft(signs @ profiles / PERIOD_COUNT))[: BIN_COUNT // 3] / BIN_COUNT
 
 
 def layer_depth(frame):
-    """Depth [m] of the layer at rest, a solid fraction of 0.58."""
+    """Depth [m] of the layer at rest, for a solid fraction of 0.58."""
     volume = np.sum(4 / 3 * np.pi * frame.particles["radius"] ** 3)
     return volume / 0.58 / (WIDTH * 16e-3)

@@ -1,4 +1,4 @@
-"""Crafted checkpoints with a valid checksum: one sentence, before the device gets anything."""
+"""Crafted checkpoints with a valid checksum are rejected with one sentence before data is copied to the device."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ from granflow.plan import plan_for
 
 
 def scene():
-    """Eight particles with friction on a floor, in chunks of four; each touches the next and the floor."""
+    """Eight frictional particles on a floor, in chunks of four; each is in contact with the next and with the floor."""
     positions = [[0.0049 * k + 0.01, 0.02, 0.00249] for k in range(8)]
     return build_scene(
         {"row": particle_group(positions, 0.005)},
@@ -33,6 +33,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
+    """The last checkpoint of a run of the scene."""
     out = tmp_path_factory.mktemp("run")
     Simulation(scene(), out=out).run()
     checkpoint, _ = newest_checkpoint(out)
@@ -40,23 +41,23 @@ def original(tmp_path_factory):
 
 
 def crafted(original, directory, change):
-    """The checkpoint with its state changed, written with a valid checksum, and checked against the plan."""
+    """Write the checkpoint with a changed state and a valid checksum, then read it and check it against the plan."""
     saved = read_checkpoint(original.path).saved
     change(saved)
     path = write_checkpoint(directory, original.scene, original.time, 20, saved)
     return accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
 
 
-def test_the_original_is_accepted(original, tmp_path):
+def test_original_checkpoint_is_accepted(original, tmp_path):
     assert not crafted(original, tmp_path, lambda saved: None).differences
 
 
 def put(*keys, value=None, entry=None):
-    """A change: the value at these keys, or one entry of the array there."""
+    """A function that replaces the value at these keys, or one entry of the array at these keys."""
 
     def change(saved):
-        *around, last = keys
-        for key in around:
+        *parents, last = keys
+        for key in parents:
             saved = saved[key]
         if entry is None:
             saved[last] = value
@@ -73,24 +74,24 @@ CHANGES = {
     "triangle that does not exist": (put(*NEIGHBORS, "partner", entry=0, value=-1000), "partner holds -1000"),
     "huge count": (put("engine", "particle_count", value=10**9), "particle_count is 1000000000"),
     "negative count": (put("engine", "particle_count", value=-1), "particle_count is -1"),
-    "count that is a text": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
-    "row length": (put(*NEIGHBORS, "list_length", entry=0, value=0), "list_length adds up to"),
-    "negative row length": (put(*NEIGHBORS, "list_length", entry=0, value=-5), "list_length holds -5"),
-    "walls of a row": (put(*NEIGHBORS, "list_walls", entry=0, value=3), "list_walls|partner"),
+    "text as count": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
+    "neighbor-list length": (put(*NEIGHBORS, "list_length", entry=0, value=0), "list_length adds up to"),
+    "negative neighbor-list length": (put(*NEIGHBORS, "list_length", entry=0, value=-5), "list_length holds -5"),
+    "walls of a neighbor list": (put(*NEIGHBORS, "list_walls", entry=0, value=3), "list_walls|partner"),
     "state of a contact": (put(*NEIGHBORS, "in_contact", entry=0, value=7), "in_contact holds 7"),
     "infinite displacement": (put(*NEIGHBORS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
-    "id twice": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
-    "id above all": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
-    "position that is no number": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
-    "position far away": (put(*PARTICLES, "position", entry=0, value=1e30), "position is farther"),
+    "duplicate id": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
+    "id above the largest id": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
+    "nan position": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
+    "position far outside the domain": (put(*PARTICLES, "position", entry=0, value=1e30), "position is farther"),
     "radius": (put(*PARTICLES, "radius", entry=0, value=1.0), "radius holds 1"),
     "mass": (put(*PARTICLES, "mass", entry=0, value=1.0), "mass differs from density"),
-    "whole numbers as reals": (put(*PARTICLES, "id", value=np.zeros(8)), "must be an array .8,. of whole numbers"),
+    "reals as ids": (put(*PARTICLES, "id", value=np.zeros(8)), "must be an array .8,. of whole numbers"),
     "shape": (put(*PARTICLES, "velocity", value=np.zeros((8, 2))), "must be an array .8, 3."),
     "group": (put(*ACCOUNTING, "group", entry=0, value=5), "group holds 5"),
     "material": (put(*ACCOUNTING, "material", entry=0, value=-1), "material holds -1"),
     "accounting without an entry": (put(*ACCOUNTING, value={}), "accounting has the keys none"),
-    "particles that are a number": (put(*PARTICLES, value=3), "must be a mapping"),
+    "number as particles": (put(*PARTICLES, value=3), "must be a mapping"),
     "step count": (put("engine", "clock", "step_count", value=-5), "step_count is -5"),
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),
     "time": (put("engine", "clock", "since_time", value=1e9), "gives the time"),
@@ -99,14 +100,14 @@ CHANGES = {
     "stage": (put("stage_progress", "stage", value="\x1b[2J"), "stage is "),
     "stage times": (put("stage_progress", "stage_times", value={}), "stage_times has other stages"),
     "plan": (put("plan", value={}), "plan has the keys none"),
-    "plan's value": (put("plan", "time_step", value=[]), "must be a number or a text"),
+    "value of the plan": (put("plan", "time_step", value=[]), "must be a number or a text"),
     "groups of an earlier run": (put("earlier", value=[3]), "earlier/0 is 3"),
     "no engine": (put("engine", value=None), "must be a mapping"),
 }
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_crafted_state_is_refused_with_its_key(original, tmp_path, name):
+def test_crafted_state_is_rejected_with_its_key(original, tmp_path, name):
     change, message = CHANGES[name]
     with pytest.raises(CheckpointError, match=message) as error:
         crafted(original, tmp_path, change)
@@ -114,8 +115,8 @@ def test_a_crafted_state_is_refused_with_its_key(original, tmp_path, name):
     assert "Remove it to use the checkpoint before it." in str(error.value)
 
 
-def test_a_pair_across_chunks_must_be_in_both_lists(original, tmp_path):
-    """Particles 3 and 4 touch and are in different chunks; exchanging one partner for another breaks the symmetry."""
+def test_pair_across_chunks_must_be_in_both_neighbor_lists(original, tmp_path):
+    """Particles 3 and 4 touch and are in different chunks; a replaced partner breaks the symmetry of the lists."""
 
     def change(saved):
         neighbors = saved["engine"]["neighbors"]
@@ -123,31 +124,31 @@ def test_a_pair_across_chunks_must_be_in_both_lists(original, tmp_path):
         partner = neighbors["partner"].copy()
         across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
         assert len(across) >= 2
-        slot = across[0]
-        row = set(partner[owner == owner[slot]].tolist()) | {int(owner[slot])}
-        partner[slot] = next(k for k in range(8) if k // 4 != owner[slot] // 4 and k not in row)
+        entry = across[0]
+        neighbor_ids = set(partner[owner == owner[entry]].tolist()) | {int(owner[entry])}
+        partner[entry] = next(k for k in range(8) if k // 4 != owner[entry] // 4 and k not in neighbor_ids)
         neighbors["partner"] = partner
 
     with pytest.raises(CheckpointError, match="lists a pair across two chunks only once"):
         crafted(original, tmp_path, change)
 
 
-def test_observers_are_checked_before_the_device_gets_anything(original, tmp_path):
+def test_observer_state_is_checked_before_the_copy_to_the_device(original, tmp_path):
     saved = read_checkpoint(original.path).saved
     name = next(name for name in saved["observers"] if name.startswith("TimeSeries"))
     saved["observers"][name]["size"] = "x"
     path = write_checkpoint(tmp_path, original.scene, original.time, 20, saved)
     with pytest.raises(CheckpointError, match=r"TimeSeries 0/size is 'x'"):
         Simulation(scene(), out=tmp_path, resume=read_checkpoint(path))
-    assert {each.name for each in tmp_path.iterdir()} == {path.name}, "nothing else is written"
+    assert {each.name for each in tmp_path.iterdir()} == {path.name}, "no other file is written"
 
 
-def test_the_arrays_of_a_plan_are_those_of_a_checkpoint(original):
+def test_particle_arrays_of_the_plan_equal_those_of_a_checkpoint(original):
     assert set(particle_arrays(plan_for(scene()))) == set(original.saved["engine"]["particles"])
 
 
 def sealed(path, data):
-    """Write an archive whose last bytes are the checksum of those before."""
+    """Write an archive that ends with the checksum of the preceding bytes."""
     data = data[: -len(CHECKSUM_PLACEHOLDER)]
     path.write_bytes(data + hashlib.sha256(data).hexdigest().encode())
 
@@ -166,7 +167,7 @@ HEADER = {"format": FORMAT, "granflow": "0", "scene": "", "time": 0.0, "saved": 
 
 
 def npy(shape, dtype="<f8", data=b""):
-    """An npy entry with any header."""
+    """An npy entry with the given header and data."""
     head = f"{{'descr': {dtype!r}, 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + data
 
@@ -185,7 +186,7 @@ ARCHIVES = {
     "empty header": ([("header.json", "{}")], "format None"),
     "no state": ([("header.json", json.dumps(HEADER | {"saved": None}))], "lacks the version"),
     "text as time": ([("header.json", json.dumps(HEADER | {"time": "x"}))], "lacks the time"),
-    "array nowhere": (
+    "array at an unknown key": (
         [("header.json", json.dumps(HEADER)), ("a/b.npy", npy("(1,)", data=b"12345678"))],
         "unexpected entry a/b",
     ),
@@ -195,7 +196,7 @@ ARCHIVES = {
 
 
 @pytest.mark.parametrize("name", ARCHIVES)
-def test_a_crafted_archive_is_refused(tmp_path, name):
+def test_crafted_archive_is_rejected(tmp_path, name):
     entries, message = ARCHIVES[name]
     compression = zipfile.ZIP_DEFLATED if name == "compressed entries" else zipfile.ZIP_STORED
     path = archive(tmp_path / "checkpoint_000000000001.npz", entries, compression)
@@ -204,20 +205,20 @@ def test_a_crafted_archive_is_refused(tmp_path, name):
 
 
 @pytest.mark.slow
-def test_flipped_bytes_give_a_sentence_or_the_same_run(original, tmp_path):
-    """With a checksum that fits, 60 files with one to three wrong bytes: never another exception."""
+def test_random_bytes_in_a_checkpoint_raise_only_granflow_errors(original, tmp_path):
+    """60 files with one to three random bytes and a valid checksum."""
     whole, random = original.path.read_bytes(), np.random.default_rng(3)
-    path, refused = tmp_path / original.path.name, 0
+    path, rejected = tmp_path / original.path.name, 0
     for _ in range(60):
         data = bytearray(whole)
-        for insertion in random.integers(0, len(whole) - len(CHECKSUM_PLACEHOLDER), random.integers(1, 4)):
-            data[insertion] = random.integers(256)
+        for offset in random.integers(0, len(whole) - len(CHECKSUM_PLACEHOLDER), random.integers(1, 4)):
+            data[offset] = random.integers(256)
         sealed(path, bytes(data))
         try:
             accepted_change(read_checkpoint(path), plan_for(scene()), allow_changes=False)
         except Exception as error:
-            refused += 1
+            rejected += 1
             from granflow.errors import GranflowError
 
             assert isinstance(error, GranflowError), repr(error)
-    assert refused > 15
+    assert rejected > 15

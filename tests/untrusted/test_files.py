@@ -1,4 +1,4 @@
-"""Mesh files, tables and paths that come from elsewhere: bounded memory and time, one sentence, no traceback."""
+"""Untrusted mesh files, tables and paths: bounded memory and time, one message, no traceback."""
 
 import base64
 import os
@@ -36,6 +36,7 @@ def array(name, kind, data, components=1, blocks=None, block_size=None):
 
 
 def vtu(point_count=4, points=None, radius="", before=""):
+    """The text of a VTU file with two triangles; `before` precedes the root element."""
     points = array("Points", "Float64", POINTS.tobytes(), 3) if points is None else points
     cells = (
         array("connectivity", "Int64", np.array([0, 1, 2, 1, 3, 2]).tobytes())
@@ -50,25 +51,25 @@ def vtu(point_count=4, points=None, radius="", before=""):
     )
 
 
-def test_the_mesh_of_a_file_is_that_which_meshio_reads(tmp_path):
+def test_vtu_reader_equals_meshio(tmp_path):
     random = np.random.default_rng(0)
     cells = [("triangle", random.integers(0, 500, (700, 3))), ("quad", random.integers(0, 500, (10, 4)))]
     data = {"radius": random.random(500), "velocity": random.normal(size=(500, 3))}
     mesh = meshio.Mesh(random.normal(size=(500, 3)), cells, data, {"wall": [np.arange(700), np.arange(10)]})
     for binary, compression in ((True, "zlib"), (True, "lzma"), (True, None), (False, None)):
         meshio.vtu.write(tmp_path / "a.vtu", mesh, binary=binary, compression=compression)
-        mine, theirs = read_vtu(tmp_path / "a.vtu", 2**20), meshio.vtu.read(tmp_path / "a.vtu")
-        np.testing.assert_array_equal(mine.points, theirs.points)
-        assert [block.type for block in mine.cells] == [block.type for block in theirs.cells]
-        for first, second in zip(mine.cells, theirs.cells, strict=True):
+        found, expected = read_vtu(tmp_path / "a.vtu", 2**20), meshio.vtu.read(tmp_path / "a.vtu")
+        np.testing.assert_array_equal(found.points, expected.points)
+        assert [block.type for block in found.cells] == [block.type for block in expected.cells]
+        for first, second in zip(found.cells, expected.cells, strict=True):
             np.testing.assert_array_equal(first.data, second.data)
         for name in data:
-            np.testing.assert_array_equal(mine.point_data[name], theirs.point_data[name])
-        np.testing.assert_array_equal(mine.cell_data["wall"][1], theirs.cell_data["wall"][1])
+            np.testing.assert_array_equal(found.point_data[name], expected.point_data[name])
+        np.testing.assert_array_equal(found.cell_data["wall"][1], expected.cell_data["wall"][1])
 
 
 def bomb(size):
-    """Bytes that expand to `size` zeros."""
+    """Compressed bytes that expand to `size` zeros."""
     packer, piece = zlib.compressobj(9), bytes(2**20)
     return b"".join(packer.compress(piece) for _ in range(size // len(piece))) + packer.flush()
 
@@ -91,7 +92,7 @@ VTUS = {
 
 
 @pytest.mark.parametrize("name", VTUS)
-def test_a_crafted_vtu_is_refused_within_256_mib(tmp_path, name):
+def test_crafted_vtu_is_rejected_within_256_mib(tmp_path, name):
     text, message = VTUS[name]
     (tmp_path / "a.vtu").write_text(text)
     with limited_memory(2**28), pytest.raises(MeshFileError, match=message):
@@ -101,7 +102,7 @@ def test_a_crafted_vtu_is_refused_within_256_mib(tmp_path, name):
 
 
 class limited_memory:
-    """Lets this process allocate so many bytes more and no more."""
+    """Context manager that limits further allocations of this process to `more` bytes."""
 
     def __init__(self, more):
         self._more = more
@@ -116,18 +117,18 @@ class limited_memory:
         resource.setrlimit(resource.RLIMIT_AS, self._before)
 
 
-def test_the_points_of_the_valid_file_are_read(tmp_path):
+def test_valid_vtu_is_read(tmp_path):
     (tmp_path / "a.vtu").write_text(vtu())
     assert len(read_triangles(tmp_path / "a.vtu").corners) == 2
 
 
-def test_relative_indices_of_obj_count_back_from_the_last_vertex_above(tmp_path):
-    """In the OBJ format -1 is the vertex read last: here the second face uses vertices 2, 3 and 4."""
+def test_negative_indices_of_obj_count_from_the_preceding_vertex(tmp_path):
+    """In the OBJ format -1 is the last vertex before the face: the second face uses vertices 2, 3 and 4."""
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 1 1 0\nf -3//-1 -1/1 -2\nf 1 2 4 3\n"
     (tmp_path / "a.obj").write_text(text)
-    soup = read_triangles(tmp_path / "a.obj")
-    assert soup.corners.tolist() == [[0, 1, 2], [1, 3, 2], [0, 1, 3], [0, 3, 2]]
-    assert soup.quad_count == 1
+    triangles = read_triangles(tmp_path / "a.obj")
+    assert triangles.corners.tolist() == [[0, 1, 2], [1, 3, 2], [0, 1, 3], [0, 3, 2]]
+    assert triangles.quad_count == 1
 
 
 @pytest.mark.parametrize(
@@ -142,7 +143,7 @@ def test_relative_indices_of_obj_count_back_from_the_last_vertex_above(tmp_path)
         ("v 1 2", "line 4 needs three coordinates"),
     ],
 )
-def test_wrong_lines_of_obj_are_named(tmp_path, face, message):
+def test_invalid_lines_of_obj_are_reported(tmp_path, face, message):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
     with pytest.raises(MeshFileError, match=message):
         read_triangles(tmp_path / "a.obj")
@@ -162,7 +163,7 @@ def test_only_regular_files_are_opened(tmp_path):
         read_regular(tmp_path / "long", 99)
 
 
-def test_links_in_a_circle_are_one_sentence(tmp_path, capsys):
+def test_circular_links_are_rejected_without_traceback(tmp_path, capsys):
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises(OSError, match="symbolic links"):
@@ -177,18 +178,18 @@ def test_links_in_a_circle_are_one_sentence(tmp_path, capsys):
             read_triangles(tmp_path / f"loop.{suffix}")
 
 
-ACTING = "a\x00b\x1b[2Jc\u202ed\u200be\x9bf\u2066g\ufeff"
+CONTROL_CHARACTERS = "a\x00b\x1b[2Jc\u202ed\u200be\x9bf\u2066g\ufeff"
 
 
-def test_characters_that_act_on_the_display_become_visible(capsys):
-    assert visible(ACTING) == "a\\x00b\\x1b[2Jc\\u202ed\\u200be\\x9bf\\u2066g\\ufeff"
+def test_control_characters_are_escaped(capsys):
+    assert visible(CONTROL_CHARACTERS) == "a\\x00b\\x1b[2Jc\\u202ed\\u200be\\x9bf\\u2066g\\ufeff"
     assert visible("Schüttgut 砂 μm²\tä\n") == "Schüttgut 砂 μm²\tä\n"
-    say(ACTING)
-    assert capsys.readouterr().out == visible(ACTING) + "\n"
+    say(CONTROL_CHARACTERS)
+    assert capsys.readouterr().out == visible(CONTROL_CHARACTERS) + "\n"
 
 
-def test_no_command_prints_by_itself():
-    """`say` is the one way to the terminal."""
+def test_commands_print_only_through_say():
+    """`say` escapes control characters."""
     from pathlib import Path
 
     import granflow.cli
@@ -198,7 +199,7 @@ def test_no_command_prints_by_itself():
     assert [each for each in found if each[1]] == [("messages.py", 1)]
 
 
-def test_messages_about_names_show_escapes(tmp_path, capsys):
+def test_messages_escape_file_names(tmp_path, capsys):
     assert main(["check", str(tmp_path / "a\x1b[2J\u202e.yaml")]) == 2
     error = capsys.readouterr().err
     assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e.yaml" in error
@@ -217,8 +218,8 @@ for path in sorted(folder.iterdir()):
     whole = path.read_bytes()
     for _ in range(40):
         data = bytearray(whole)
-        for place in random.integers(0, len(whole), random.integers(1, 5)):
-            data[place] = random.integers(256)
+        for offset in random.integers(0, len(whole), random.integers(1, 5)):
+            data[offset] = random.integers(256)
         target = folder / ("flipped" + path.suffix)
         target.write_bytes(bytes(data))
         try:
@@ -231,7 +232,7 @@ print("done")
 
 
 @pytest.mark.slow
-def test_flipped_bytes_never_give_a_traceback(tmp_path):
+def test_random_bytes_in_files_never_give_a_traceback(tmp_path):
     mesh = meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))])
     for name, options in (("stl", {"binary": True}), ("ply", {"binary": True}), ("vtk", {}), ("vtu", {}), ("obj", {})):
         meshio.write(tmp_path / f"mesh.{name}", mesh, **options)

@@ -1,4 +1,4 @@
-"""Meshes to try, and their files."""
+"""Meshes for tests, and their files."""
 
 import meshio
 import numpy as np
@@ -8,7 +8,10 @@ from granflow.walls.mesh_file import RawTriangles
 
 
 def sheet(count, size=1.0, bumps=0.0, seed=1):
-    """Points and corners of a square of count x count cells of two triangles each, from -size/2 to size/2 at z = 0."""
+    """Points and corners of a square from -size/2 to size/2 at z = 0: count x count cells of two triangles each.
+
+    `bumps` is the standard deviation of random heights.
+    """
     x = np.linspace(-0.5 * size, 0.5 * size, count + 1)
     positions = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
     z = bumps * np.random.default_rng(seed).standard_normal((count + 1, count + 1, 1))
@@ -19,7 +22,7 @@ def sheet(count, size=1.0, bumps=0.0, seed=1):
 
 
 def cube():
-    """Points and corners of the unit cube's surface, twelve triangles."""
+    """Points and corners of the surface of the unit cube, twelve triangles."""
     points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     corners = [half for a, b, c, d in faces for half in ([a, b, c], [a, c, d])]
@@ -27,7 +30,7 @@ def cube():
 
 
 def tube(facets, radius=1.0, length=2.0, rings=1):
-    """Points and corners of a tube about z from 0 to `length`, its facets' middles `radius` from the axis."""
+    """Points and corners of a tube about z from 0 to `length`; the centers of its facets are `radius` from the axis."""
     angle = 2 * np.pi * (np.arange(facets) + 0.5) / facets
     outer = radius / np.cos(np.pi / facets)
     levels = np.linspace(0.0, length, rings + 1)
@@ -44,7 +47,7 @@ def mesh(points, corners):
 
 
 def write(path, points, corners):
-    """Write a mesh file; every kind that is read."""
+    """Write a mesh file in the format of its suffix: stl, obj, ply, vtk or vtu."""
     data = meshio.Mesh(points, [("triangle", np.asarray(corners, np.int32))])
     kind = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".vtk": "vtk", ".vtu": "vtu"}[path.suffix]
     meshio.write(path, data, file_format=kind)

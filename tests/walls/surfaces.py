@@ -1,4 +1,4 @@
-"""Shapes to try, random points about them, and the device functions run over arrays."""
+"""Shapes for tests, random points around them, and evaluation of the device functions over arrays."""
 
 from functools import cache
 
@@ -24,7 +24,7 @@ SHAPES = {
 
 
 def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
-    """Distances (n,), normals (n, 3) and bare distances (n,) from the device, computed in the given types."""
+    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device, in the given types."""
     number, parameter_number = NUMPY_TYPES[dtype], NUMPY_TYPES[parameter_dtype]
     distance, bare = np.zeros((2, len(points)), dtype=number)
     normal = np.zeros((len(points), 3), dtype=number)
@@ -35,7 +35,7 @@ def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
 
 @cache
 def kernel_for(kind, dtype, parameter_dtype):
-    """A kernel that runs the device functions of a kind over arrays."""
+    """A kernel that evaluates the device functions of a kind over arrays."""
     closest, bare_distance = kind.closest, kind.surface_distance
 
     @ti.kernel
@@ -59,13 +59,13 @@ def kernel_for(kind, dtype, parameter_dtype):
 
 
 def points_around(shape, count, seed=1):
-    """Random points in a cube about the shape, with the awkward ones in front: on the axis, the face, the rims."""
-    scattered = np.random.default_rng(seed).uniform(-1.2, 1.2, (count, 3))
+    """Random points in a cube around the shape; the first points are on its axis, face and edges."""
+    points = np.random.default_rng(seed).uniform(-1.2, 1.2, (count, 3))
     origin = shape.parameters[0:3]
     direction = shape.parameters[3:6]
-    awkward = origin + np.linspace(-1.0, 1.0, 11)[:, None] * direction
+    on_axis = origin + np.linspace(-1.0, 1.0, 11)[:, None] * direction
     corners, _ = shape.kind.triangles(shape.parameters, np.zeros(3), 0.5)
-    middles = (corners + np.roll(corners, 1, axis=0)) / 2
-    special = np.concatenate([awkward, corners, middles])
-    scattered[: len(special)] = special
-    return scattered
+    midpoints = (corners + np.roll(corners, 1, axis=0)) / 2
+    special = np.concatenate([on_axis, corners, midpoints])
+    points[: len(special)] = special
+    return points

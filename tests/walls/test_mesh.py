@@ -1,4 +1,4 @@
-"""Meshes at rest: which triangle answers, how triangles are read and welded, and that nothing is answered twice."""
+"""Stationary meshes: owning triangle of each contact, welding of points, no duplicate contacts."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from granflow.walls.shape import FAR_AWAY
 
 
 def contacts(surface, points):
-    """Gaps and normals (n, t) of every point with every triangle, and bare distances."""
+    """Gaps (n, t) and normals (n, t, 3) of all points and triangles, and distances without ownership (n, t)."""
     count = surface.triangle_count
     triangles, repeated = np.tile(np.arange(count), len(points)), np.repeat(points, count, axis=0)
     gap, normal = reference_contact(surface.adjacency, triangles, repeated)
@@ -19,8 +19,8 @@ def contacts(surface, points):
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
 
 
-def turned(surface):
-    """The mesh in a position that no coordinate is round in."""
+def transformed(surface):
+    """The mesh in a pose whose coordinates are not round numbers."""
     rotation = rotation_matrices(np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.array([0.7]))[0]
     return surface.placed(0.7, rotation, np.array([0.3, -0.2, 0.9])), rotation
 
@@ -33,68 +33,68 @@ SURFACES = {
     "hilly sheet": mesh(*sheet(5, bumps=0.02)),
     "rough sheet": mesh(*sheet(5, bumps=0.15)),
     "tube": mesh(*tube(24, rings=2)),
-    "tube of eight": mesh(*tube(8)),
-    "three at one edge": mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0.2, 0], [0.3, 1, 0.5]], FOLD),
+    "tube of eight facets": mesh(*tube(8)),
+    "three triangles at one edge": mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0.2, 0], [0.3, 1, 0.5]], FOLD),
     "plate on a plate": mesh([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0.5, 1]], FOLD),
 }
 
 
 @pytest.mark.parametrize("name", SURFACES)
-def test_the_nearest_point_of_a_mesh_is_always_answered_for(name):
-    """Against all triangles tried one by one: the smallest gap is the distance, and no gap is smaller than it."""
-    surface, _ = turned(SURFACES[name])
+def test_smallest_gap_is_the_distance_to_the_mesh(name):
+    """Against the distances to all triangles: the smallest gap equals the smallest distance."""
+    surface, _ = transformed(SURFACES[name])
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     points = np.random.default_rng(2).uniform(low - 0.3, high + 0.3, (300, 3))
     gap, normal, bare = contacts(surface, points)
     np.testing.assert_allclose(gap.min(axis=1), bare.min(axis=1), rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=2), 1.0, rtol=1e-14)
-    answered = gap < FAR_AWAY
-    np.testing.assert_allclose(gap[answered], bare[answered], rtol=0.0, atol=1e-14)
+    owned = gap < FAR_AWAY
+    np.testing.assert_allclose(gap[owned], bare[owned], rtol=0.0, atol=1e-14)
 
 
-def test_one_triangle_answers_on_a_plane_wherever_the_center_is():
-    """Over faces, exactly over seams and corners, and where rounding decides; the gap is the height to the last bit."""
+def test_exactly_one_triangle_of_a_flat_mesh_owns_a_contact():
+    """Centers over faces, edges and vertices, exactly or within rounding; the gap is the height to the last bit."""
     surface = mesh(*sheet(8))
     rng = np.random.default_rng(3)
-    seams = rng.integers(-4, 5, (400, 2)) / 8.0
-    beside = seams + rng.choice([-1e-17, 0.0, 1e-17, 1e-16, 1e-12], (400, 2))
+    edges = rng.integers(-4, 5, (400, 2)) / 8.0
+    near_edges = edges + rng.choice([-1e-17, 0.0, 1e-17, 1e-16, 1e-12], (400, 2))
     diagonal = np.repeat(rng.uniform(-0.5, 0.5, (200, 1)), 2, axis=1)
-    positions = np.concatenate([seams, beside, diagonal, rng.uniform(-0.5, 0.5, (200, 2))])
+    positions = np.concatenate([edges, near_edges, diagonal, rng.uniform(-0.5, 0.5, (200, 2))])
     positions = np.clip(positions, -0.5, 0.5)
     points = np.concatenate([positions, rng.choice([-0.3, 0.1, 1e-3], (len(positions), 1))], axis=1)
     gap, _, _ = contacts(surface, points)
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
     np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
-    tilted, rotation = turned(surface)
+    tilted, rotation = transformed(surface)
     gap, _, _ = contacts(tilted, 0.7 * points @ rotation.T + [0.3, -0.2, 0.9])
     np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
 
 
-def test_one_triangle_answers_about_a_convex_body():
-    """About a cube each point nearer than 1 has one contact, with the distance and the direction from the body."""
+def test_exactly_one_triangle_of_a_convex_body_owns_a_contact():
+    """Each point within 1 of the cube has one contact, with the distance and the direction from the cube."""
     points = np.random.default_rng(4).uniform(-0.4, 1.4, (400, 3))
     points = points[np.any((points < 0.0) | (points > 1.0), axis=1)]
     gap, normal, _ = contacts(SURFACES["cube"], points)
-    away = points - np.clip(points, 0.0, 1.0)
-    near = gap < 0.9  # the far side of the cube is felt from within, too, by a sphere that large
+    offset = points - np.clip(points, 0.0, 1.0)
+    near = gap < 0.9  # a larger particle also touches the opposite side of the cube from inside
     assert np.all(near.sum(axis=1) == 1)
-    np.testing.assert_allclose(gap[near], np.linalg.norm(away, axis=1), rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(normal[near] * gap[near][:, None], away, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(gap[near], np.linalg.norm(offset, axis=1), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(normal[near] * gap[near][:, None], offset, rtol=0.0, atol=1e-15)
 
 
-def test_a_round_tube_of_facets_is_touched_once_from_within():
-    """Whatever the size of the ball: the gap is that of the nearest facet, and no second one doubles the stiffness."""
+def test_contact_inside_a_faceted_tube_has_one_owner():
+    """For every particle size the gap is that of the nearest facet, and no second contact doubles the stiffness."""
     surface = mesh(*tube(24, rings=3))
     rng = np.random.default_rng(5)
     angle, r, z = rng.uniform(0.0, 2 * np.pi, 400), rng.uniform(0.05, 0.95, 400), rng.uniform(0.3, 1.7, 400)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     gap, _, bare = contacts(surface, points)
-    assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # beyond the axis are the facets opposite
+    assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # facets beyond the axis are farther
     np.testing.assert_allclose(gap.min(axis=1), bare.min(axis=1), rtol=0.0, atol=1e-15)
 
 
-def test_a_corner_is_touched_on_both_sides():
-    """Two plates at 90 degrees hold a ball in the hollow twice, and by the edge alone from outside."""
+def test_concave_corner_has_two_contacts_and_convex_edge_has_one():
+    """Two plates at 90 degrees: two contacts inside the corner, one contact with the edge outside."""
     points, corners = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]], [
         [0, 2, 1], [2, 3, 1], [0, 1, 4], [1, 5, 4],
     ]  # fmt: skip
@@ -104,24 +104,24 @@ def test_a_corner_is_touched_on_both_sides():
     np.testing.assert_allclose(np.sort(gap[1])[:2], [0.5, FAR_AWAY], rtol=1e-15)
 
 
-def test_the_grid_lists_every_triangle_within_reach_once():
-    """Against all triangles tried one by one."""
+def test_grid_lists_every_triangle_within_reach_once():
+    """Against the distances to all triangles."""
     surface, reach = SURFACES["rough sheet"], 0.12
     grid = grid_over(surface.adjacency.vertex, reach)
     points = np.random.default_rng(6).uniform(-0.7, 0.7, (200, 3))
     _, _, bare = contacts(surface, points)
     for point, distance in zip(points, bare, strict=True):
-        insertion = np.floor((point - grid.low) / grid.side).astype(int)
-        listed = np.array([], int)
-        if np.all((insertion >= 0) & (insertion < grid.shape)):
-            cell = (insertion[2] * grid.shape[1] + insertion[1]) * grid.shape[0] + insertion[0]
-            listed = grid.triangle[grid.start[cell] : grid.start[cell + 1]]
-        assert len(set(listed)) == len(listed)
-        assert set(np.flatnonzero(distance < reach)) <= set(listed)
+        index = np.floor((point - grid.low) / grid.side).astype(int)
+        candidates = np.array([], int)
+        if np.all((index >= 0) & (index < grid.shape)):
+            cell = (index[2] * grid.shape[1] + index[1]) * grid.shape[0] + index[0]
+            candidates = grid.triangle[grid.start[cell] : grid.start[cell + 1]]
+        assert len(set(candidates)) == len(candidates)
+        assert set(np.flatnonzero(distance < reach)) <= set(candidates)
 
 
-def test_parts_meshed_one_by_one_join_without_a_seam():
-    """A square of two triangles beside one of 32: one triangle answers wherever the center is, also along the seam."""
+def test_parts_with_different_meshes_are_joined_at_their_common_edge():
+    """A square of two triangles next to one of 32: one triangle owns each contact, also along the common edge."""
     coarse, halves = sheet(1)
     fine, corners = sheet(4)
     surface = mesh(np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)]))
@@ -136,13 +136,13 @@ def test_parts_meshed_one_by_one_join_without_a_seam():
     np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
 
 
-def test_points_are_welded_and_useless_triangles_left_out():
+def test_points_are_welded_and_duplicate_and_degenerate_triangles_are_removed():
     points, corners = sheet(3)
-    loose = points[corners].reshape(-1, 3)
-    loose[::2] += 2e-7  # as single precision would
-    soup_corners = np.arange(len(loose)).reshape(-1, 3)
-    twice = np.concatenate([soup_corners, soup_corners[:2][:, ::-1], [[0, 1, 1], [0, 1, 0]]])
-    found = mesh(loose, twice)
+    unwelded = points[corners].reshape(-1, 3)
+    unwelded[::2] += 2e-7  # an error of the size of single precision
+    unwelded_corners = np.arange(len(unwelded)).reshape(-1, 3)
+    with_extra = np.concatenate([unwelded_corners, unwelded_corners[:2][:, ::-1], [[0, 1, 1], [0, 1, 0]]])
+    found = mesh(unwelded, with_extra)
     assert len(found.points) == len(points)
     assert found.triangle_count == len(corners)
     assert (found.duplicate_count, found.degenerate_count) == (2, 2)

@@ -1,4 +1,4 @@
-"""Poses of moving walls: velocities are derivatives of poses; rest before the start, still after the end."""
+"""Poses of moving walls: velocities are derivatives of poses; walls are at rest before the start and after the end."""
 
 from math import inf, pi
 
@@ -28,16 +28,16 @@ MOTIONS = [
 
 
 def moved(points, motions, times):
-    """Where rest points (n, 3) are at times (k,): (k, n, 3)."""
+    """Positions (k, n, 3) at times (k,) of points (n, 3) given in the initial pose."""
     poses = pose(motions, times)
-    turned = np.einsum("kij,nj->kni", poses.rotation, points - poses.pivot)
-    return turned + poses.pivot + poses.offset[:, None, :]
+    rotated = np.einsum("kij,nj->kni", poses.rotation, points - poses.pivot)
+    return rotated + poses.pivot + poses.offset[:, None, :]
 
 
-def test_a_vibration_moves_as_its_schema_says():
-    """The formulas in the schema, evaluated; the wall of the plan follows them from the position in the scene."""
-    described = json_schema()["$defs"]["VibrationSpec"]["description"]
-    formulas = dict(line.strip().split(":", 1) for line in described.splitlines() if ": " in line and "*" in line)
+def test_vibration_follows_the_formulas_of_the_schema():
+    """The displacement is relative to the position of the wall in the scene."""
+    description = json_schema()["$defs"]["VibrationSpec"]["description"]
+    formulas = dict(line.strip().split(":", 1) for line in description.splitlines() if ": " in line and "*" in line)
     assert set(formulas) >= {"displacement", "velocity"}
     amplitude, angular_frequency, start = 2e-3, 90.0, 0.01
     times = start + np.linspace(0.0, 0.1, 51)
@@ -65,7 +65,7 @@ def test_velocity_is_the_derivative_of_the_pose():
     np.testing.assert_allclose(velocity, difference, atol=3.9e4 * step**2 / 6 + 8e-16 / step)
 
 
-def test_rest_before_the_start_and_still_after_the_end():
+def test_wall_is_at_rest_before_the_start_and_after_the_end():
     early = pose(MOTIONS, np.array([-5.0, 0.0, 0.1]))
     np.testing.assert_array_equal(early.offset, 0.0)
     np.testing.assert_array_equal(early.rotation, np.broadcast_to(np.eye(3), (3, 3, 3)))
@@ -83,15 +83,15 @@ def test_poses_are_continuous():
         np.testing.assert_allclose(after, before, atol=1e-7)
 
 
-def test_a_motion_that_has_not_started_yet():
-    """Clocks that start with a stage are at infinity until the stage begins."""
-    queued = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
-    poses = pose(queued, np.array([0.0, 1e6]))
+def test_motion_with_infinite_start_does_not_move():
+    """The start of a motion that depends on a stage is infinite until the stage begins."""
+    not_started = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
+    poses = pose(not_started, np.array([0.0, 1e6]))
     np.testing.assert_array_equal(poses.offset, 0.0)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (2, 3, 3)))
 
 
-def test_quarter_turn_follows_the_right_hand():
+def test_rotation_follows_the_right_hand_rule():
     poses = pose([Rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
     np.testing.assert_allclose(poses.rotation[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(
@@ -113,12 +113,12 @@ def test_no_motion_is_rest():
     np.testing.assert_array_equal(poses.rotation[1], np.eye(3))
 
 
-def test_two_rotations_are_refused():
+def test_two_rotations_are_rejected():
     with pytest.raises(ValueError, match="at most one rotation"):
         pose([MOTIONS[2], MOTIONS[2]], np.zeros(1))
 
 
-def test_speed_bound_holds_and_is_reached():
+def test_speed_bound_is_the_maximum_speed():
     assert speed_bound([], 1.0) == 0.0
     bound = speed_bound(MOTIONS, 0.4)
     assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
@@ -126,7 +126,7 @@ def test_speed_bound_holds_and_is_reached():
     assert np.abs(vibration.velocity).max() == pytest.approx(speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0))
 
 
-def test_reach_of_geometry_about_an_axis():
+def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
     origin, along_z, along_x = np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 0, 0])
     drum = cylinder([0, 0, 0], [0, 0, 2], 0.5)
     assert reach_about(drum, origin, along_z, 9.0) == 0.0

@@ -1,4 +1,4 @@
-"""Triangles for pictures lie on the surfaces, cover their area, and kinds keep their codes."""
+"""Triangulation of wall shapes for output: points on the surface, total area; fixed codes of the shape kinds."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ CENTER = np.array([0.2, 0.1, 0.3])
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_corners_lie_on_the_surface(name):
+def test_triangle_corners_lie_on_the_surface(name):
     shape = SHAPES[name]
     points, faces = triangles(shape, CENTER, 0.5)
     distance, _ = shape.kind.reference_closest(points, shape.parameters)
@@ -28,13 +28,13 @@ def test_corners_lie_on_the_surface(name):
         (disc([0, 0, 0], [1, 0, 1], 1.0, 0.5), np.pi * 0.75),
     ],
 )
-def test_area(shape, expected):
+def test_triangles_cover_the_area_of_the_shape(shape, expected):
     points, faces = triangles(shape, CENTER, 0.5)
     corner, first, second = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
     area = np.linalg.norm(np.cross(first - corner, second - corner), axis=1).sum() / 2
-    assert area == pytest.approx(expected, rel=3e-3)  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, twice at most
+    assert area == pytest.approx(expected, rel=3e-3)  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
 
 
-def test_codes_are_fixed():
+def test_codes_of_shape_kinds_are_fixed():
     assert [kind.name for kind in SHAPE_KINDS] == ["half_space", "rectangle", "revolved"]
     assert [kind_code(kind) for kind in SHAPE_KINDS] == [0, 1, 2]

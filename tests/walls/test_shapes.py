@@ -1,4 +1,4 @@
-"""Distance and normal of every shape: device against twin, against geometry known by hand, in every precision."""
+"""Distance and normal of every shape: device against reference and against elementary geometry, in all precisions."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from granflow.walls import cone, cylinder, disc, half_space, rectangle
 
 EPSILON = np.finfo(float).eps
 COORDINATE_SIZE = 4.0
-"""Largest intermediate coordinate of the random points: rounding errors are relative to this, not to the distance."""
+"""Largest intermediate coordinate of the random points; rounding errors are relative to it, not to the distance."""
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -24,14 +24,14 @@ def test_device_equals_reference(taichi_f64, name):
     expected_distance, expected_normal = shape.kind.reference_closest(points, shape.parameters)
     tolerance = 4 * EPSILON * COORDINATE_SIZE
     np.testing.assert_allclose(distance, expected_distance, rtol=0, atol=tolerance)
-    # An error of `tolerance` sideways turns the normal by tolerance / distance; nearer than 1e-9 it is anybody's guess.
-    clear = (np.abs(distance) > 1e-9) & off_axis(shape, points)
-    turned = np.linalg.norm(normal - expected_normal, axis=1)[clear]
-    assert np.all(turned <= tolerance * (1 + 1 / np.abs(distance[clear])))
+    # A tangential error of `tolerance` rotates the normal by tolerance / distance; below 1e-9 it is indeterminate.
+    determinate = (np.abs(distance) > 1e-9) & off_axis(shape, points)
+    rotation = np.linalg.norm(normal - expected_normal, axis=1)[determinate]
+    assert np.all(rotation <= tolerance * (1 + 1 / np.abs(distance[determinate])))
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_normal_is_unit_and_gradient(taichi_f64, name):
+def test_normal_is_the_unit_gradient_of_the_distance(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
     distance, normal, _ = on_device(shape, points)
@@ -44,45 +44,45 @@ def test_normal_is_unit_and_gradient(taichi_f64, name):
         ahead, _, _ = on_device(shape, points + shift)
         behind, _, _ = on_device(shape, points - shift)
         gradient[:, axis] = (ahead - behind) / (2 * step)
-    # Second derivatives are at most 1 / 0.05 away from edges; across an edge they jump, costing at most step / 0.05.
+    # Second derivatives are at most 1 / 0.05 away from edges; their jump across an edge adds at most step / 0.05.
     np.testing.assert_allclose(normal[smooth], gradient[smooth], atol=2 * step / 0.05)
 
 
 def off_axis(shape, points, least=1e-9):
-    """Which points have a radial direction: all of them for flat walls."""
+    """Mask of the points with a defined radial direction; all points for flat shapes."""
     if shape.kind.name != "revolved":
         return np.ones(len(points), bool)
     return np.linalg.norm(np.cross(points - shape.parameters[0:3], shape.parameters[3:6]), axis=1) > least
 
 
-HAND_MADE = {
+ELEMENTARY = {
     "above half space": (half_space([0, 0, 1], [0, 0, 2]), [5, 5, 3], 2.0, [0, 0, 1]),
     "behind half space": (half_space([0, 0, 1], [0, 0, 2]), [5, 5, 0], -1.0, [0, 0, 1]),
     "below rectangle": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [1, 0.5, -0.25], 0.25, [0, 0, -1]),
-    "beyond its corner": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [5, 5, 0], 5.0, [0.6, 0.8, 0]),
+    "beyond corner of rectangle": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [5, 5, 0], 5.0, [0.6, 0.8, 0]),
     "on the rectangle": (rectangle([0, 0, 0], [2, 0, 0], [0, 1, 0]), [1, 0.5, 0], 0.0, [0, 0, 1]),
     "inside cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0.25, 0, 0.5], 0.75, [-1, 0, 0]),
     "outside cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0, 3, 0.5], 2.0, [0, 1, 0]),
     "beyond cylinder": (cylinder([0, 0, 0], [0, 0, 1], 1.0), [0, 4, 5], 5.0, [0, 0.6, 0.8]),
     "inside cone": (cone([0, 0, 0], [0, 0, 4], 0.0, 3.0), [0, 1, 3], 1.0, [0, -0.8, 0.6]),
     "over disc": (disc([0, 0, 1], [0, 0, 1], 1.0), [0.5, 0, 3], 2.0, [0, 0, 1]),
-    "over disc's middle": (disc([0, 0, 1], [0, 0, 1], 1.0), [0, 0, 3], 2.0, [0, 0, 1]),
+    "over center of disc": (disc([0, 0, 1], [0, 0, 1], 1.0), [0, 0, 3], 2.0, [0, 0, 1]),
     "under disc": (disc([0, 0, 1], [0, 0, 1], 1.0), [0.5, 0, 0], 1.0, [0, 0, -1]),
-    "in the hole": (disc([0, 0, 0], [0, 0, 1], 2.0, 1.0), [0.25, 0, 0], 0.75, [-1, 0, 0]),
+    "in hole of disc": (disc([0, 0, 0], [0, 0, 1], 2.0, 1.0), [0.25, 0, 0], 0.75, [-1, 0, 0]),
 }
 
 
-@pytest.mark.parametrize("case", HAND_MADE)
-def test_known_by_hand(taichi_f64, case):
-    shape, point, expected_distance, expected_normal = HAND_MADE[case]
+@pytest.mark.parametrize("case", ELEMENTARY)
+def test_distance_and_normal_of_elementary_cases(taichi_f64, case):
+    shape, point, expected_distance, expected_normal = ELEMENTARY[case]
     distance, normal, _ = on_device(shape, np.array([point], float))
     assert distance[0] == pytest.approx(expected_distance, abs=1e-15)
     np.testing.assert_allclose(normal[0], expected_normal, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_on_the_axis_the_normal_is_defined(taichi_f64, name):
-    """At r = 0 the radial direction is a choice, but distance and length of the normal are not."""
+def test_normal_on_the_axis_is_a_unit_vector(taichi_f64, name):
+    """At r = 0 the radial direction is arbitrary, but the distance and the length of the normal are defined."""
     shape = SHAPES[name]
     points = shape.parameters[0:3] + np.linspace(-2, 2, 9)[:, None] * shape.parameters[3:6]
     distance, normal, _ = on_device(shape, points)
@@ -93,7 +93,7 @@ def test_on_the_axis_the_normal_is_defined(taichi_f64, name):
 
 @pytest.mark.parametrize("types", [(ti.f32, ti.f32), (ti.f64, ti.f32)], ids=["f32", "mixed"])
 @pytest.mark.parametrize("name", SHAPES)
-def test_lower_precisions(taichi_f64, name, types):
+def test_distance_in_lower_precisions_is_within_rounding(taichi_f64, name, types):
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
     distance, _, _ = on_device(shape, points, *types)
@@ -102,15 +102,15 @@ def test_lower_precisions(taichi_f64, name, types):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_bare_distance_equals_distance_of_a_free_shape(taichi_f64, name):
+def test_surface_distance_equals_distance_without_shared_edges(taichi_f64, name):
     shape = SHAPES[name]
     points = points_around(shape, 2_000)
     distance, _, bare = on_device(shape, points)
     np.testing.assert_array_equal(bare, distance)
 
 
-def test_default_precision_does_not_leak():
-    """With f32 as the default type, f64 points and parameters still give f64 results: no literal narrows them."""
+def test_default_precision_does_not_narrow_results():
+    """With f32 as the default type, f64 points and parameters give f64 results; no literal narrows them."""
     folders = os.pathsep.join(path for path in sys.path if path)
     environment = os.environ | {"PYTHONPATH": folders}
     subprocess.run([sys.executable, "-c", IN_SINGLE_PRECISION], env=environment, check=True)
@@ -130,7 +130,7 @@ for shape in SHAPES.values():
 """
 
 
-def test_bad_shapes_are_refused():
+def test_invalid_shapes_are_rejected():
     with pytest.raises(ValueError, match="perpendicular"):
         rectangle([0, 0, 0], [1, 0, 0], [1, 1, 0])
     with pytest.raises(ValueError, match="no direction"):

@@ -1,4 +1,4 @@
-"""Rims shared by surfaces of revolution: counted once outside, not at all in a corner."""
+"""Edges shared by surfaces of revolution: one contact at a convex edge, no edge contact in a concave corner."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,12 @@ from walls.surfaces import on_device
 
 from granflow.walls import FAR_AWAY, cone, cylinder, disc, half_space, join_shared_edges
 
-APART = 0.03
+REACH = 0.03
+"""Distance [m] below which a point counts as a contact."""
 
 
-def contacts(shapes, point, reach=APART):
-    """Which shapes a small grain at the point (x, 0, z) touches; checked on the device and in the twin."""
+def contacts(shapes, point, reach=REACH):
+    """Indices of the shapes within reach of the point (x, 0, z); device and reference agree."""
     points = np.array([[point[0], 0.0, point[1]]])
     found = []
     for index, shape in enumerate(shapes):
@@ -23,14 +24,14 @@ def contacts(shapes, point, reach=APART):
 
 
 def hopper(flip):
-    """Cone over an outlet tube; with `flip` the tube's axis points the other way."""
+    """Cone over an outlet tube; `flip` reverses the axis of the tube."""
     tube_ends = [[0, 0, -0.2], [0, 0, 0]]
     return [cone([0, 0, 0], [0, 0, 1], 0.1, 0.6), cylinder(*(tube_ends[::-1] if flip else tube_ends), 0.1)]
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_convex_rim_is_one_contact(taichi_f64, flip):
-    """The mouth of the orifice seen from inside: between the normals of cone and tube only the rim is near."""
+def test_convex_edge_has_one_contact(taichi_f64, flip):
+    """The edge of the orifice from inside: between the normals of cone and tube the edge is the nearest feature."""
     shapes = join_shared_edges(hopper(flip), [0, 0])
     cone_normal = np.array([-2.0, 1.0]) / np.sqrt(5)
     tube_normal = np.array([-1.0, 0.0])
@@ -41,29 +42,29 @@ def test_convex_rim_is_one_contact(taichi_f64, flip):
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_concave_corner_is_its_two_faces(taichi_f64, flip):
-    """Outside the hopper, in the corner between cone and tube, both faces are near and the rim is nobody's."""
+def test_concave_corner_has_two_face_contacts(taichi_f64, flip):
+    """Outside the hopper, in the corner between cone and tube: contacts with both faces, none with the edge."""
     shapes = join_shared_edges(hopper(flip), [0, 0])
     assert contacts(shapes, (0.12, -0.001)) == [0, 1]
     assert contacts(shapes, (0.12, -0.02)) == [1]
     assert contacts(hopper(flip), (0.12, -0.02)) == [0, 1]
 
 
-def test_every_point_feels_exactly_the_nearest_of_a_convex_rim(taichi_f64):
-    """All round the rim: the union of surfaces is at its true distance, and no two contacts share a foot."""
+def test_joined_shapes_keep_the_distance_around_a_convex_edge(taichi_f64):
+    """The distance to the union of both surfaces is exact, and no two contacts have the same contact point."""
     shapes = join_shared_edges(hopper(False), [0, 0])
     angle = np.linspace(0, 2 * np.pi, 721)
     points = np.stack([0.1 + 0.02 * np.cos(angle), 0 * angle, 0.02 * np.sin(angle)], axis=1)
     free = np.array([on_device(shape, points)[0] for shape in hopper(False)])
     joined = np.array([on_device(shape, points)[0] for shape in shapes])
     np.testing.assert_allclose(joined.min(axis=0), free.min(axis=0), rtol=1e-15)
-    feet = [points - d[:, None] * on_device(s, points)[1] for d, s in zip(joined, shapes, strict=True)]
+    contact_points = [points - d[:, None] * on_device(s, points)[1] for d, s in zip(joined, shapes, strict=True)]
     both = np.all(joined < FAR_AWAY, axis=0)
     assert both.any()
-    assert np.linalg.norm(feet[0] - feet[1], axis=1)[both].min() > 1e-6
+    assert np.linalg.norm(contact_points[0] - contact_points[1], axis=1)[both].min() > 1e-6
 
 
-def test_gate_closing_a_cone(taichi_f64):
+def test_gate_at_the_end_of_a_cone_shares_its_edge(taichi_f64):
     shapes = join_shared_edges(
         [cone([0, 0, 0], [0, 0, 1], 0.1, 0.6), disc([0, 0, 0], [0, 0, -1], 0.1)], ["still", "still"]
     )
@@ -74,16 +75,16 @@ def test_gate_closing_a_cone(taichi_f64):
     assert contacts(opened, (0.1, -0.01)) == [0]
 
 
-def test_split_cylinder_is_one_cylinder(taichi_f64):
-    """Two halves end to end: at the joint one contact and no gap."""
+def test_split_cylinder_acts_as_one_cylinder(taichi_f64):
+    """Two halves end to end: one contact and no gap at the joint."""
     shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 0.5], 0.2), cylinder([0, 0, 0.5], [0, 0, 1], 0.2)], [0, 0])
     for z in (0.499, 0.5, 0.501):
         assert len(contacts(shapes, (0.19, z))) == 1
     assert len(contacts(shapes, (0.19, 1.01))) == 1
 
 
-def test_three_at_one_rim(taichi_f64):
-    """Cone, tube and a shelf that runs outward: only the two next to the widest opening can own the rim."""
+def test_edge_of_three_shapes_has_one_owner(taichi_f64):
+    """Cone, tube and an outward shelf: only the two shapes adjacent to the widest opening can own the edge."""
     shapes = join_shared_edges([*hopper(False), disc([0, 0, 0], [0, 0, 1], 0.5, 0.1)], [0, 0, 0])
     assert (
         sum(shape[name] for shape, name in zip(shapes, ["start_owned", "end_owned", "start_owned"], strict=True)) == 1
@@ -92,20 +93,20 @@ def test_three_at_one_rim(taichi_f64):
     assert contacts(shapes, (0.11, -0.01)) == [1, 2]
 
 
-def test_tube_standing_on_a_plate_keeps_its_end_to_itself(taichi_f64):
+def test_edge_of_a_tube_on_a_plate_is_not_shared(taichi_f64):
     shapes = join_shared_edges([cylinder([0, 0, 0], [0, 0, 1], 0.2), disc([0, 0, 0], [0, 0, 1], 0.5)], [0, 0])
     assert contacts(shapes, (0.2, -0.01)) == [1]
     assert contacts(shapes, (0.19, 0.01)) == [0, 1]
 
 
-def test_walls_that_move_apart_share_nothing(taichi_f64):
+def test_walls_with_different_motions_share_no_edge(taichi_f64):
     free = hopper(False)
     for groups in ([0, 1], ["still", ("still", "gate")]):
         for shape, before in zip(join_shared_edges(free, groups), free, strict=True):
             np.testing.assert_array_equal(shape.parameters, before.parameters)
 
 
-def test_other_kinds_pass_through_and_joining_twice_is_joining_once(taichi_f64):
+def test_joining_shared_edges_ignores_other_kinds_and_is_idempotent(taichi_f64):
     shapes = [half_space([0, 0, 0], [0, 0, 1]), *hopper(True)]
     once = join_shared_edges(shapes, [0, 0, 0])
     assert once[0] is shapes[0]
