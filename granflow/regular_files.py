@@ -21,7 +21,7 @@ def open_regular(path: Path) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-PIECE = 2**20
+CHUNK_SIZE = 2**20
 """Bytes read at a time."""
 
 LARGEST_FILE = 2**30
@@ -32,11 +32,11 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
     """Return all bytes of the file. Raises OSError as `open_regular` does, and for more than `largest` bytes."""
     raw = bytearray()
     with open_regular(path) as file:
-        long = os.fstat(file.fileno()).st_size > largest
-        while not long and (piece := file.read(PIECE)):  # read(largest) would allocate that much for any file
+        too_large = os.fstat(file.fileno()).st_size > largest
+        while not too_large and (piece := file.read(CHUNK_SIZE)):  # read(largest) would allocate that much for any file
             raw += piece
-            long = len(raw) > largest
-    if long:
+            too_large = len(raw) > largest
+    if too_large:
         raise OSError(errno.EFBIG, f"it is larger than {largest / 2**20:.3g} MiB", str(path))
     return bytes(raw)
 

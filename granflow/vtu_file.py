@@ -32,7 +32,7 @@ CELLS = {
 }  # fmt: skip
 """Supported cell types by VTK number: name and number of corners."""
 
-MOST_CORNERS, MOST_COMPONENTS, MOST_PIECES, MOST_ARRAYS, MOST_DEPTH = 8, 64, 1000, 1000, 16
+MAX_CORNERS, MAX_COMPONENTS, MAX_PIECES, MAX_ARRAYS, MAX_DEPTH = 8, 64, 1000, 1000, 16
 LARGEST_FILE = 2**30
 
 
@@ -47,7 +47,7 @@ class _Source:
     order: str
     header: np.dtype
     decompress: Callable[[bytes, int], bytes] | None
-    room: int
+    bytes_left: int
     appended: bytes = b""
     raw: bool = False
     arrays: int = field(default=0)
@@ -55,7 +55,7 @@ class _Source:
 
 def read_vtu(path: Path, largest: int) -> meshio.Mesh:
     """Mesh in a file, whose arrays may take up to `largest` bytes. Raises VtuError or OSError."""
-    text, appended = _parted(read_regular(path, LARGEST_FILE))
+    text, appended = _split_appended_data(read_regular(path, LARGEST_FILE))
     try:
         return _mesh_of(_tree(text), appended, largest)
     except (KeyError, ValueError, TypeError, ArithmeticError, MemoryError, binascii.Error) as error:
@@ -67,7 +67,7 @@ def _sentence(error: Exception) -> str:
     return f"{error} is missing or unknown" if missing else str(error) or type(error).__name__
 
 
-def _parted(raw: bytes) -> tuple[bytes, bytes]:
+def _split_appended_data(raw: bytes) -> tuple[bytes, bytes]:
     """The XML without the raw appended data, and these data."""
     start = re.search(rb'<AppendedData[^>]*encoding\s*=\s*["\']raw["\'][^>]*>\s*_', raw)
     if start is None:
@@ -89,8 +89,8 @@ def _tree(text: bytes) -> ElementTree.Element:
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > MOST_DEPTH:
-            raise VtuError(f"has more than {MOST_DEPTH} nested elements")
+        if depth > MAX_DEPTH:
+            raise VtuError(f"has more than {MAX_DEPTH} nested elements")
         builder.start(name, attributes)
 
     def end(name: str) -> None:
@@ -113,10 +113,10 @@ def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> meshio.Mesh
         raise VtuError("is not a VTU file: it contains no UnstructuredGrid")
     source = _source(root, raw, largest)
     pieces = root.findall("./UnstructuredGrid/Piece")
-    if not 1 <= len(pieces) <= MOST_PIECES:
-        raise VtuError(f"has {len(pieces)} pieces; the number must be from 1 to {MOST_PIECES}")
+    if not 1 <= len(pieces) <= MAX_PIECES:
+        raise VtuError(f"has {len(pieces)} pieces; the number must be from 1 to {MAX_PIECES}")
     meshes = [_piece(piece, source) for piece in pieces]
-    return meshes[0] if len(meshes) == 1 else _joined(meshes)
+    return meshes[0] if len(meshes) == 1 else _merged(meshes)
 
 
 def _source(root: ElementTree.Element, raw: bytes, largest: int) -> _Source:
@@ -151,8 +151,8 @@ def _piece(piece: ElementTree.Element, source: _Source) -> meshio.Mesh:
     point_count, cell_count = (int(piece.attrib[name]) for name in ("NumberOfPoints", "NumberOfCells"))
     if point_count < 0 or cell_count < 0:
         raise VtuError("declares a negative number of points or cells")
-    place = piece.find("./Points/DataArray")
-    points = np.zeros((0, 3)) if place is None else _array(place, source, point_count, 3)
+    points_element = piece.find("./Points/DataArray")
+    points = np.zeros((0, 3)) if points_element is None else _array(points_element, source, point_count, 3)
     if points.shape != (point_count, 3):
         raise VtuError(f"declares {point_count} points, but has {points.shape[0]} of {points.shape[1:]} coordinates")
     blocks = _blocks(piece, source, cell_count)
@@ -205,11 +205,11 @@ def _array(element: ElementTree.Element, source: _Source, count: int, components
     dtype = np.dtype(source.order + DTYPES[element.attrib["type"]])
     size = count * components * dtype.itemsize
     source.arrays += 1
-    source.room -= size
-    if source.arrays > MOST_ARRAYS or not 1 <= components <= MOST_COMPONENTS:
+    source.bytes_left -= size
+    if source.arrays > MAX_ARRAYS or not 1 <= components <= MAX_COMPONENTS:
         raise VtuError("has too many arrays, or an array with too many components")
-    if source.room < 0:
-        raise VtuError(f"declares arrays larger than the limit of {(source.room + size) / 2**20:.0f} MiB")
+    if source.bytes_left < 0:
+        raise VtuError(f"declares arrays larger than the limit of {(source.bytes_left + size) / 2**20:.0f} MiB")
     form = element.attrib.get("format", "ascii")
     if form == "ascii":
         with warnings.catch_warnings():
@@ -237,11 +237,13 @@ def _bytes(element: ElementTree.Element, source: _Source, size: int, form: str) 
     if count > len(data):
         raise VtuError("declares more compressed blocks than it contains bytes")
     lengths = _decoded(data, raw, 0, width * (3 + count)).view(source.header)[3:].astype(np.int64)
-    head = width * (3 + count)
+    header_size = width * (3 + count)
     if raw:
-        body = data[head:]
+        body = data[header_size:]
     else:
-        body = base64.b64decode(_whole(data[_encoded(head) : _encoded(head) + _encoded(int(lengths.sum()))]))
+        body = base64.b64decode(
+            _complete_groups(data[_encoded(header_size) : _encoded(header_size) + _encoded(int(lengths.sum()))])
+        )
     return b"".join(_decompressed(body, lengths, source.decompress, size))
 
 
@@ -264,18 +266,18 @@ def _plain(data: bytes, raw: bool, width: int, size: int, header: np.dtype) -> b
     if raw:
         return data[width : width + size]
     if data[: _encoded(width)].endswith(b"=") and len(data) > _encoded(width):
-        return base64.b64decode(_whole(data[_encoded(width) : _encoded(width) + _encoded(size)]))[:size]
-    return base64.b64decode(_whole(data[: _encoded(width + size)]))[width : width + size]
+        return base64.b64decode(_complete_groups(data[_encoded(width) : _encoded(width) + _encoded(size)]))[:size]
+    return base64.b64decode(_complete_groups(data[: _encoded(width + size)]))[width : width + size]
 
 
 def _decoded(data: bytes, raw: bool, begin: int, size: int) -> np.ndarray:
-    found = data[begin : begin + size] if raw else base64.b64decode(_whole(data[: _encoded(size)]))[:size]
+    found = data[begin : begin + size] if raw else base64.b64decode(_complete_groups(data[: _encoded(size)]))[:size]
     if len(found) != size:
         raise VtuError("is truncated in the header of an array")
     return np.frombuffer(found, np.uint8)
 
 
-def _whole(text: bytes) -> bytes:
+def _complete_groups(text: bytes) -> bytes:
     """Base64 text without an incomplete group of four characters at its end."""
     return text[: len(text) // 4 * 4]
 
@@ -285,7 +287,7 @@ def _encoded(size: int) -> int:
     return 4 * -(-size // 3)
 
 
-def _joined(meshes: list[meshio.Mesh]) -> meshio.Mesh:
+def _merged(meshes: list[meshio.Mesh]) -> meshio.Mesh:
     before = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
     cells = [(b.type, b.data + shift) for mesh, shift in zip(meshes, before, strict=False) for b in mesh.cells]
     names = set(meshes[0].point_data).intersection(*(mesh.point_data for mesh in meshes))

@@ -30,7 +30,7 @@ class Accounting:
     removed_energy: float = 0.0
     removed_kinetic_energy: float = 0.0
     energy_put_in: float = 0.0
-    """Largest energy input [J] of all snapshots so far; see `put_in`."""
+    """Largest energy input [J] of all snapshots so far; see `energy_input`."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
     """Count and mass [kg] of the particles deleted by each outlet."""
     queued_count: int | None = None
@@ -61,7 +61,7 @@ def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tup
     return kinetic, rotational, -float(mass @ (arrays["position"] @ gravity))
 
 
-def put_in(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
+def energy_input(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
     """Energy [J] put in by gravity, initial motion, insertion, walls and periodic images.
 
         E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
@@ -69,8 +69,10 @@ def put_in(accounting: Accounting, potential: float, works: Iterable[float] = ()
     with the mechanical energy of inserted particles, the potential energies of present and of deleted particles, and
     the work of the walls and of the images of a sheared box. It does not depend on the origin of the potential.
     """
-    given = accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
-    return max(given, 0.0) + sum(max(work, 0.0) for work in works)
+    energy_supplied = (
+        accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
+    )
+    return max(energy_supplied, 0.0) + sum(max(work, 0.0) for work in works)
 
 
 def energy_budget_totals(
@@ -92,11 +94,11 @@ def energy_budget_totals(
     boundary = state.control.boundary_work
     boundary_work = {} if boundary is None else {"boundary_work": float(boundary.to_numpy().sum())}
     dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
-    energy_held = sum(energies) + measured["elastic_energy"]
+    present_energy = sum(energies) + measured["elastic_energy"]
     removed = accounting.removed_energy - accounting.inserted_energy
     works = (losses["wall_work"], *boundary_work.values())
-    residual = energy_held + dissipated + removed - sum(works)
-    accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2], works))
+    residual = present_energy + dissipated + removed - sum(works)
+    accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
     rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
     scale = max(accounting.energy_put_in, rounding / LARGEST_ERROR)
     return {

@@ -53,9 +53,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     """
     global _started
     if _started is not None:
-        _refuse_change(_started, arch, precision, threads)
+        _check_unchanged(_started, arch, precision, threads)
         return _started
-    wanted = getattr(ti, arch)
+    taichi_arch = getattr(ti, arch)
     ti.set_logging_level(ti.ERROR)  # the search for an absent device is no reason for a warning
     if not _available(arch):
         raise GranflowError(
@@ -68,13 +68,13 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         logging.getLogger("granflow").warning("granflow: warning: %s", warning)
     folder = usable_folder()
     if folder.name.startswith(TEMPORARY):
-        atexit.register(_end_in, folder)
+        atexit.register(_stop_and_remove, folder)
     cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     with redirect_stdout(StringIO()):  # Taichi prints its version
         ti.init(
-            arch=wanted,
+            arch=taichi_arch,
             default_fp=real,
             fast_math=False,
             log_level=ti.ERROR,
@@ -88,7 +88,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     return _started
 
 
-def _end_in(folder: Path) -> None:
+def _stop_and_remove(folder: Path) -> None:
     """Stop Taichi, which then writes its kernel cache, and delete the temporary folder."""
     ti.reset()
     shutil.rmtree(folder, ignore_errors=True)
@@ -124,7 +124,7 @@ def _arch_name(requested: Arch) -> str:
     return "cpu"
 
 
-def _refuse_change(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
+def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
     same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
     if same_arch and precision == running.precision and threads in (None, running.threads):
         return

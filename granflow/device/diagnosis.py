@@ -110,17 +110,20 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
     distance = np.linalg.norm(branch, axis=1)
     overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
     normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
-    moving, smaller = velocity[partner_index], np.minimum(arrays["radius"][owner], arrays["radius"][partner_index])
+    surface_velocity, smaller = (
+        velocity[partner_index],
+        np.minimum(arrays["radius"][owner], arrays["radius"][partner_index]),
+    )
     face = -1 - partner
     partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.periodic_box.wrap(position[owner[of_wall]])
-        gap, normal[of_wall], moving[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
+        gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
         smaller[of_wall] = arrays["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
-    approach = -np.sum((velocity[owner] - moving) * normal, axis=1)
-    return CandidatePairs(owner, partner, overlap / smaller, approach, moving)
+    approach = -np.sum((velocity[owner] - surface_velocity) * normal, axis=1)
+    return CandidatePairs(owner, partner, overlap / smaller, approach, surface_velocity)
 
 
 def _wall_gaps(

@@ -47,14 +47,14 @@ class Engine:
 
     def _build_host_access(self) -> None:
         """Build the kernels that access fields from the host; repeated after fields are replaced by larger ones."""
-        self._host_access_growth = self.timing.growth_count
+        self._host_access_version = self.timing.growth_count
         self._host_copy = HostCopy(self.state)
         self._contact_statistics = ContactStatistics(self.state)
         self._contact_output: ContactOutput | None = None
         self._max_impact_velocity = MaxImpactVelocity(self.state) if self.plan.adaptive_time_step is not None else None
 
-    def _follow_growth(self) -> None:
-        if self._host_access_growth != self.timing.growth_count:
+    def _update_host_access(self) -> None:
+        if self._host_access_version != self.timing.growth_count:
             self._free_host_access()
             self._build_host_access()
 
@@ -66,13 +66,13 @@ class Engine:
     @property
     def host_copy(self) -> HostCopy:
         """Copies between host arrays and particle fields."""
-        self._follow_growth()
+        self._update_host_access()
         return self._host_copy
 
     @property
     def contact_statistics(self) -> ContactStatistics:
         """Contact statistics."""
-        self._follow_growth()
+        self._update_host_access()
         return self._contact_statistics
 
     @property
@@ -212,7 +212,7 @@ class Engine:
         if adaptive_time_step is None or self.aborted:
             return
         self.stepper.place_walls(self.step_count)
-        self._follow_growth()
+        self._update_host_access()
         assert self._max_impact_velocity is not None
         step = adaptive_time_step.step_for(
             self._max_impact_velocity.measure(), float(np.linalg.norm(self._gravity)) * self.time_step
@@ -329,7 +329,7 @@ class Engine:
         return found
 
     def _contact_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        self._follow_growth()
+        self._update_host_access()
         if self._contact_output is None:
             self._contact_output = ContactOutput(self.state)
         return self._contact_output.take(arrays)

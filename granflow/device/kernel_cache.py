@@ -56,7 +56,7 @@ def usable_folder() -> Path:
             folder, VARIABLE,
         )  # fmt: skip
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
-    _break_stale_lock(folder / LOCK)
+    _remove_stale_lock(folder / LOCK)
     return folder
 
 
@@ -86,7 +86,7 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _break_stale_lock(lock: Path) -> None:
+def _remove_stale_lock(lock: Path) -> None:
     try:
         if time.time() - lock.stat().st_mtime > STALE_LOCK:
             lock.unlink()

@@ -105,14 +105,14 @@ def _build_may_own(state: State) -> Any:
 
     @ti.func
     def in_edge_region(t, k, point, slack):
-        edge, from_edge_nearest = 3 * t + k, 0
+        edge, possible = 3 * t + k, 0
         if mesh.role[edge] != NOT_OWNED:
             from_nearest = point - mesh.vertex[edge]
-            edge_direction, length = from_nearest.dot(mesh.edge_direction[edge]), mesh.length[edge]
-            off = from_nearest.dot(mesh.inward[edge]) <= slack
-            off = off and (mesh.role[edge] == OPEN_EDGE or from_nearest.dot(mesh.inward_other[edge]) <= slack)
-            from_edge_nearest = ti.cast(off and edge_direction > -slack and edge_direction < length + slack, ti.i32)
-        return from_edge_nearest
+            along, length = from_nearest.dot(mesh.edge_direction[edge]), mesh.length[edge]
+            beyond = from_nearest.dot(mesh.inward[edge]) <= slack
+            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_nearest.dot(mesh.inward_other[edge]) <= slack)
+            possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
+        return possible
 
     @ti.func
     def above_vertex(t, k, point, slack):

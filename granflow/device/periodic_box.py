@@ -201,7 +201,7 @@ def upload_offsets(state: State, step: int) -> None:
     """
     periodic_box, clock, control = state.plan.periodic_box, state.clock, state.control
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    wide = np.float32 if state.backend.precision == "f32" else np.float64
-    narrow = np.float64 if state.backend.precision == "f64" else np.float32
-    control.image_offset.from_numpy(periodic_box.offsets(times).astype(wide))
-    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(narrow))
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))
+    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(real))

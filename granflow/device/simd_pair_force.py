@@ -113,7 +113,11 @@ def _build_gather(state: State) -> Any:
     """Device function: gather velocities, masses and histories of the entries into columns."""
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
-    read, pair_number, has_prepare = build_read_history(state), build_pair_number(state), law.prepare is not None
+    read_history, pair_number, has_prepare = (
+        build_read_history(state),
+        build_pair_number(state),
+        law.prepare is not None,
+    )
     image_velocity = build_image_velocity(state)
     contact_mass = build_contact_mass(state)
 
@@ -149,7 +153,7 @@ def _build_gather(state: State) -> Any:
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
-            normal_history, tangential_displacement, rolling_displacement = read(list_index)
+            normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
             number = pair_number(i, j)
             if ti.static(has_prepare):
                 normal_history = prepared(

@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 
-from granflow.device.accounting import LARGEST_ERROR, ROUNDING, Accounting, put_in
+from granflow.device.accounting import LARGEST_ERROR, ROUNDING, Accounting, energy_input
 from granflow.plan import Plan
 from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import stable_step
@@ -59,7 +59,7 @@ class StabilityMonitor:
     ) -> float:
         """Excess energy over the largest energy put in so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
-        accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2]))
+        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2]))
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
     def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
@@ -67,12 +67,14 @@ class StabilityMonitor:
         if not self._enabled:
             return 0.0
         energy_inserted = accounting.inserted_energy - accounting.removed_energy
-        energy_held = sum(energies) - energy_inserted
+        present_energy = sum(energies) - energy_inserted
         if not self._started:
             self._started = True
             self._enabled = contact_count == 0
-            self._initial_energy = energy_held
-        return max(energy_held - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0)
+            self._initial_energy = present_energy
+        return max(
+            present_energy - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0
+        )
 
     def _check_speed(self, time: float, speed: float) -> None:
         """Compare a fixed time step with the stable time step at the speed of the fastest particle."""

@@ -227,12 +227,12 @@ class Stepper:
     def _advance_batch(self, steps: int, step: int) -> int:
         state, plan = self.state, self.state.plan
         if plan.has_poses:
-            if self._steps_walls_allow() < 1:
+            if self._steps_to_displacement_limit() < 1:
                 self.refresh(step)
             if self._pose == WALL_BATCH:
                 self._upload(step + 1)
                 self._pose = 0
-            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
+            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_to_displacement_limit(), 1))
         state.control.steps_done[0] = 0
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         done = self._launch(steps)
@@ -263,7 +263,7 @@ class Stepper:
         self._launch_step(wanted, self._pose, step)
         done = int(self.state.control.steps_done[0])
         if done:
-            self._learn(done, clock.perf_counter() - began)
+            self._adapt_launch(done, clock.perf_counter() - began)
         return done
 
     @property
@@ -273,7 +273,7 @@ class Stepper:
             return max(FIRST_LAUNCH // max(self.state.count, 1), 1)
         return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
 
-    def _learn(self, done: int, seconds: float) -> None:
+    def _adapt_launch(self, done: int, seconds: float) -> None:
         """Choose length, workers and patience of the next launch from the wall-clock time of `done` steps [s]."""
         self._step_seconds = seconds / done
         state = self.state
@@ -284,9 +284,9 @@ class Stepper:
         self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
-        if not 0.8 * self._patience < spins < 1.25 * self._patience:
-            state.control.patience[0] = self._patience = spins
+        polls = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
+        if not 0.8 * self._patience < polls < 1.25 * self._patience:
+            state.control.patience[0] = self._patience = polls
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
@@ -300,17 +300,17 @@ class Stepper:
         self._since_sample = 0
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
-        moved = clock.perf_counter()
+        integrated = clock.perf_counter()
         if state.control.rebuild_due[0] or self.abort_code:
             return 0
         forces_began = clock.perf_counter()
         self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
-        self.timing.sampled_integration += moved - began
+        self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
         return int(state.control.steps_done[0])
 
-    def _steps_walls_allow(self) -> int:
+    def _steps_to_displacement_limit(self) -> int:
         """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
 
         Force-controlled walls request their rebuilds themselves.

@@ -40,7 +40,7 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 def build(damped: bool) -> NormalLaw:
     """Build the Hertz model; `damped` if any pair has a restitution below 1."""
-    root_over_step = build_step_mean(DAMPING_POWER)
+    step_mean = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
@@ -54,7 +54,7 @@ def build(damped: bool) -> NormalLaw:
         elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap
         viscous = 0.0 * elastic
         if ti.static(damped):
-            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            overlap_at, weight = step_mean(overlap, overlap_rate, time_step)
             secant = stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = ti.max(constants[2] * weight * ti.sqrt(mass_eff * secant) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history

@@ -84,7 +84,7 @@ def build(reference_velocity: float) -> NormalLaw:
     )
 
 
-_root_over_step = build_step_mean(DAMPING_POWER)
+_step_mean = build_step_mean(DAMPING_POWER)
 
 
 @ti.func
@@ -95,7 +95,7 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
     """
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     elastic = k * ti.sqrt(overlap) * overlap
-    overlap_at, weight = _root_over_step(overlap, overlap_rate, time_step)
+    overlap_at, weight = _step_mean(overlap, overlap_rate, time_step)
     viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at) * overlap_rate
     viscous = ti.max(viscous, -elastic)
     return elastic + viscous, viscous, history
@@ -135,25 +135,25 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
     The unit of length is (M v^2 / k)^(2/5), the unit of time that length over v. With s = t^(1/2) as the variable the
     solution is smooth at the start.
     """
-    state, s, turn = (0.0, 1.0), 0.0, 0.0
+    state, s, turning_time = (0.0, 1.0), 0.0, 0.0
     step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
     while True:
-        after = _step(state, s, step, dissipation)
-        if turn == 0.0 and after[1] <= 0.0:
-            turn = (s + step * state[1] / (state[1] - after[1])) ** 2
+        after = _runge_kutta_step(state, s, step, dissipation)
+        if turning_time == 0.0 and after[1] <= 0.0:
+            turning_time = (s + step * state[1] / (state[1] - after[1])) ** 2
         if after[1] < 0.0 and after[0] + dissipation * after[1] <= 0.0:
             break
         state, s = after, s + step
     low, high = 0.0, step
     for _ in range(40):
         middle = 0.5 * (low + high)
-        x, w = _step(state, s, middle, dissipation)
+        x, w = _runge_kutta_step(state, s, middle, dissipation)
         low, high = (middle, high) if x + dissipation * w > 0.0 else (low, middle)
     end = (s + low) ** 2
-    return -_step(state, s, low, dissipation)[1], turn, end - turn
+    return -_runge_kutta_step(state, s, low, dissipation)[1], turning_time, end - turning_time
 
 
-def _step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
+def _runge_kutta_step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
     """One step of the classical fourth-order Runge-Kutta method in s."""
 
     def slope(s: float, x: float, w: float) -> tuple[float, float]:

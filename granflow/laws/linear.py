@@ -26,7 +26,7 @@ def law_for(request: ModelRequest) -> NormalLaw:
 
 def build(spring: Spring) -> NormalLaw:
     """Build the linear model with the given spring."""
-    share_of_step = build_step_mean(0.0)
+    step_mean = build_step_mean(0.0)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
@@ -37,7 +37,7 @@ def build(spring: Spring) -> NormalLaw:
         history_new = history
         stiffness = spring.stiffness_of(history_new)
         elastic = stiffness * overlap
-        _place, share = share_of_step(overlap, overlap_rate, time_step)
+        _overlap_at, share = step_mean(overlap, overlap_rate, time_step)
         viscous = ti.max(2.0 * constants[2] * share * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history_new
 

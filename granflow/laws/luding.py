@@ -43,8 +43,8 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
     @ti.func
     def loading_loss(growth, stiffness, largest):
         """Energy lost by first loading to an overlap [J]: k1 dmax^2 (1 - k1/k2) / 2."""
-        steeper = growth * largest
-        return 0.5 * stiffness * largest * largest * steeper / (1.0 + steeper)
+        excess = growth * largest
+        return 0.5 * stiffness * largest * largest * excess / (1.0 + excess)
 
     @ti.func
     def tension_loss(growth, stiffness, largest, overlap):
@@ -52,10 +52,12 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         energy_lost = 0.0 * stiffness
         if ti.static(has_tension):
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
-            energy_held = tension * tension * (begin * begin / (1.0 + growth * largest))
-            energy_held -= tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, overlap))
-            heat = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + energy_held)
-            energy_lost = ti.select(overlap < begin, heat, energy_lost)
+            elastic_change = tension * tension * (begin * begin / (1.0 + growth * largest))
+            elastic_change -= (
+                tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, overlap))
+            )
+            dissipated = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + elastic_change)
+            energy_lost = ti.select(overlap < begin, dissipated, energy_lost)
         return energy_lost
 
     @ti.func
@@ -84,10 +86,10 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness, steeper = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
-        energy_held = history[0] + steeper * (overlap - history[0])
-        energy_held = ti.max(energy_held, -tension * overlap)
-        return 0.5 * stiffness * energy_held * energy_held / steeper
+        stiffness, stiffness_ratio = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
+        scaled_force = history[0] + stiffness_ratio * (overlap - history[0])
+        scaled_force = ti.max(scaled_force, -tension * overlap)
+        return 0.5 * stiffness * scaled_force * scaled_force / stiffness_ratio
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -130,11 +132,11 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         lost_energy=lost_energy,
         tangential_stiffness=tangential_stiffness,
         reference=_reference(spring, tension),
-        phase_durations=lambda *bodies: collision(*bodies).durations(),
-        unloading_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
-        stable_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
+        phase_durations=lambda *arguments: collision(*arguments).durations(),
+        unloading_stiffness=lambda *arguments: collision(*arguments).unloading_stiffness,
+        stable_stiffness=lambda *arguments: collision(*arguments).unloading_stiffness,
         loading_tangent=spring.stiffness,
-        restitution=lambda *bodies: collision(*bodies).restitution,
+        restitution=lambda *arguments: collision(*arguments).restitution,
         attraction=attraction if has_tension else None,
     )
 
@@ -180,8 +182,8 @@ class LudingCollision:
     @property
     def restitution(self) -> float:
         """Restitution coefficient; 0 if the tension prevents separation."""
-        pull = self.tension * self.stiffness * self.overlap_in_tension
-        work = 0.5 * pull * self.overlap_in_tension + 0.5 * pull**2 / self.unloading_stiffness
+        tension_force = self.tension * self.stiffness * self.overlap_in_tension
+        work = 0.5 * tension_force * self.overlap_in_tension + 0.5 * tension_force**2 / self.unloading_stiffness
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
@@ -194,11 +196,11 @@ class LudingCollision:
         if self.velocity <= omega * self.limit:
             return 0.5 * math.pi / omega
         stiffer = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        velocity_left = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
+        velocity_at_limit = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
         elastic = self.limit * self.stiffness / self.unloading_stiffness
         return (
             math.asin(omega * self.limit / self.velocity) / omega
-            + math.atan2(velocity_left, stiffer * elastic) / stiffer
+            + math.atan2(velocity_at_limit, stiffer * elastic) / stiffer
         )
 
     def _tension_duration(self) -> float:
@@ -239,10 +241,10 @@ def _reference(spring: Spring, tension: float) -> ReferenceForce:
                 begin, end = (k2 - k1) * largest / (k2 + kc), contact.overlap
                 # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the unloading line through (d, -kc d)
                 largest = max(np.roots([growth, -growth * end, -(1.0 + tension) * end]))
-                energy_held = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (kc * begin) ** 2 / (
-                    2.0 * k2
-                )
-                work += 0.5 * kc * (begin**2 - end**2) - energy_held
+                elastic_change = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (
+                    kc * begin
+                ) ** 2 / (2.0 * k2)
+                work += 0.5 * kc * (begin**2 - end**2) - elastic_change
         return float(force), np.array([largest, *([work] if tension else []), *spring_history])
 
     return reference

@@ -37,11 +37,11 @@ class Spring:
 
     def reference_stiffness(self, contact: ContactState) -> tuple[float, list[float]]:
         """Reference implementation of `prepare` and `stiffness_of`: stiffness [N/m] and its history fields."""
-        stiffness_kept = contact.history[self.history_index] if self.history_names else 0.0
+        stiffness_saved = contact.history[self.history_index] if self.history_names else 0.0
         stiffness_new = self.host_stiffness(
             contact.constants[0], contact.radius_eff, contact.mass_eff, contact.overlap_rate
         )
-        stiffness = float(stiffness_kept) if stiffness_kept > 0.0 else stiffness_new
+        stiffness = float(stiffness_saved) if stiffness_saved > 0.0 else stiffness_new
         return stiffness, [stiffness] if self.history_names else []
 
 

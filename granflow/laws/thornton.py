@@ -149,9 +149,9 @@ class ThorntonCollision:
         if self.velocity <= self.yield_velocity:
             return theory.LOADING_DURATION * scale, unloading
         elastic = scale * _hertz_time(self.overlap_yield * self.velocity**-1 / scale)
-        velocity_left = math.sqrt(self.velocity**2 - self.yield_velocity**2)
+        velocity_at_yield = math.sqrt(self.velocity**2 - self.yield_velocity**2)
         omega = math.sqrt(self.plastic_slope / self.mass_eff)
-        plastic = math.atan2(velocity_left * omega * self.mass_eff, self.force_yield) / omega
+        plastic = math.atan2(velocity_at_yield * omega * self.mass_eff, self.force_yield) / omega
         return elastic + plastic, unloading
 
 
@@ -206,10 +206,10 @@ def build(yield_ratio: float) -> NormalLaw:
         lost_energy=lost_energy,
         tangential_stiffness=mindlin_stiffness,
         reference=reference,
-        phase_durations=lambda *bodies: collision(*bodies).durations(),
+        phase_durations=lambda *arguments: collision(*arguments).durations(),
         unloading_stiffness=tangent,
         stable_stiffness=tangent,
-        restitution=lambda *bodies: collision(*bodies).restitution,
+        restitution=lambda *arguments: collision(*arguments).restitution,
     )
 
 

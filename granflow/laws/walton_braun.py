@@ -34,13 +34,13 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
     Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 + S F_max)
     with the slope S that gives e at the reference velocity [m/s], and e decreases with velocity.
     """
-    grows = reference_velocity is not None
+    velocity_dependent = reference_velocity is not None
 
     @ti.func
     def unloading_stiffness(constants, mass_eff, stiffness, overlap_max):
         """Slope k2 [N/m]: k1 / e^2, or k1 (1 + (1/e^2 - 1) dmax sqrt(k1/M) / v_ref)."""
         excess = constants[2]
-        if ti.static(grows):
+        if ti.static(velocity_dependent):
             excess *= overlap_max * ti.sqrt(stiffness / mass_eff) / reference_velocity
         return stiffness * (1.0 + excess)
 
@@ -79,7 +79,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, restitution(pair, radius_eff, mass_eff, velocity) * quarter
 
-    def steepest(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def largest_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
         return stiffness / restitution(pair, radius_eff, mass_eff, velocity) ** 2
 
@@ -101,8 +101,8 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         tangential_stiffness=tangential_stiffness,
         reference=_reference(spring, reference_velocity),
         phase_durations=phase_durations,
-        unloading_stiffness=steepest,
-        stable_stiffness=steepest,
+        unloading_stiffness=largest_stiffness,
+        stable_stiffness=largest_stiffness,
         loading_tangent=spring.stiffness,
         restitution=restitution,
     )

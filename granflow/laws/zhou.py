@@ -115,7 +115,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
     viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is the Hertz tangent.
     """
     from_max_overlap, damped = restitution_at_choice == "max_overlap", damping_ratio > 0.0
-    root_over_step = build_step_mean(DAMPING_POWER)
+    step_mean = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def unloading_parameters(constants, radius_eff, mass_eff, time_step, history):
@@ -160,7 +160,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
         normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
         if ti.static(damped):
-            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            overlap_at, weight = step_mean(overlap, overlap_rate, time_step)
             tangent = 1.5 * stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = 2.0 * damping_ratio * weight * ti.sqrt(tangent * mass_eff) * overlap_rate
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
@@ -177,8 +177,8 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history)
-        put_in = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
-        return put_in - unloading_energy(k, history[0], e, y, history[0])
+        loading_work = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
+        return loading_work - unloading_energy(k, history[0], e, y, history[0])
 
     def least_restitution_reached(
         pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float

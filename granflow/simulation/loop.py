@@ -116,7 +116,7 @@ class Simulation:
         self._stop_requested: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
-        self._begun: Callable[[], None] = lambda: None
+        self._confirm_replacement: Callable[[], None] = lambda: None
         if particles is not None:
             self.engine.insert(particles)
         if resume is not None and change is not None:
@@ -144,7 +144,7 @@ class Simulation:
                 if self.out is not None:
                     stack.enter_context(locked(self.out))
                     if self._resumed is None:
-                        self._begun = stack.enter_context(replaced_run(self.out))
+                        self._confirm_replacement = stack.enter_context(replaced_run(self.out))
                     self._clean_output(self.out)
                     stack.enter_context(run_log(self.out, append=self._resumed is not None))
                 stack.callback(self._finish_observers)
@@ -263,7 +263,7 @@ class Simulation:
             self._abort(self.engine.diagnosis)
         if first:
             self._notify(self._observers)
-            self._begun()
+            self._confirm_replacement()
 
     def _reached(self, time: float) -> bool:
         return self.engine.reached(time)

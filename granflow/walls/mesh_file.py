@@ -45,27 +45,27 @@ class RawTriangles:
 
 def read_triangles(path: Path) -> RawTriangles:
     """Triangles in a file, in the units of the file. Raises MeshFileError if they cannot form a wall."""
-    raw = _bytes(path)
+    raw = _read_bytes(path)
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise MeshFileError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
-    return _validated(_soup(path, kind, raw))
+    return _validated(_read_format(path, kind, raw))
 
 
-def _soup(path: Path, kind: str, raw: bytes) -> RawTriangles:
+def _read_format(path: Path, kind: str, raw: bytes) -> RawTriangles:
     try:
         if kind == "obj":
             return RawTriangles(*read_obj(raw))
         if kind == "vtu":
-            return _soup_of(read_vtu(path, LARGEST_FILE))
+            return _raw_triangles(read_vtu(path, LARGEST_FILE))
     except (ObjError, VtuError) as error:
         raise MeshFileError(str(error)) from None
     if kind == "stl" and not _is_text_stl(raw):
         return _binary_stl(raw)
-    return _soup_of(_by_meshio(path, kind))
+    return _raw_triangles(_by_meshio(path, kind))
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         raw = read_regular(path, LARGEST_FILE)
     except FileNotFoundError:
@@ -112,7 +112,7 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
         raise MeshFileError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
-def _soup_of(mesh: meshio.Mesh) -> RawTriangles:
+def _raw_triangles(mesh: meshio.Mesh) -> RawTriangles:
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))

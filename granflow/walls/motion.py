@@ -94,12 +94,12 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
 
 def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion without rotation."""
-    clock, running = elapsed(motion, times), is_running(motion, times)
+    time_active, running = elapsed(motion, times), is_running(motion, times)
     if isinstance(motion, Translation):
         velocity = np.asarray(motion.velocity, dtype=np.float64)
-        return np.outer(clock, velocity), np.outer(running, velocity)
+        return np.outer(time_active, velocity), np.outer(running, velocity)
     direction = np.asarray(motion.direction, dtype=np.float64)
-    angle = motion.angular_frequency * clock + motion.phase
+    angle = motion.angular_frequency * time_active + motion.phase
     displacement = motion.amplitude * (np.sin(angle) - np.sin(motion.phase))
     rate = motion.amplitude * motion.angular_frequency * np.cos(angle) * running
     return np.outer(displacement, direction), np.outer(rate, direction)

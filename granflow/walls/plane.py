@@ -58,14 +58,14 @@ def closest_on_rectangle(point, parameters):
     distance = beyond.norm()
     on_surface = distance == 0.0
     divisor = ti.select(on_surface, 1.0, distance)
-    part1 = beyond[0] / divisor
-    part2 = beyond[1] / divisor
-    part3 = ti.select(on_surface, 1.0, beyond[2] / divisor)
+    component1 = beyond[0] / divisor
+    component2 = beyond[1] / divisor
+    component3 = ti.select(on_surface, 1.0, beyond[2] / divisor)
     normal = ti.Vector(
         [
-            part1 * parameters[3] + part2 * parameters[6] + part3 * parameters[9],
-            part1 * parameters[4] + part2 * parameters[7] + part3 * parameters[10],
-            part1 * parameters[5] + part2 * parameters[8] + part3 * parameters[11],
+            component1 * parameters[3] + component2 * parameters[6] + component3 * parameters[9],
+            component1 * parameters[4] + component2 * parameters[7] + component3 * parameters[10],
+            component1 * parameters[5] + component2 * parameters[8] + component3 * parameters[11],
         ]
     )
     return distance, normal
@@ -84,9 +84,9 @@ def reference_closest_on_rectangle(points: np.ndarray, parameters: np.ndarray) -
     along = np.clip((points - corner) @ frame.T, 0.0, lengths)
     from_surface = points - (corner + along @ frame)
     distance = np.linalg.norm(from_surface, axis=1)
-    touching = distance == 0.0
-    normal = from_surface / np.where(touching, 1.0, distance)[:, None]
-    normal[touching] = np.cross(frame[0], frame[1])
+    on_surface = distance == 0.0
+    normal = from_surface / np.where(on_surface, 1.0, distance)[:, None]
+    normal[on_surface] = np.cross(frame[0], frame[1])
     return distance, normal
 
 

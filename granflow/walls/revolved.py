@@ -27,11 +27,11 @@ def half_plane_coordinates(point, parameters):
     radial = axis.cross(offset.cross(axis))
     r = radial.norm()
     on_axis = r == 0.0
-    steep = ti.abs(axis[2]) > 0.5
+    near_z = ti.abs(axis[2]) > 0.5
     zero = axis[0] * 0.0
-    sideways = ti.select(steep, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
-    direction = ti.select(on_axis, sideways, radial)
-    divisor = ti.select(on_axis, sideways.norm(), r)
+    any_radial = ti.select(near_z, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
+    direction = ti.select(on_axis, any_radial, radial)
+    divisor = ti.select(on_axis, any_radial.norm(), r)
     return r, z, direction / divisor
 
 
@@ -63,17 +63,17 @@ def owns_contact(along, height, parameters):
     True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of the
     competing face as well (otherwise that face is nearer).
     """
-    before = along <= 0.0
-    after = along >= parameters[7]
-    past_start = along
-    past_end = along - parameters[7]
-    r_start = past_start * parameters[8] + height * parameters[9]
-    z_start = past_start * parameters[9] - height * parameters[8]
-    r_end = past_end * parameters[8] + height * parameters[9]
-    z_end = past_end * parameters[9] - height * parameters[8]
-    start_counts = (parameters[12] > 0.0) & (r_start * parameters[10] + z_start * parameters[11] <= 0.0)
-    end_counts = (parameters[15] > 0.0) & (r_end * parameters[13] + z_end * parameters[14] <= 0.0)
-    return ((not before) | start_counts) & ((not after) | end_counts)
+    before_start = along <= 0.0
+    after_end = along >= parameters[7]
+    from_start = along
+    from_end = along - parameters[7]
+    r_start = from_start * parameters[8] + height * parameters[9]
+    z_start = from_start * parameters[9] - height * parameters[8]
+    r_end = from_end * parameters[8] + height * parameters[9]
+    z_end = from_end * parameters[9] - height * parameters[8]
+    owns_start = (parameters[12] > 0.0) & (r_start * parameters[10] + z_start * parameters[11] <= 0.0)
+    owns_end = (parameters[15] > 0.0) & (r_end * parameters[13] + z_end * parameters[14] <= 0.0)
+    return ((not before_start) | owns_start) & ((not after_end) | owns_end)
 
 
 @ti.func
@@ -100,28 +100,26 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
     """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point."""
     axis = parameters[3:6]
     start, end = profile(parameters)
-    outward = radial_directions(points - parameters[0:3], axis)
-    rim1 = parameters[0:3] + start[0] * outward + start[1] * axis
-    rim2 = parameters[0:3] + end[0] * outward + end[1] * axis
-    chord = rim2 - rim1
-    fraction = np.sum((points - rim1) * chord, axis=1) / np.sum(chord * chord, axis=1)
-    foot = rim1 + np.clip(fraction, 0.0, 1.0)[:, None] * chord
+    radial = radial_directions(points - parameters[0:3], axis)
+    edge_start = parameters[0:3] + start[0] * radial + start[1] * axis
+    edge_end = parameters[0:3] + end[0] * radial + end[1] * axis
+    chord = edge_end - edge_start
+    fraction = np.sum((points - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
+    foot = edge_start + np.clip(fraction, 0.0, 1.0)[:, None] * chord
     from_surface = points - foot
     distance = np.linalg.norm(from_surface, axis=1)
-    touching = distance == 0.0
-    face_normal = np.cross(chord, np.cross(axis, outward)) / np.linalg.norm(chord, axis=1)[:, None]
-    normal = from_surface / np.where(touching, 1.0, distance)[:, None]
-    normal[touching] = face_normal[touching]
-    not_owned = (fraction <= 0) & ~reference_edge_counts(from_surface, outward, axis, parameters[10:13])
-    not_owned |= (fraction >= 1) & ~reference_edge_counts(from_surface, outward, axis, parameters[13:16])
+    on_surface = distance == 0.0
+    face_normal = np.cross(chord, np.cross(axis, radial)) / np.linalg.norm(chord, axis=1)[:, None]
+    normal = from_surface / np.where(on_surface, 1.0, distance)[:, None]
+    normal[on_surface] = face_normal[on_surface]
+    not_owned = (fraction <= 0) & ~reference_owns_edge(from_surface, radial, axis, parameters[10:13])
+    not_owned |= (fraction >= 1) & ~reference_owns_edge(from_surface, radial, axis, parameters[13:16])
     return np.where(not_owned, FAR_AWAY, distance), normal
 
 
-def reference_edge_counts(
-    from_surface: np.ndarray, outward: np.ndarray, axis: np.ndarray, edge: np.ndarray
-) -> np.ndarray:
+def reference_owns_edge(from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """Whether an edge (competing direction r, z; owner flag) owns the contacts of points at `from_surface` (n, 3)."""
-    neighbor = edge[0] * outward + edge[1] * axis
+    neighbor = edge[0] * radial + edge[1] * axis
     return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
 
 
@@ -147,13 +145,13 @@ def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float
     """The surface as FACET_COUNT facets around the axis; `center` and `extent` are unused."""
     axis = parameters[3:6]
     angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
-    first = radial_directions(np.zeros((1, 3)), axis)[0]
-    around = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), np.cross(axis, first))
+    radial = radial_directions(np.zeros((1, 3)), axis)[0]
+    around = np.outer(np.cos(angle), radial) + np.outer(np.sin(angle), np.cross(axis, radial))
     rings = [parameters[0:3] + r * around + z * axis for r, z in profile(parameters)]
-    this = np.arange(FACET_COUNT)
-    following = (this + 1) % FACET_COUNT
-    lower = np.stack([this, following, following + FACET_COUNT], axis=1)
-    upper = np.stack([this, following + FACET_COUNT, this + FACET_COUNT], axis=1)
+    index = np.arange(FACET_COUNT)
+    next_index = (index + 1) % FACET_COUNT
+    lower = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
+    upper = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
     return np.concatenate(rings), np.concatenate([lower, upper])
 
 
@@ -201,9 +199,9 @@ def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: 
     length = np.hypot(end_r - start_r, end_z)
     if not length > 0 or max(start_r, end_r) == 0:
         raise ValueError("A surface of revolution requires a length and a radius above zero.")
-    free_rim = (0.0, 0.0, 1.0)
+    free_edge = (0.0, 0.0, 1.0)
     direction = (end_r - start_r) / length, end_z / length
-    return make_shape(REVOLVED, origin, unit(axis), start_r, length, *direction, *free_rim, *free_rim)
+    return make_shape(REVOLVED, origin, unit(axis), start_r, length, *direction, *free_edge, *free_edge)
 
 
 def cone(a: object, b: object, radius_a: float, radius_b: float) -> Shape:

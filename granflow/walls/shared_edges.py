@@ -70,9 +70,9 @@ def is_coaxial(shape: Shape, other: Shape) -> bool:
     """Whether the other shape is a surface of revolution about the same line, in either direction."""
     if other.kind is not REVOLVED:
         return False
-    between = other.parameters[0:3] - shape.parameters[0:3]
+    origin_offset = other.parameters[0:3] - shape.parameters[0:3]
     axis = shape.parameters[3:6]
-    off_axis = np.linalg.norm(np.cross(between, axis))
+    off_axis = np.linalg.norm(np.cross(origin_offset, axis))
     size = profile_size(shape) + profile_size(other)
     return is_parallel(axis, other.parameters[3:6], TOLERANCE) and bool(off_axis <= TOLERANCE * size)
 
@@ -112,16 +112,16 @@ def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: floa
     if np.linalg.norm(end - edge) <= tolerance:
         return [Ray(index, "end", -along)]
     position = (edge - start) @ along
-    aside = np.linalg.norm(edge - start - position * along)
-    passes = aside <= tolerance and 0 < position < length
+    off_line = np.linalg.norm(edge - start - position * along)
+    passes = off_line <= tolerance and 0 < position < length
     return [Ray(index, None, along), Ray(index, None, -along)] if passes else []
 
 
 def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, float]:
     """The three edge parameters of one end of a shape, from all rays at that edge."""
     bounds = wedge_bounds(rays)
-    own_rays = [ray for ray in bounds if ray.index == index and ray.end == end]
-    neighbors = [ray for ray in bounds if ray not in own_rays]
+    rays_of_end = [ray for ray in bounds if ray.index == index and ray.end == end]
+    neighbors = [ray for ray in bounds if ray not in rays_of_end]
     neighbor = neighbors[0].direction if neighbors else np.zeros(2)
     ends = [(ray.index, ray.end) for ray in bounds if ray.end is not None]
     owned = 0 < len(ends) == len(bounds) and min(ends) == (index, end)
@@ -134,7 +134,7 @@ def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
     if len(rays) == 1:
         return list(rays)
     ordered = sorted(rays, key=lambda ray: ray.angle)
-    following = ordered[1:] + ordered[:1]
-    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, following, strict=True)]
+    successors = ordered[1:] + ordered[:1]
+    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, successors, strict=True)]
     widest = int(np.argmax(gaps))
-    return [ordered[widest], following[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []
+    return [ordered[widest], successors[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []
