@@ -12,9 +12,13 @@ CHUNK_PAIRS = 10**6
 
 
 def split_at_hanging_points(points: np.ndarray, corners: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
-    """Corners (u, 3) of triangles that share complete edges, and the number of split triangles of the given (t, 3).
+    """Split triangles until neighboring triangles share complete edges.
 
-    A point within `tolerance` [m] of an open edge, but not of its ends, splits the triangle of that edge.
+    points:     (n, 3) [m]
+    corners:    (t, 3) as indices of the points
+    tolerance:  largest distance [m] of a point from an open edge that it splits; points within `tolerance` of the ends
+                of the edge do not split it
+    Returns:    corners (u, 3), u >= t, the split triangles at the end; number of splits of triangles
     """
     count = 0
     while True:
@@ -32,7 +36,11 @@ def split_at_hanging_points(points: np.ndarray, corners: np.ndarray, tolerance: 
 def hanging_points(
     points: np.ndarray, corners: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles (h,) in order, their sides 0 to 2, and the points on these sides."""
+    """Points that lie on open edges of triangles.
+
+    Returns:  triangles (h,) in ascending order, their sides 0 to 2 (h,), and the points on these sides (h,); empty if
+              the mesh has more than MAX_PAIRS pairs of open edges and end points
+    """
     _, _, open_edges = classify_edges(edges_of(corners))
     open_edges = np.sort(open_edges)
     start, end = corners.reshape(-1)[open_edges], np.roll(corners, -1, axis=1).reshape(-1)[open_edges]
@@ -51,7 +59,13 @@ def hanging_points(
 def lies_on(
     points: np.ndarray, start: np.ndarray, end: np.ndarray, candidate_points: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """Whether (e, p) each point lies on each edge, excluding its ends."""
+    """Whether each point lies on each edge, excluding its ends.
+
+    points:            (n, 3) [m]
+    start, end:        (e,) point indices of the edges
+    candidate_points:  (p,) point indices
+    Returns:           (e, p) bool
+    """
     along = points[end] - points[start]
     length = np.linalg.norm(along, axis=1)
     from_start = points[candidate_points][None, :, :] - points[start][:, None, :]
@@ -63,7 +77,11 @@ def lies_on(
 def split_triangles(
     points: np.ndarray, corners: np.ndarray, triangle: np.ndarray, side: np.ndarray, on_edge: np.ndarray
 ) -> np.ndarray:
-    """Triangles from the opposite corner to the segments of the split side, for each split triangle."""
+    """Triangle fans that replace the split triangles: from the opposite corner to the segments of the split side.
+
+    triangle, side, on_edge:  (h,) as in `hanging_points`, with one side per triangle
+    Returns:                  (s, 3) point indices, with the winding of the split triangles
+    """
     found = []
     for each in np.unique(triangle):
         is_this = triangle == each

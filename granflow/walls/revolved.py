@@ -2,6 +2,9 @@
 
 Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin and
 two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared edges to owners.
+
+The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the segment, and
+for each end the direction (r, z) of the competing face and 1 if this surface owns the edge.
 """
 
 import numpy as np
@@ -10,16 +13,18 @@ import taichi as ti
 from granflow.walls.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
 
 FACET_COUNT = 64
+"""Number of facets around the axis, for visualization."""
 
 
 @ti.func
 def half_plane_coordinates(point, parameters):
-    """The point as (r, z): distance from the axis and height above the start of the segment; and the radial direction.
-
-    On the axis the radial direction is a fixed vector. The double cross product keeps the radial vector perpendicular
-    to the axis even if it consists of rounding errors only.
+    """Coordinates (r, z) of the point in its half plane, and the radial unit vector.
 
         radial = axis x (offset x axis)
+
+    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the radial
+    direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the axis even if it
+    consists of rounding errors only.
     """
     offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
     axis = ti.Vector([parameters[3], parameters[4], parameters[5]])
@@ -39,7 +44,7 @@ def half_plane_coordinates(point, parameters):
 def segment_coordinates(r, z, parameters):
     """Position along the segment, distance beyond the nearer end (0 above the face), and height above it [m].
 
-    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur
+    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur        (ur, uz) direction of the segment, r0 its start
     """
     outward = r - parameters[6]
     along = outward * parameters[8] + z * parameters[9]
@@ -50,7 +55,7 @@ def segment_coordinates(r, z, parameters):
 
 @ti.func
 def revolved_distance(point, parameters):
-    """Distance from the surface [m], at least 0, without regard to shared edges."""
+    """Distance from the surface [m], at least 0, without regard to shared edges (ShapeKind.surface_distance)."""
     r, z, _ = half_plane_coordinates(point, parameters)
     _, beyond, height = segment_coordinates(r, z, parameters)
     return ti.sqrt(beyond * beyond + height * height)
@@ -61,7 +66,9 @@ def owns_contact(along, height, parameters):
     """Whether this surface owns the contact.
 
     True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of the
-    competing face as well (otherwise that face is nearer).
+    competing face as well; otherwise that face is nearer.
+
+    along, height:  of `segment_coordinates` [m]
     """
     before_start = along <= 0.0
     after_end = along >= parameters[7]
@@ -78,9 +85,10 @@ def owns_contact(along, height, parameters):
 
 @ti.func
 def closest_on_revolved(point, parameters):
-    """Distance [m] from the surface and unit vector from its nearest point to the point.
+    """Distance [m] from the surface and unit vector from its nearest point to the point (ShapeKind.closest).
 
-    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns.
+    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the unit vector
+    is the face normal.
     """
     r, z, radial = half_plane_coordinates(point, parameters)
     along, beyond, height = segment_coordinates(r, z, parameters)
@@ -97,7 +105,11 @@ def closest_on_revolved(point, parameters):
 
 
 def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point."""
+    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point.
+
+    points:   (n, 3) [m]
+    Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
+    """
     axis = parameters[3:6]
     start, end = profile(parameters)
     radial = radial_directions(points - parameters[0:3], axis)
@@ -118,13 +130,24 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
 
 
 def reference_owns_edge(from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Whether an edge (competing direction r, z; owner flag) owns the contacts of points at `from_surface` (n, 3)."""
+    """Whether a surface owns the contacts of points beyond one of its edges.
+
+    from_surface:  (n, 3) [m], from the edge to the points
+    radial:        (n, 3) radial unit vectors
+    axis:          (3,) unit vector
+    edge:          (3,), direction r, z of the competing face, owner flag
+    Returns:       (n,) bool
+    """
     neighbor = edge[0] * radial + edge[1] * axis
     return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
 
 
 def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) from the axis to the points; a fixed vector for points on the axis."""
+    """Unit vectors (n, 3) from the axis to points at `offsets` (n, 3) [m] from a point on the axis.
+
+    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result is mostly
+    rounding error.
+    """
     radial = offsets - np.outer(offsets @ axis, axis)
     on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
     radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
@@ -136,13 +159,16 @@ def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two ends of the segment as (r, z) [m] in the frame of the shape."""
+    """Ends of the segment as (r, z), each (2,) [m], in the frame of the shape; the start has z = 0."""
     start = np.array([parameters[6], 0.0])
     return start, start + parameters[7] * parameters[8:10]
 
 
 def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """The surface as FACET_COUNT facets around the axis; `center` and `extent` are unused."""
+    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the axis.
+
+    `center` and `extent` are unused. One of the edges may have the radius 0.
+    """
     axis = parameters[3:6]
     angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
     radial = radial_directions(np.zeros((1, 3)), axis)[0]
@@ -156,7 +182,12 @@ def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float
 
 
 def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
-    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis."""
+    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis.
+
+    point:    (3,) [m], a point on the axis of the motion
+    axis:     (3,) unit vector along the axis of the motion
+    Returns:  an upper bound if the two axes are not parallel
+    """
     origin, axis_of_shape = parameters[0:3], parameters[3:6]
     radius = max(end[0] for end in profile(parameters))
     centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
@@ -166,7 +197,10 @@ def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 
 
 def revolved_area(parameters: np.ndarray) -> float:
-    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus)."""
+    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus).
+
+    A = pi (r_start + r_end) length
+    """
     start, end = profile(parameters)
     return float(np.pi * (start[0] + end[0]) * parameters[7])
 
@@ -187,12 +221,15 @@ REVOLVED = ShapeKind(
     reach_about=revolved_reach,
     area=revolved_area,
 )
+"""Kind of all surfaces of revolution."""
 
 
 def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: float) -> Shape:
     """Segment from (start_r, 0) to (end_r, end_z) [m] revolved about the axis; neither edge is shared.
 
-    Raises ValueError for a negative radius or a segment without length.
+    origin:  (3,) [m], point on the axis at z = 0
+    axis:    (3,), any length above 0
+    Raises:  ValueError for a negative radius, a segment without length, both radii 0, or an axis without direction
     """
     if start_r < 0 or end_r < 0:
         raise ValueError("A radius must not be negative.")
@@ -205,18 +242,30 @@ def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: 
 
 
 def cone(a: object, b: object, radius_a: float, radius_b: float) -> Shape:
-    """Cone frustum with radius_a [m] at point `a` and radius_b [m] at point `b`; one radius may be 0."""
+    """Cone frustum with `radius_a` [m] at point `a` and `radius_b` [m] at point `b`; one radius may be 0.
+
+    a, b:    (3,) [m], different points on the axis
+    Raises:  ValueError as in `revolved`
+    """
     axis = np.asarray(b, dtype=float) - np.asarray(a, dtype=float)
     return revolved(a, axis, radius_a, radius_b, float(np.linalg.norm(axis)))
 
 
 def cylinder(a: object, b: object, radius: float) -> Shape:
-    """Cylinder from point `a` to point `b`, open at both ends."""
+    """Cylinder from point `a` (3,) [m] to point `b` (3,) [m] with a radius [m], open at both ends.
+
+    Raises ValueError as in `revolved`.
+    """
     return cone(a, b, radius, radius)
 
 
 def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0) -> Shape:
-    """Flat disc, with a round hole if `hole_radius` [m] is above zero."""
+    """Flat disc, with a round hole if `hole_radius` [m] is above zero.
+
+    center:  (3,) [m]
+    normal:  (3,), any length above 0; the disc is two-sided
+    Raises:  ValueError if the hole is not smaller than the disc, or as in `revolved`
+    """
     if not radius > hole_radius:
         raise ValueError("The hole of a disc must be smaller than the disc.")
     return revolved(center, normal, hole_radius, radius, 0.0)
