@@ -18,6 +18,7 @@ from granflow.laws.mindlin import mindlin_stiffness
 from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
+"""Pair constants: effective moduli E, G [Pa] and dissipation g at 1 m/s [(s/m)^(1/5)]."""
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""
 EXPONENT = 0.2
@@ -34,7 +35,12 @@ def law_for(request: ModelRequest) -> NormalLaw:
 
 
 def build(reference_velocity: float) -> NormalLaw:
-    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes."""
+    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
+
+        e depends only on g v^(1/5), so that g = g_ref / v_ref^(1/5) with the dissipation g_ref that gives e
+
+    The pair constants raise ValueError if the restitution is 0 or depends on velocity.
+    """
     scale = reference_velocity**-EXPONENT
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
@@ -44,18 +50,21 @@ def build(reference_velocity: float) -> NormalLaw:
         return pair.modulus_eff, pair.shear_modulus_eff, dissipation
 
     def rebound(pair: PairMaterial, velocity: float) -> tuple[float, float, float]:
+        """Restitution and dimensionless durations at an approach velocity [m/s], see `rebound_of`."""
         return rebound_of(pair_constants(pair)[2] * velocity**EXPONENT)
 
     def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         return rebound(pair, velocity)[0]
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        """Loading and unloading durations [s]; the unit of time is (M^2 / (k^2 v))^(1/5)."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         unit = (mass_eff**2 / (k**2 * velocity)) ** EXPONENT
         _, loading, unloading = rebound(pair, velocity)
         return unit * loading, unit * unloading
 
     def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N s/m]."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
@@ -112,7 +121,10 @@ def reference(contact: ContactState) -> tuple[float, np.ndarray]:
 
 @cache
 def dissipation_for(e: float) -> float:
-    """Dissipation g that gives the restitution e. Raises ValueError for e outside (0, 1]."""
+    """Dissipation g that gives the restitution e, by bisection of `rebound_of`.
+
+    Raises ValueError for e outside (0, 1], and for e below the restitution at LARGEST_DISSIPATION.
+    """
     if not 0.0 < e <= 1.0:
         raise ValueError("a viscous contact model supports any restitution in (0, 1], not 0")
     low, high = 0.0, 1.0
@@ -154,7 +166,13 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
 
 
 def _runge_kutta_step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
-    """One step of the classical fourth-order Runge-Kutta method in s."""
+    """One step of the classical fourth-order Runge-Kutta method in s = t^(1/2).
+
+    state:    x and x' = w
+    s, step:  variable and step length
+    g:        dissipation
+    Returns:  state after the step
+    """
 
     def slope(s: float, x: float, w: float) -> tuple[float, float]:
         root = max(x, 0.0) ** 0.5

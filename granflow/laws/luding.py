@@ -2,6 +2,8 @@
 
 The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap. Beyond
 the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is -kc d.
+
+    F = max(k1 dmax - k2 (dmax - d), -kc d),   k2 = k1 (1 + growth dmax / R),   dmax up to the limit overlap
 """
 
 import math
@@ -15,6 +17,7 @@ from granflow.laws.material import PairMaterial
 from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "growth", "limit")
+"""Pair constants: effective moduli E, G [Pa], growth of k2 / k1 per dmax / R, limit of dmax / R."""
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
@@ -26,13 +29,21 @@ def law_for(request: ModelRequest) -> NormalLaw:
 def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
     """Build Luding's model with the loading spring k1.
 
-    `plasticity_depth` is the ratio of the largest residual overlap to 2 R, `tension` the ratio kc / k1. The restitution
-    of a pair applies on the limit branch: kp = k1 / e^2.
+    spring:            spring k1; its index in the history follows overlap_max and, with tension, plastic_work
+    plasticity_depth:  ratio of the largest residual overlap to 2 R
+    tension:           ratio kc / k1; 0: no tension
+
+    The restitution of a pair applies on the limit branch: kp = k1 / e^2.
     """
     has_tension = tension > 0.0
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-        """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R."""
+        """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R.
+
+            growth = (1 - e^2)^2 / (2 depth e^2),   limit = 2 depth / (1 - e^2), infinite for e = 1
+
+        Raises ValueError if the restitution is 0, above 1 or depends on velocity.
+        """
         if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
             raise ValueError("the contact model luding requires one number above 0 as restitution coefficient")
         share = pair.restitution**2
@@ -86,6 +97,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Elastic energy [J], F^2 / (2 k2)."""
         stiffness, stiffness_ratio = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
         scaled_force = history[0] + stiffness_ratio * (overlap - history[0])
         scaled_force = ti.max(scaled_force, -tension * overlap)
@@ -103,6 +115,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def tangential_stiffness(constants, radius_eff, overlap, history):
+        """Mindlin's ratio 4 G / E times k1 [N/m]."""
         return tangential_spring(constants, spring.stiffness_of(history))
 
     @ti.func
@@ -143,7 +156,15 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
 @dataclass(frozen=True)
 class LudingCollision:
-    """A binary collision in closed form; `growth` [1/m], `limit` overlap [m], `tension` kc / k1."""
+    """A binary collision in closed form.
+
+    stiffness:  k1 [N/m]
+    growth:     relative increase of k2 with the maximum overlap [1/m]
+    limit:      limit overlap [m]
+    tension:    kc / k1
+    mass_eff:   effective mass [kg]
+    velocity:   approach velocity [m/s]
+    """
 
     stiffness: float
     growth: float
@@ -159,7 +180,7 @@ class LudingCollision:
 
     @property
     def unloading_stiffness(self) -> float:
-        """Slope k2 [N/m]."""
+        """Slope k2 [N/m] after loading to `overlap_max`."""
         return self.stiffness * (1.0 + self.growth * self.overlap_max)
 
     @property
@@ -192,6 +213,7 @@ class LudingCollision:
         return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
 
     def _loading_duration(self) -> float:
+        """Loading duration [s]: a quarter period of k1, or the limit overlap with k1 and the rest with kp."""
         omega = math.sqrt(self.stiffness / self.mass_eff)
         if self.velocity <= omega * self.limit:
             return 0.5 * math.pi / omega
@@ -222,9 +244,11 @@ def _reference(spring: Spring, tension: float) -> ReferenceForce:
     """Reference implementation of `force` in numpy, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
 
     def unloading_stiffness(k1: float, growth: float, largest: float) -> float:
+        """Slope k2 [N/m]."""
         return k1 * (1.0 + growth * largest)
 
     def loss(k1: float, growth: float, largest: float) -> float:
+        """Energy [J] lost by first loading to `largest` [m]."""
         residual = growth * largest**2 / (1.0 + growth * largest)
         return 0.5 * k1 * largest * residual
 
