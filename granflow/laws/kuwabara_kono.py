@@ -37,7 +37,8 @@ def law_for(request: ModelRequest) -> NormalLaw:
 def build(reference_velocity: float) -> NormalLaw:
     """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
 
-        e depends only on g v^(1/5), so that g = g_ref / v_ref^(1/5) with the dissipation g_ref that gives e
+    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives e at 1
+    m/s.
 
     The pair constants raise ValueError if the restitution is 0 or depends on velocity.
     """

@@ -120,10 +120,9 @@ class ThorntonCollision:
 
     @property
     def overlap_max(self) -> float:
-        """Maximum overlap [m], from energy conservation.
+        """Maximum overlap [m], from energy conservation; without yield Zhou 2011, Eq. 5.
 
-        Zhou 2011, Eq. 5, without yield; otherwise the plastic work pi p R of `plastic_slope` takes the energy above
-        yield.
+        d_y + (sqrt(F_y^2 + s M (v^2 - v_y^2)) - F_y) / s,   s = pi p R        v > v_y
         """
         if self.velocity <= self.yield_velocity:
             return float(theory.overlap_max(self.hertz, self.mass_eff, self.velocity))
