@@ -16,6 +16,7 @@ from granflow.walls.mesh_contact import ROUNDING
 from granflow.walls.shape import FAR_AWAY
 
 EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
+"""Relative rounding error of each type."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,15 @@ class MeshGeometry:
 
 
 def build_mesh_geometry(state: State) -> MeshGeometry:
-    """Functions for the meshes of this plan."""
+    """Functions for the meshes of this plan; points are in m, in the precision of positions.
+
+    Reads:  mesh
+    """
     return MeshGeometry(_build_cell(state), _build_from_nearest(state), _build_may_own(state), _build_contact(state))
 
 
 def _build_cell(state: State) -> Any:
+    """Device function (wall, point): range of the triangles in the cell of the point; empty outside the grid."""
     mesh = state.mesh
 
     @ti.func
@@ -61,6 +66,7 @@ def _build_cell(state: State) -> Any:
 
 
 def _build_from_nearest(state: State) -> Any:
+    """Device function (triangle, point): vector [m] from the nearest point of the triangle, on face, edge or vertex."""
     mesh, real = state.mesh, state.backend.position_real
 
     @ti.func
@@ -87,10 +93,10 @@ def _build_from_nearest(state: State) -> Any:
 
 
 def _build_may_own(state: State) -> Any:
-    """Each length that `contact` compares changes by at most the displacement of the point.
+    """Device function (triangle, point, slack): `contact` with all comparisons relaxed by `slack` [m].
 
-    Without this test the neighbor list of a sphere would hold all triangles within its radius, although only one or two
-    can own a contact.
+    Each length that `contact` compares changes by at most the displacement of the point. Without this test the neighbor
+    list of a sphere would contain all triangles within its radius, although only one or two can own a contact.
     """
     mesh = state.mesh
 
@@ -137,6 +143,7 @@ def _build_may_own(state: State) -> Any:
 
 
 def _build_contact(state: State) -> Any:
+    """Device function (triangle, point): gap [m] and normal of a contact that no competing triangle owns."""
     mesh, contact_alone, real = state.mesh, _build_contact_alone(state), state.backend.position_real
 
     @ti.func
@@ -167,7 +174,7 @@ def _build_contact(state: State) -> Any:
 
 
 def _build_contact_alone(state: State) -> Any:
-    """As `contact`, before the comparison with competing faces."""
+    """Device function (triangle, point): as `contact`, before the comparison with competing faces."""
     mesh, real = state.mesh, state.backend.position_real
     above_vertex, in_edge_region = _build_above_vertex(state), _build_in_edge_region(state)
 
@@ -199,6 +206,7 @@ def _build_contact_alone(state: State) -> Any:
 
     @ti.func
     def over_edge(t, k, point):
+        """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
         edge = 3 * t + k
         s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
         return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
