@@ -19,6 +19,8 @@ class StabilityMonitor:
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
     energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
     the largest energy put in so far. This check requires a start without contacts, walls at rest and no cohesion.
+
+    `warnings`: logged warnings by kind ("energy", "speed"), each logged once.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -39,7 +41,14 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """Check kinetic, rotational, potential energy [J], totals and largest speed [m/s] at `time` [s]."""
+        """Check one snapshot; logs a warning if the energy error exceeds its limit in two snapshots in succession.
+
+        time:        simulated time [s]
+        energies:    kinetic, rotational and gravitational energy [J]
+        accounting:  counts and energies since the start; its `energy_put_in` is updated
+        totals:      totals of the snapshot
+        speed:       largest speed of a particle [m/s]
+        """
         self._check_speed(time, speed)
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
