@@ -59,20 +59,29 @@ CHUNK_SECONDS = 0.2
 """Wall-clock time of one batch of steps [s]; between batches, signals are handled and checkpoints written."""
 
 ALL_QUANTITIES = frozenset({"particles", "walls", "totals"})
+"""Quantities of a complete snapshot without contacts."""
 TOTALS = frozenset({"totals"})
+"""Quantities of a snapshot that contains totals only."""
 
 
 class Simulation:
     """One run of one scene.
 
-    `precision`: overrides that of the scene. `threads`: CPU threads. `out`: directory for the files of the scene's
-    output block; without it no files are written. `observers`: additional observers, such as
-    `granflow.observe.every(interval, function)`. `progress`: display the progress. `resume`: checkpoint from which to
-    continue; `allow_changes`: even if the scene has changes that are not permitted. `allow_long`: accept a run with an
-    estimated duration of more than a year.
+    scene:          scene as read; it is resolved first
+    arch:           architecture, "cpu" by default
+    precision:      overrides that of the scene
+    threads:        CPU threads; None: all available
+    out:            directory for the files of the scene's output block; without it no files are written
+    observers:      additional observers, such as `granflow.observe.every(interval, function)`
+    progress:       display the progress
+    resume:         checkpoint from which to continue
+    allow_changes:  resume even if the scene has changes that are not permitted
+    allow_long:     accept a run with an estimated duration of more than a year
+    Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be
+                    resumed
 
-    Raises SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be resumed; `run`
-    raises RunError on an abort and OutputError if files cannot be written.
+    `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
+    have the same architecture, precision and threads.
     """
 
     def __init__(
@@ -116,7 +125,7 @@ class Simulation:
         self._stop_requested: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
-        self._confirm_replacement: Callable[[], None] = lambda: None
+        self._delete_previous: Callable[[], None] = lambda: None
         if particles is not None:
             self.engine.insert(particles)
         if resume is not None and change is not None:
@@ -134,17 +143,24 @@ class Simulation:
         return self.engine.time
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
-        """Return the current state as read-only arrays, particles ordered by id; optionally with contacts."""
+        """Return the current state as read-only arrays, particles ordered by id.
+
+        `contacts`: also evaluate the contacts.
+        """
         return self.engine.snapshot(self.stage, ALL_QUANTITIES | ({"contacts"} if contacts else frozenset()))
 
     def run(self, until: float | None = None) -> Result:
-        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run."""
+        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run.
+
+        Returns:  numbers of the run; expectations of the scene are evaluated if it has reached its end
+        Raises:   RunError on an abort; OutputError if files cannot be written, after a checkpoint if possible
+        """
         try:
             with ExitStack() as stack:
                 if self.out is not None:
                     stack.enter_context(locked(self.out))
                     if self._resumed is None:
-                        self._confirm_replacement = stack.enter_context(replaced_run(self.out))
+                        self._delete_previous = stack.enter_context(replaced_run(self.out))
                     self._clean_output(self.out)
                     stack.enter_context(run_log(self.out, append=self._resumed is not None))
                 stack.callback(self._finish_observers)
@@ -155,6 +171,7 @@ class Simulation:
             raise self._output_error(error) from error
 
     def _run(self, until: float | None) -> Result:
+        """Run the stages that have not ended, then write checkpoint and result."""
         self._wall_clock.start()
         if self._writer is not None:
             self._writer.start(self.time)
@@ -174,6 +191,7 @@ class Simulation:
         return result
 
     def _log_end(self) -> None:
+        """Log size classes, particles that were not inserted, and the end of the run."""
         log = logging.getLogger("granflow")
         for sentence in self._insertion.class_shares():
             log.info("%s", sentence)
@@ -249,10 +267,15 @@ class Simulation:
         progress.end(self.time)
 
     def _at_rest(self, stage: Stage) -> bool:
+        """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
         limit = stage.kinetic_energy_below
         return limit is not None and self.engine.mean_kinetic_energy() < limit and self._insertion.is_done
 
     def _begin_stage(self, stage: Stage, check_interval: float) -> None:
+        """Begin a stage: place its walls, insert due particles, compute the forces.
+
+        At the first stage, notify all observers and delete the results of the previous run in the directory.
+        """
         first = not self._stage_progress.stage_times
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
         self._stage_progress.begin(stage.name, self.time, check_interval)
@@ -263,9 +286,10 @@ class Simulation:
             self._abort(self.engine.diagnosis)
         if first:
             self._notify(self._observers)
-            self._confirm_replacement()
+            self._delete_previous()
 
     def _reached(self, time: float) -> bool:
+        """Whether the current step is the nearest to this time [s], or later."""
         return self.engine.reached(time)
 
     def _next_event(self) -> float:
@@ -338,6 +362,7 @@ class Simulation:
         return snapshot
 
     def _finish_observers(self) -> None:
+        """Close the files of all observers."""
         for observer in self._observers:
             observer.finish()
 
