@@ -8,7 +8,11 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading. Raises OSError with the reason for other than regular files; never blocks."""
+    """Open a regular file for reading; never blocks.
+
+    Returns:  binary file, which the caller closes
+    Raises:   OSError with the reason if the file does not exist, cannot be read or is not a regular file
+    """
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError as error:  # a NUL in the name
@@ -29,7 +33,11 @@ LARGEST_FILE = 2**30
 
 
 def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return all bytes of the file. Raises OSError as `open_regular` does, and for more than `largest` bytes."""
+    """Return all bytes of the file.
+
+    largest:  maximum size [bytes]
+    Raises:   OSError as `open_regular` does, and for a larger file
+    """
     raw = bytearray()
     with open_regular(path) as file:
         too_large = os.fstat(file.fileno()).st_size > largest
@@ -42,7 +50,11 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
-    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced. Raises OSError."""
+    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced.
+
+    largest:  maximum size [bytes]
+    Raises:   OSError as `read_regular` does
+    """
     return read_regular(path, largest).decode("utf-8-sig", errors="replace")
 
 
