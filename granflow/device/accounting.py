@@ -74,7 +74,7 @@ def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tup
 
 
 def energy_input(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
-    """Energy [J] put in by gravity, initial motion, insertion, walls and periodic images.
+    """Energy input [J] by gravity, initial motion, insertion, walls and periodic images.
 
         E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
 
@@ -93,7 +93,7 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
 def energy_budget_totals(
     state: State, accounting: Accounting, energies: tuple[float, float, float], measured: dict[str, float]
 ) -> dict[str, float]:
-    """The energy budget [J], and its error: the residual over the largest energy put in so far.
+    """The energy budget [J], and its error: the residual over the largest energy input so far.
 
         residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
         energy_error = residual / max(E_in over all snapshots so far, rounding / LARGEST_ERROR)

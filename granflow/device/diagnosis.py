@@ -54,7 +54,7 @@ class CandidatePairs:
 
 
 def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool) -> Diagnosis:
-    """Diagnosis of an abort, with the contact pair of the largest overlap, if there is a contact.
+    """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
     code:        abort code, see `limits`
     particle:    id of the particle that exceeded the limit; unused for walls

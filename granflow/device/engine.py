@@ -203,7 +203,7 @@ class Engine:
     def advance(self, steps: int) -> None:
         """Take `steps` steps; fewer after an abort, a stop request or a change of the time step.
 
-        Returns nothing; `step_count`, `time` and `aborted` give the result.
+        `step_count`, `time` and `aborted` show the result.
         """
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
@@ -336,7 +336,7 @@ class Engine:
 
             v(t) = v(t - dt/2) + dt F(t) / (2 m),   w(t) = w(t - dt/2) + dt M(t) / (2 I),   I = (2/5) m R^2
 
-        Before the first step they are the initial values: a run that aborts there has not shifted them yet.
+        Before the first step they are the initial values: a run that aborts there has not shifted them.
         """
         arrays = self.host_copy.copy_to_host((*names, "fixed"))
         if not self._started:

@@ -297,7 +297,7 @@ def build_reorder(state: State) -> Callable[[int], None]:
 
 
 def build_save_history(state: State) -> Callable[[int], None]:
-    """Kernel (count): copy history entries to `saved`, where the new neighbor lists look them up.
+    """Kernel (count): copy history entries to `saved`, where `restore_history` finds them.
 
     `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
     the host repeats the kernel with a larger capacity.
@@ -337,7 +337,7 @@ def build_save_history(state: State) -> Callable[[int], None]:
 def build_restore_history(state: State) -> Any:
     """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
-    If the pair was in the list of the partner, its vectors change sign. A pair without saved history gets zeros.
+    If the pair was in the list of the partner, its vectors change sign. Without a saved history all values are zero.
 
     Reads:   order, saved, partner_saved
     Writes:  history, in_contact

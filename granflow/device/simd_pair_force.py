@@ -204,7 +204,7 @@ def _build_evaluate(state: State) -> Any:
 
     @ti.func
     def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
-        """Vector of `count` components from columns; zeros if there are no columns."""
+        """Vector of `count` components from columns; zeros without columns."""
         vector = ti.Vector.zero(real, count)
         for k in ti.static(range(len(columns))):
             vector[k] = columns[k][worker, entry]

@@ -18,7 +18,7 @@ class StabilityMonitor:
 
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
     energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
-    the largest energy put in so far. This check requires a start without contacts, walls at rest and no cohesion.
+    the largest energy input so far. This check requires a start without contacts, walls at rest and no cohesion.
 
     `warnings`: logged warnings by kind ("energy", "speed"), each logged once.
     """
@@ -57,7 +57,7 @@ class StabilityMonitor:
             self._enabled = False
             self._warn_once(
                 "energy",
-                f"At {time:.6g} s the energy error is {share:.2%} of the energy put in, more than {LARGEST_ERROR:.1%}: "
+                f"At {time:.6g} s the energy error is {share:.2%} of the energy input, more than {LARGEST_ERROR:.1%}: "
                 f"the time step is too long for the contacts. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
                 "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
                 "budget.",
@@ -66,7 +66,7 @@ class StabilityMonitor:
     def _gained_share(
         self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
     ) -> float:
-        """Excess energy over the largest energy put in so far."""
+        """Excess energy over the largest energy input so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
         accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2]))
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0

@@ -49,7 +49,7 @@ class FieldBlock:
     def together(self, count: int, *fields: Any) -> None:
         """Interleave fields of `count` entries entry by entry: kernels read these quantities of a particle together.
 
-        Fields that are None are left out.
+        None is ignored.
         """
         wanted = [field for field in fields if field is not None]
         self._builder.dense(ti.i, count).place(*wanted)
@@ -405,7 +405,7 @@ class State:
 
     @property
     def stride(self) -> int:
-        """Loop iterations per chunk, of which the first does the work; see CPU_STRIDE."""
+        """Loop iterations per chunk, of which the first processes the chunk; see CPU_STRIDE."""
         return CPU_STRIDE if self.backend.on_cpu else 1
 
     @property

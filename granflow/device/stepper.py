@@ -46,7 +46,7 @@ CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
 differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
 
 SINGLE_WORKER_PARTICLES = 512
-"""Particle count up to which one thread does all the work: barriers would cost more time than more threads save."""
+"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers save."""
 
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""

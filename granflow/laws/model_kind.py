@@ -73,7 +73,7 @@ class LawKind:
 
     @property
     def needs_settings(self) -> bool:
-        """Whether a scene must give settings in addition to the name of the model."""
+        """Whether a scene requires settings in addition to the name of the model."""
         return any(setting.default is None for setting in self.settings.values())
 
     def build(self, request: ModelRequest) -> NormalLaw:

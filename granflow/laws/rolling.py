@@ -22,7 +22,7 @@ STOPPED_SHARE = 0.125
 def directional_torque(radius_eff, rolling_friction, normal_force, rolling_rate, inertia_eff, time_step):
     """CDT [N m]: mu_r R F against the rolling rate w [rad/s], viscous below the rate at which both are equal.
 
-        T = -min(mu_r R F / |w|, I / (8 dt)) w        (Ai et al. 2011, model A; the bound is ours, see above)
+        T = -min(mu_r R F / |w|, I / (8 dt)) w        (Ai et al. 2011, model A, with the bound above)
 
     radius_eff:        effective radius R [m]
     rolling_friction:  mu_r [-]

@@ -200,7 +200,7 @@ class Simulation:
         log.info("done at %.6g s after %d steps", self.time, self.engine.step_count)
 
     def request_stop(self, error: BaseException) -> None:
-        """Let `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
+        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
         self._stop_requested = error
         self.engine.stepper.interrupted = True
 
@@ -344,7 +344,7 @@ class Simulation:
                 logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", self.time, error)
 
     def _insert_and_update_walls(self) -> None:
-        """Insert particles that are due, and let walls appear or vanish."""
+        """Insert particles that are due, and update the presence of walls."""
         inserted = self._insertion.insert_due(self.engine)
         if self._stage_progress.remove_past_changes(self.engine) or inserted:
             self._stage_progress.set_walls(self.scene, self.engine)
@@ -377,7 +377,7 @@ class Simulation:
         raise RunError(message)
 
     def _save(self) -> None:
-        """Write a checkpoint if there is an output directory."""
+        """Write a checkpoint; nothing without an output directory."""
         if self._writer is not None:
             began = clock.perf_counter()
             with self._wall_clock.measuring_output():

@@ -168,7 +168,7 @@ def is_running(motion: Motion, times: np.ndarray) -> np.ndarray:
 
 
 def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
-    """The rotation among the motions, or None. Raises ValueError if there are several."""
+    """The rotation among the motions, or None. Raises ValueError for more than one."""
     rotations = [motion for motion in motions if isinstance(motion, Rotation)]
     if len(rotations) > 1:
         raise ValueError("A wall can have at most one rotation.")
