@@ -223,12 +223,12 @@ def _build_in_edge_region(state: State) -> Any:
         edge = 3 * t + k
         from_nearest, owns = point - mesh.vertex[edge], 0
         if mesh.role[edge] != NOT_OWNED:
-            edge_direction = from_nearest.dot(mesh.edge_direction[edge])
+            along = from_nearest.dot(mesh.edge_direction[edge])
             from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
-            off = from_base.dot(mesh.inward[edge]) <= 0.0
-            off = off and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
-            owns = ti.cast(off and edge_direction > 0.0 and edge_direction < mesh.length[edge], ti.i32)
-            from_nearest -= edge_direction * mesh.edge_direction[edge]
+            beyond = from_base.dot(mesh.inward[edge]) <= 0.0
+            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
+            owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
+            from_nearest -= along * mesh.edge_direction[edge]
         return owns, from_nearest
 
     return in_edge_region

@@ -34,8 +34,8 @@ def build_bounds(state: State) -> Callable[[int], None]:
         for part in range(BOUNDS):
             start = position[ti.min(part, ti.max(count - 1, 0))]
             smallest, largest = start, start
-            for turn in range((count - part + BOUNDS - 1) // BOUNDS):
-                here = position[part + turn * BOUNDS]
+            for row in range((count - part + BOUNDS - 1) // BOUNDS):
+                here = position[part + row * BOUNDS]
                 smallest, largest = ti.min(smallest, here), ti.max(largest, here)
             low[part], high[part] = smallest, largest
 

@@ -109,11 +109,11 @@ class StabilityMonitor:
 def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
     walls = plan.scene.walls.values()
-    walls_stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
+    walls_static = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
     # Gravity along a periodic axis accelerates particles without limit.
     has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
     has_image_work = has_image_work or plan.features.lees_edwards
-    return walls_stay and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
+    return walls_static and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
 
 
 def largest_speed(velocity: np.ndarray) -> float:

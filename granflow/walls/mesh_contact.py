@@ -134,8 +134,8 @@ def _set_contact(gap: np.ndarray, normal: np.ndarray, where: np.ndarray, from_ve
     """
     distance = np.linalg.norm(from_vertex, axis=1)
     gap[where] = distance[where]
-    some = where & (distance > 0.0)
-    normal[some] = from_vertex[some] / distance[some, None]
+    nonzero = where & (distance > 0.0)
+    normal[nonzero] = from_vertex[nonzero] / distance[nonzero, None]
 
 
 def _dot(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -170,7 +170,7 @@ def _validated(triangles_read: RawTriangles) -> RawTriangles:
         raise MeshFileError("refers to vertices that it does not contain: it is damaged")
     if triangles_read.corners.min() < 0:
         raise MeshFileError("refers to vertices that it does not contain: it is damaged")
-    wrong = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
-    if wrong.any():
-        raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are not finite")
+    not_finite = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
+    if not_finite.any():
+        raise MeshFileError(f"has {int(not_finite.sum())} triangles with coordinates that are not finite")
     return triangles_read
