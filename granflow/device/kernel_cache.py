@@ -21,8 +21,8 @@ STALE_LOCK = 60.0
 
 
 @dataclass(frozen=True)
-class Contents:
-    """Contents of the folder: number of kernels, and size [bytes] of all files."""
+class CacheContents:
+    """Contents of the cache folder: number of kernels, and size [bytes] of all files."""
 
     kernel_count: int
     size: int
@@ -65,13 +65,13 @@ def usable_folder() -> Path:
     return folder
 
 
-def cache_contents() -> Contents:
+def cache_contents() -> CacheContents:
     """Number of kernels and size of the folder; zeros without a folder."""
     sizes = [_size(path) for path in _files()]
-    return Contents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
+    return CacheContents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
 
 
-def clear_cache() -> Contents:
+def clear_cache() -> CacheContents:
     """Delete the files of Taichi in the folder and no others; returns their number and size."""
     removed = cache_contents()
     for path in _files():

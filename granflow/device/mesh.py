@@ -113,10 +113,10 @@ def _build_may_own(state: State) -> Any:
     def in_edge_region(t, k, point, slack):
         edge, possible = 3 * t + k, 0
         if mesh.role[edge] != NOT_OWNED:
-            from_nearest = point - mesh.vertex[edge]
-            along, length = from_nearest.dot(mesh.edge_direction[edge]), mesh.length[edge]
-            beyond = from_nearest.dot(mesh.inward[edge]) <= slack
-            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_nearest.dot(mesh.inward_other[edge]) <= slack)
+            from_vertex = point - mesh.vertex[edge]
+            along, length = from_vertex.dot(mesh.edge_direction[edge]), mesh.length[edge]
+            beyond = from_vertex.dot(mesh.inward[edge]) <= slack
+            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack)
             possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
         return possible
 
@@ -125,9 +125,9 @@ def _build_may_own(state: State) -> Any:
         vertex_index, above = mesh.point[3 * t + k], 0
         if mesh.owner[vertex_index] == t:
             above = 1
-            from_nearest = point - mesh.vertex[3 * t + k]
+            from_vertex = point - mesh.vertex[3 * t + k]
             for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
-                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
+                if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                     above = 0
         return above
 
@@ -242,17 +242,17 @@ def _build_above_vertex(state: State) -> Any:
     @ti.func
     def above_vertex(t, k, point):
         vertex_index = mesh.point[3 * t + k]
-        from_nearest = point - mesh.vertex[3 * t + k]
-        slack = rounding * (mesh.longest[vertex_index] + from_nearest.norm())
+        from_vertex = point - mesh.vertex[3 * t + k]
+        slack = rounding * (mesh.longest[vertex_index] + from_vertex.norm())
         above = 1
         if (
-            from_nearest.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
-            or from_nearest.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
+            from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
+            or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
         ):
             above = 0
         if above == 1:
             for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
-                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
+                if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                     above = 0
         return above
 

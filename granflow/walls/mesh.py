@@ -11,7 +11,7 @@ from granflow.walls.mesh_file import RawTriangles
 from granflow.walls.mesh_split import split_at_hanging_points
 from granflow.walls.shape import distance_from_axis
 
-WELD = 1e-6
+WELD_TOLERANCE = 1e-6
 """Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32 files."""
 
 
@@ -100,12 +100,12 @@ def mesh_of(triangles_read: RawTriangles) -> Mesh:
     Returns:         mesh in the same unit, with contiguous point indices
     Raises:          ValueError if no triangle remains
 
-    Points nearer than WELD times the diagonal of the bounding box are one point. A triangle has no area if its smallest
-    height is not above the same tolerance.
+    The tolerance is WELD_TOLERANCE times the diagonal of the bounding box: points within it are one point (see
+    `welded`), and a triangle whose smallest height is not above it has no area.
     """
     used, corners = np.unique(triangles_read.corners, return_inverse=True)
     points = triangles_read.points[used]
-    tolerance = WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    tolerance = WELD_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
     label = welded(points, tolerance)
     corners = label[corners.reshape(-1, 3)]
     is_valid = heights(points[corners]) > tolerance

@@ -9,7 +9,7 @@ ROUNDING = 16.0
 """Tolerance, in units in the last place of the lengths at a vertex, for a center above the vertex."""
 
 
-def bare_distance(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
+def triangle_distances(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distance of points from triangles, one point per triangle: from the face or from the nearest edge.
 
     vertex:   (n, 3, 3) corners [m]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.walls.mesh_contact import bare_distance, row_entries
+from granflow.walls.mesh_contact import row_entries, triangle_distances
 from granflow.walls.shape import FAR_AWAY
 
 CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
@@ -17,8 +17,8 @@ CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
 ENTRIES_PER_TRIANGLE, MIN_ENTRIES = 64.0, 65536
 """Maximum total number of (cell, triangle) candidates; a large triangle lies in many cells."""
 
-BOUND_SHARE = 1.0 + 1e-5
-"""Relative margin of the reach for rounding of positions on the device, including float32."""
+REACH_FACTOR = 1.0 + 1e-5
+"""Factor of the reach that allows for rounding of positions on the device, including float32."""
 
 CHUNK_PAIRS = 200_000
 """Number of (cell, triangle) candidates evaluated at a time."""
@@ -48,7 +48,7 @@ def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
     vertex:  (t, 3, 3) corners [m]
     reach:   largest distance [m] of a center from a triangle that a cell must list
     """
-    reach = reach * BOUND_SHARE
+    reach = reach * REACH_FACTOR
     low, high = vertex.min(axis=(0, 1)) - reach, vertex.max(axis=(0, 1)) + reach
     side = side_of(vertex, reach, low, high)
     shape = np.maximum(np.ceil((high - low) / side), 1).astype(np.int64)
@@ -71,7 +71,7 @@ def distances(grid: MeshGrid, vertex: np.ndarray, points: np.ndarray) -> np.ndar
     x, y, z = cell[inside].T
     query, entry = row_entries(grid.start, (z * grid.shape[1] + y) * grid.shape[0] + x)
     found = np.full(len(points), FAR_AWAY)
-    np.minimum.at(found, inside[query], bare_distance(vertex[grid.triangle[entry]], points[inside[query]]))
+    np.minimum.at(found, inside[query], triangle_distances(vertex[grid.triangle[entry]], points[inside[query]]))
     return found
 
 
@@ -127,5 +127,5 @@ def within_reach(
         part = slice(begin, begin + CHUNK_PAIRS)
         x, y, z = cell[part] % shape[0], cell[part] // shape[0] % shape[1], cell[part] // (shape[0] * shape[1])
         center = low + side * (np.stack([x, y, z], axis=1) + 0.5)
-        is_near[part] = bare_distance(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
+        is_near[part] = triangle_distances(vertex[triangle[part]], center) <= reach + 0.5 * np.sqrt(3.0) * side
     return cell[is_near], triangle[is_near]
