@@ -27,7 +27,7 @@ VOLUME_RATIO = 1 / 2
 
 @dataclass(frozen=True)
 class CellGrid:
-    """Grid of cells over a box, in whole blocks.
+    """Grid of cells over a box; cell numbers are assigned in whole blocks.
 
     low:    (3,) [m], low corner
     side:   (3,) [m], cell sides

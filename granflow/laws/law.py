@@ -33,7 +33,7 @@ class ContactState:
     radius_eff:    effective radius [m]
     mass_eff:      effective mass [kg]
     time_step:     [s]
-    overlap:       [m], above 0
+    overlap:       [m], above 0 in a contact
     overlap_rate:  [m/s], positive during approach
     history:       (h,) float64, in the order of `history_names`
     """

@@ -93,7 +93,7 @@ class ParticleInsertion:
                 yield f"{inserter.group_name} inserted: {', '.join(parts) or 'none'}."
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of each inserter by group."""
+        """Return the state of each inserter by group: numbers and numpy arrays."""
         return {inserter.group_name: inserter.state_dict() for inserter in self._inserters}
 
     def load_state_dict(self, saved: dict[str, Any], engine: Engine) -> None:

@@ -247,7 +247,12 @@ class Simulation:
         return found
 
     def _run_stage(self, stage: Stage, end: float) -> None:
-        """Run a stage to its end, or to `end` [s]."""
+        """Run a stage to its end, or to `end` [s].
+
+        The stage ends after its duration, or, with `kinetic_energy_below`, at the first check at which the particles
+        are at rest; REST_CHECKS checks are distributed evenly over `max_duration`. A resumed stage continues at its
+        target.
+        """
         max_duration = stage.duration if stage.duration is not None else stage.max_duration
         assert max_duration is not None
         progress = self._stage_progress
@@ -299,7 +304,11 @@ class Simulation:
         return min(due, default=inf)
 
     def _advance_to(self, time: float) -> None:
-        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due."""
+        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due.
+
+        The target is at least one step ahead, so that the run always advances. A resumed run continues to its saved
+        target.
+        """
         progress = self._stage_progress
         if progress.target is None:
             progress.set_target(max(time, self.time + self.engine.time_step))
@@ -317,7 +326,11 @@ class Simulation:
         progress.target = None
 
     def _advance(self, target: float) -> None:
-        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written."""
+        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
+
+        The number of steps of a batch follows the measured rate, so that a batch takes about CHUNK_SECONDS; it at most
+        doubles from one batch to the next.
+        """
         while self.engine.steps_to(target) > 0 and not self.engine.aborted:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
@@ -353,7 +366,11 @@ class Simulation:
     def _notify(
         self, observers: Sequence[Observer], quantities: frozenset[str] = frozenset(), aborted: bool = False
     ) -> Snapshot:
-        """Pass a snapshot to observers; that of an aborted run only if all its numbers are finite."""
+        """Pass a snapshot to observers; that of an aborted run only if all its numbers are finite.
+
+        quantities:  quantities of the snapshot in addition to those that the observers request
+        Returns:     the snapshot
+        """
         quantities = quantities.union(*(observer.wants for observer in observers))
         with self._wall_clock.measuring_output():
             snapshot = self.engine.snapshot(self.stage, quantities)
@@ -386,7 +403,10 @@ class Simulation:
             logging.getLogger("granflow").info("checkpoint at %.6g s, written in %.3g s", self.time, seconds)
 
     def _state_dict(self) -> dict[str, Any]:
-        """Return the complete state of the run, except for the scene."""
+        """Return the complete state of the run, except for the scene.
+
+        Nested dictionaries of numbers, texts and numpy arrays.
+        """
         return {
             "stage_progress": self._stage_progress.state_dict(),
             "wall_clock": self._wall_clock.state_dict(self.engine),
@@ -398,7 +418,11 @@ class Simulation:
         }
 
     def _load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
-        """Restore the state of the checkpoint and apply the changes of the scene."""
+        """Restore the state of the checkpoint and apply the changes of the scene.
+
+        change:  accepted differences between the scenes of the checkpoint and of this run
+        Raises:  GranflowError if observers, particle groups or arrays do not match the checkpoint
+        """
         saved = checkpoint.saved
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in self._checkpointed()})
         counts = {name: group.count for name, group in self.scene.particles.items()}
@@ -430,7 +454,10 @@ class Simulation:
         return list(found.items())
 
     def _output_error(self, error: OSError) -> OutputError:
-        """Save the state if possible, and return the error for files that cannot be written."""
+        """Return the error for files that cannot be written, after a checkpoint if possible.
+
+        The message contains the file, the reason, the simulated time [s] and the command that resumes the run.
+        """
         where = f"{error.filename}: " if error.filename else f"{self.out}: "
         try:
             if self.out is not None and self._stage_progress.target is not None:

@@ -61,7 +61,10 @@ class StageProgress:
         return changed
 
     def set_walls(self, scene: Scene, engine: Engine) -> None:
-        """Copy presence and motions of the walls to the device."""
+        """Copy presence and motions of the walls to the device.
+
+        Presence is that of the middle of the next step, so that a change due at the present time is included.
+        """
         times: StageTimes = self.stage_times
         presence = wall_presence(scene, self.stage, engine.time + 0.5 * engine.time_step)
         engine.set_walls(presence, wall_motions(scene, times))

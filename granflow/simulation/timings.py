@@ -95,7 +95,10 @@ def collect_result(
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
-    """Write versions, device, plan with reasons, and warnings to the log."""
+    """Write versions, device, plan with reasons, and warnings to the log.
+
+    `resumed`: checkpoint from which the run continues, or None.
+    """
     log = logging.getLogger("granflow")
     backend = engine.state.backend
     log.info("%s", versions())

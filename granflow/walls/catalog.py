@@ -50,7 +50,7 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
     """Distance of points from a surface at rest, without regard to shared edges of a mesh.
 
     points:   (n, 3) float64 [m]
-    reach:    largest distance [m] that is evaluated for a mesh; FAR_AWAY beyond its grid
+    reach:    distance [m] up to which the result is exact for a mesh; farther points get a larger distance or FAR_AWAY
     Returns:  distance (n,) [m]; FAR_AWAY at the edge of a surface of revolution that another wall owns
     """
     if isinstance(surface, Mesh):
