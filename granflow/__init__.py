@@ -26,9 +26,11 @@ _LOCATIONS = {
     "load_scene": "granflow.scene:load",
     "__version__": "importlib.metadata:version",
 }
+"""Module and attribute of each public name."""
 
 
 def __getattr__(name: str) -> Any:
+    """Import a public name at its first use. Raises AttributeError for other names."""
     if name not in _LOCATIONS:
         raise AttributeError(f"module 'granflow' has no attribute '{name}'")
     module, _, attribute = _LOCATIONS[name].partition(":")

@@ -4,7 +4,10 @@ from collections.abc import Iterable
 
 
 class GranflowError(Exception):
-    """An error that the user can correct. The command line prints the message and exits with `exit_code`."""
+    """An error that the user can correct. The command line prints the message and exits with `exit_code`.
+
+    Exit codes: 2 invalid input or request, 3 aborted run (RunError), 4 files that cannot be written (OutputError).
+    """
 
     exit_code = 2
 
@@ -12,8 +15,9 @@ class GranflowError(Exception):
 class FileError(GranflowError):
     """An invalid file.
 
-    `problems`: all problems in the order of the file, each as `file:line: sentence`. The message consists of all
-    problems, one per line.
+    problems:  all problems in the order of the file, each as `file:line: sentence`
+
+    The message consists of all problems, one per line.
     """
 
     def __init__(self, problems: Iterable[str] | str) -> None:

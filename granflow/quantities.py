@@ -2,6 +2,8 @@
 
 The name is the key in a `Snapshot`, the name of the array in a VTU file and, for totals, the name of the column in
 `timeseries.csv` and of the quantity in the `expect:` block of a scene.
+
+Each mapping contains the definitions of one kind of array or number by name; it is read-only.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,16 +14,22 @@ from typing import Literal
 import numpy as np
 
 Kind = Literal["scalar", "vector", "tensor"]
+"""Number of components: 1, 3 or 9."""
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
+"""Data types of arrays in VTU files."""
 
 
 @dataclass(frozen=True)
 class Quantity:
     """Definition of one quantity.
 
-    `unit`: SI, "1" for a dimensionless number. `kind`: array shape (n,), (n, 3) or (n, 9) (xx, xy, xz, yx, ...).
-    `file_type`: data type in VTU files, float32 where 7 digits are sufficient. `stored`: False for quantities that are
-    derived from other arrays when a file is written.
+    name:       key in snapshots and files
+    symbol:     as in formulas; empty without a common symbol
+    unit:       SI, "1" for a dimensionless number
+    meaning:    description in a few words
+    kind:       array shape (n,), (n, 3) or (n, 9) (xx, xy, xz, yx, ...)
+    file_type:  data type in VTU files, float32 where 7 digits are sufficient
+    stored:     False for quantities that are derived from other arrays when a file is written
     """
 
     name: str
@@ -51,11 +59,12 @@ class Quantity:
         return {"scalar": (count,), "vector": (count, 3), "tensor": (count, 9)}[self.kind]
 
     def for_file(self, values: np.ndarray) -> np.ndarray:
-        """Return the values with the data type of VTU files."""
+        """Return the values as a contiguous array with the data type of VTU files; the shape is unchanged."""
         return np.ascontiguousarray(values, dtype=np.dtype(self.file_type))
 
 
 def _by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
+    """Read-only mapping from name to definition, in the given order."""
     return MappingProxyType({quantity.name: quantity for quantity in quantities})
 
 
@@ -77,6 +86,7 @@ PARTICLE_QUANTITIES = _by_name(
         Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", stored=False),
     )
 )
+"""Arrays of Snapshot.particles and of particle files; vectors are in the frame of the scene."""
 
 CONTACT_QUANTITIES = _by_name(
     (
@@ -96,6 +106,7 @@ CONTACT_QUANTITIES = _by_name(
         Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
     )
 )
+"""Arrays of Snapshot.contacts and of contact files."""
 
 FIELD_QUANTITIES = _by_name(
     (
@@ -111,6 +122,7 @@ FIELD_QUANTITIES = _by_name(
         Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
     )
 )
+"""Arrays of coarse-grained fields, one entry per grid point."""
 
 TOTAL_QUANTITIES = _by_name(
     (
@@ -150,6 +162,7 @@ TOTAL_QUANTITIES = _by_name(
         ),
     )
 )
+"""Numbers of Snapshot.totals and columns of the time series."""
 
 FLOW_METER_QUANTITIES = _by_name(
     (
@@ -158,6 +171,7 @@ FLOW_METER_QUANTITIES = _by_name(
         Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the time series, steady mean in the result"),
     )
 )
+"""Numbers of each flow meter."""
 
 OUTLET_QUANTITIES = _by_name(
     (
@@ -165,6 +179,7 @@ OUTLET_QUANTITIES = _by_name(
         Quantity("outlet_mass", "", "kg", "mass deleted by the outlet since the start"),
     )
 )
+"""Numbers of each outlet."""
 
 INSERTION_QUANTITIES = _by_name(
     (
@@ -173,6 +188,7 @@ INSERTION_QUANTITIES = _by_name(
         Quantity("not_inserted_count", "", "1", "particles of the group not inserted at the end"),
     )
 )
+"""Numbers of each inserted particle group, in the result."""
 
 WALL_FORCE_QUANTITIES = _by_name(
     (
@@ -189,6 +205,7 @@ WALL_FORCE_QUANTITIES = _by_name(
         Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
     )
 )
+"""Numbers of each measured wall."""
 
 WALL_QUANTITIES = _by_name(
     (
@@ -196,6 +213,7 @@ WALL_QUANTITIES = _by_name(
         Quantity("wall_velocity", "", "m/s", "velocity of a controlled wall along its direction"),
     )
 )
+"""Numbers of each controlled wall."""
 
 _INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
@@ -222,6 +240,7 @@ METRIC_QUANTITIES = _by_name(
         ),
     )
 )
+"""Numbers of each metric; with the suffix `_mean` the mean over the rows of the last stage."""
 
 RUN_QUANTITIES = _by_name(
     (
@@ -235,10 +254,14 @@ RUN_QUANTITIES = _by_name(
         ),
     )
 )
+"""Numbers of a whole run, in the result."""
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a number of a run, of a part as `mass_flow.outlet`; "" if dimensionless or unknown."""
+    """Return the unit of a number of a run; "" if it is dimensionless or unknown.
+
+    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and `timings.forces`
+    """
     base, _, part = name.partition(".")
     if base == "timings" and part:
         return "s"

@@ -8,7 +8,11 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading. Raises OSError with the reason for other than regular files; never blocks."""
+    """Open a regular file for reading; never blocks.
+
+    Returns:  binary file, which the caller closes
+    Raises:   OSError with the reason if the file does not exist, cannot be read or is not a regular file
+    """
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError as error:  # a NUL in the name
@@ -21,7 +25,7 @@ def open_regular(path: Path) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-PIECE = 2**20
+CHUNK_SIZE = 2**20
 """Bytes read at a time."""
 
 LARGEST_FILE = 2**30
@@ -29,20 +33,28 @@ LARGEST_FILE = 2**30
 
 
 def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return all bytes of the file. Raises OSError as `open_regular` does, and for more than `largest` bytes."""
+    """Return all bytes of the file.
+
+    largest:  maximum size [bytes]
+    Raises:   OSError as `open_regular` does, and for a larger file
+    """
     raw = bytearray()
     with open_regular(path) as file:
-        long = os.fstat(file.fileno()).st_size > largest
-        while not long and (piece := file.read(PIECE)):  # read(largest) would allocate that much for any file
+        too_large = os.fstat(file.fileno()).st_size > largest
+        while not too_large and (piece := file.read(CHUNK_SIZE)):  # read(largest) would allocate that much for any file
             raw += piece
-            long = len(raw) > largest
-    if long:
+            too_large = len(raw) > largest
+    if too_large:
         raise OSError(errno.EFBIG, f"it is larger than {largest / 2**20:.3g} MiB", str(path))
     return bytes(raw)
 
 
 def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:
-    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced. Raises OSError."""
+    """Return the text of a UTF-8 file without byte order mark, with invalid bytes replaced.
+
+    largest:  maximum size [bytes]
+    Raises:   OSError as `read_regular` does
+    """
     return read_regular(path, largest).decode("utf-8-sig", errors="replace")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:
+    """Read-only view of an array."""
     # A view, so that the original array stays writable.
     view = np.asarray(values).view()
     view.flags.writeable = False
@@ -16,6 +17,7 @@ def _read_only(values: np.ndarray) -> np.ndarray:
 
 
 def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """Read-only mapping of read-only views."""
     return MappingProxyType({name: _read_only(values) for name, values in arrays.items()})
 
 
@@ -23,8 +25,12 @@ def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarr
 class WallPose:
     """Pose of a wall: a point p at rest moves to `rotation @ (p - pivot) + pivot + offset`.
 
-    `offset` (3,) [m], `rotation` (3, 3), `pivot` (3,) [m]; `present` is False before a wall appears and after it
-    vanishes.
+    present:   False before a wall appears and after it vanishes
+    offset:    (3,) [m]
+    rotation:  (3, 3)
+    pivot:     (3,) [m]
+
+    The arrays are read-only.
     """
 
     present: bool
@@ -48,13 +54,19 @@ class WallPose:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a simulation at one time. `granflow.quantities` defines keys and units.
+    """State of a simulation at one time. `granflow.quantities` defines keys, shapes and units.
 
-    `time` [s]; `step`: number of completed steps; `stage`: name of the stage. `particles`: requested arrays of
-    `PARTICLE_QUANTITIES`, ordered by id, empty if none. `contacts`: arrays of `CONTACT_QUANTITIES`, one entry per
-    contact, or None if not requested. `walls`: pose by name, in the order of the scene. `totals`: numbers of
-    `TOTAL_QUANTITIES`. `impulses`: time integrals since the start for each measured wall (7,): force [N s], torque
-    [N m s] and normal force [N s] of the particles on the wall. All arrays and mappings are read-only.
+    time:       simulated time [s]
+    step:       number of completed steps
+    stage:      name of the stage
+    particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are requested
+    contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
+    walls:      pose by name, in the order of the scene
+    totals:     numbers of `TOTAL_QUANTITIES`
+    impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and normal force
+                [N s] of the particles on the wall
+
+    All arrays and mappings are read-only.
     """
 
     time: float

@@ -2,7 +2,7 @@ r"""Text for terminals, logs and pages: control, bidirectional and zero-width ch
 
 Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a right-to-left
 override would display another text than the file contains. `visible` replaces each such character by \x1b or \u202e;
-line feeds and tabs remain.
+newlines and tabs remain.
 """
 
 import logging
@@ -12,14 +12,20 @@ HIDDEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u070f\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
     "\ufff9-\ufffb\ud800-\udfff\U000e0000-\U000e007f]"
 )
+"""Characters that are replaced: control, soft-hyphen, zero-width, bidirectional, surrogate and tag characters."""
 
 
 def visible(text: object) -> str:
-    """Return the text with each invisible or control character replaced by an escape."""
+    """Return the text with each invisible or control character replaced by an escape.
+
+    text:     any object; `str` converts it
+    Returns:  text that can be encoded in UTF-8, because surrogates are replaced as well
+    """
     return HIDDEN.sub(lambda found: _escape(ord(found[0])), str(text))
 
 
 def _escape(code: int) -> str:
+    """Escape of a code point, with the fewest digits that Python accepts."""
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 

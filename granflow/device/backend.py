@@ -18,15 +18,21 @@ from granflow.device.kernel_cache import TEMPORARY, usable_folder
 from granflow.errors import GranflowError
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
+"""Requested architecture; with "gpu" Taichi selects an available GPU architecture."""
 Precision = Literal["f64", "f32", "mixed"]
+"""Floating-point types: f64, f32, or mixed (positions float64, forces and velocities float32)."""
 
 
 @dataclass(frozen=True)
 class Backend:
     """The settings that Taichi runs with.
 
-    `real`: type of forces and velocities; `position_real`: type of positions. `threads`: requested CPU threads;
-    `worker_count`: CPU threads that take part in a loop.
+    arch:           architecture in use, never "gpu"
+    precision:      requested precision
+    threads:        requested CPU threads; None: all available
+    real:           Taichi type of forces and velocities
+    position_real:  Taichi type of positions
+    worker_count:   CPU threads that take part in a loop
     """
 
     arch: str
@@ -48,15 +54,16 @@ _started: Backend | None = None
 def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
     """Start Taichi, or return the running backend if its settings are the same.
 
-    Raises GranflowError if the architecture is absent or lacks float64, or if this process has started Taichi with
-    other settings (a second start would invalidate every field).
+    threads:  CPU threads; None: as many as this process may use
+    Raises:   GranflowError if the architecture is absent or lacks float64, or if this process has started Taichi with
+              other settings (a second start would invalidate every field)
     """
     global _started
     if _started is not None:
-        _refuse_change(_started, arch, precision, threads)
+        _check_unchanged(_started, arch, precision, threads)
         return _started
-    wanted = getattr(ti, arch)
-    ti.set_logging_level(ti.ERROR)  # the search for an absent device is no reason for a warning
+    taichi_arch = getattr(ti, arch)
+    ti.set_logging_level(ti.ERROR)  # Taichi would warn about each device that is absent
     if not _available(arch):
         raise GranflowError(
             f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."
@@ -68,13 +75,13 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         logging.getLogger("granflow").warning("granflow: warning: %s", warning)
     folder = usable_folder()
     if folder.name.startswith(TEMPORARY):
-        atexit.register(_end_in, folder)
+        atexit.register(_stop_and_remove, folder)
     cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     with redirect_stdout(StringIO()):  # Taichi prints its version
         ti.init(
-            arch=wanted,
+            arch=taichi_arch,
             default_fp=real,
             fast_math=False,
             log_level=ti.ERROR,
@@ -88,7 +95,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     return _started
 
 
-def _end_in(folder: Path) -> None:
+def _stop_and_remove(folder: Path) -> None:
     """Stop Taichi, which then writes its kernel cache, and delete the temporary folder."""
     ti.reset()
     shutil.rmtree(folder, ignore_errors=True)
@@ -104,6 +111,7 @@ def _position_in_source(context: Any, node: Any) -> str:
 
 
 def _available(arch: Arch) -> bool:
+    """Whether this build of Taichi supports the architecture on this machine."""
     if arch == "cpu":
         return True
     if arch == "gpu":
@@ -124,7 +132,8 @@ def _arch_name(requested: Arch) -> str:
     return "cpu"
 
 
-def _refuse_change(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
+def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
+    """Raise GranflowError if the requested settings differ from the running ones."""
     same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
     if same_arch and precision == running.precision and threads in (None, running.threads):
         return

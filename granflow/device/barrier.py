@@ -18,6 +18,7 @@ LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1
 decides whether a worker leaves before or after the last arrival."""
 
 CALIBRATION_POLLS = 2_000
+"""Number of polls of one measurement of `seconds_per_poll`."""
 
 
 def build_barrier(control: Control) -> tuple[Any, Any, Any]:
@@ -26,12 +27,17 @@ def build_barrier(control: Control) -> tuple[Any, Any, Any]:
     The last worker calls `release`; the others call `wait`, which returns 1 if the worker must leave the launch.
     Barriers are numbered from 1. Two counters alternate, so that a late departure never changes the next barrier.
 
-    Reads:  patience
-    Writes: arrived, released, worker_count
+    arrive:   counts the worker in; the last worker subtracts the workers that left and clears the next counter
+    release:  sets the number of the last complete barrier
+    wait:     polls until the barrier is complete; after `patience` polls the worker leaves unless all have arrived
+
+    Reads:   patience
+    Writes:  arrived, released, worker_count
     """
 
     @ti.func
     def counter(number):
+        """Index of the counter of a barrier in `arrived`; counters occupy separate cache lines."""
         return CACHE_LINE * (1 + number % 2)
 
     @ti.func
@@ -61,7 +67,10 @@ def build_barrier(control: Control) -> tuple[Any, Any, Any]:
 
 
 def seconds_per_poll(control: Control) -> float:
-    """Wall-clock time [s] of one poll of the barrier by a waiting worker: the shortest of three measurements."""
+    """Wall-clock time [s] of one poll of the barrier by a waiting worker: the shortest of three measurements.
+
+    Writes:  released
+    """
 
     @ti.kernel
     def poll(polls: ti.i32):

@@ -16,6 +16,7 @@ from granflow.plan.capacities import BOUNDS
 from granflow.plan.plan import BLOCK_CELLS
 
 BLOCK_SIDE = 8
+"""Number of cells along each edge of a block."""
 
 OUTLIER_SHARE = 1 / 16
 """Share of the parts of the particle list that may be outside the grid at each end; see `_grid_for_particles`."""
@@ -26,7 +27,12 @@ VOLUME_RATIO = 1 / 2
 
 @dataclass(frozen=True)
 class CellGrid:
-    """Number of cells along each axis, cell sides (3,) [m] and the low corner (3,) [m] of the grid."""
+    """Grid of cells over a box; cell numbers are assigned in whole blocks.
+
+    low:    (3,) [m], low corner
+    side:   (3,) [m], cell sides
+    cells:  number of cells along each axis
+    """
 
     low: np.ndarray
     side: np.ndarray
@@ -46,9 +52,14 @@ class CellGrid:
     def over(
         cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int, periodic: Sequence[int] = ()
     ) -> "CellGrid":
-        """Smallest grid of cells at least `side` [m] wide over a box, coarsened to at most `cell_limit` cells.
+        """Smallest grid of cells at least `side` wide over a box, coarsened to at most `cell_limit` cells.
 
-        Along periodic axes the cells fill the box exactly. Along the other axes they are `side` wide, in whole blocks.
+        low, high:   (3,) [m], corners of the box
+        side:        smallest cell side [m]; a limit on the cells increases it in steps of 25 %
+        cell_limit:  maximum number of cells, exceeded only by a grid of one block
+        periodic:    axes along which the cells fill the box exactly
+
+        Along the other axes the cells are `side` wide, in whole blocks.
         """
         is_periodic = np.isin(np.arange(3), periodic)
         while True:
@@ -63,6 +74,8 @@ class CellGrid:
 
 def update_cell_grids(state: State) -> list[CellGrid]:
     """Write the grid for sorting. If particle sizes differ widely, write one per size class; the first is for sorting.
+
+    Returns:  grids by size class; the cells are at least as wide as the largest diameter of the class plus the skin
 
     Reads:   low, high (see `build_bounds`)
     Writes:  grid_low, cell_side, cells, first_cell, radius
@@ -88,7 +101,11 @@ def update_cell_grids(state: State) -> list[CellGrid]:
 
 
 def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side: float, limit: int) -> CellGrid:
-    """A grid over all particles, given the sorted corners `lows`, `highs` (parts, 3) [m] of their parts.
+    """A grid over all particles.
+
+    lows, highs:  (parts, 3) [m], sorted corners of the bounding boxes of the parts of the particle list
+    side:         smallest cell side [m]
+    limit:        maximum number of cells
 
     If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then assigned to
     the nearest cell at the edge of the grid.
@@ -112,7 +129,13 @@ def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, lim
 
 
 def build_cell_number() -> Any:
-    """Device function (x, y, z, cells): cell coordinates and cells along each axis -> cell number in block order."""
+    """Device function (x, y, z, cells) -> cell number in block order.
+
+    x, y, z:  cell coordinates, from 0
+    cells:    3-vector, number of cells along each axis
+
+    Blocks are numbered with x fastest, and so are the cells within a block.
+    """
 
     @ti.func
     def cell_number(x, y, z, cells):

@@ -37,8 +37,10 @@ PARTICLE_FIELDS = (
     ),
     "position_at_rebuild",
 )
+"""Particle fields that a checkpoint contains, as far as the scene has them."""
 COUNTS = ("inserted_count", "deleted_count", "deleted_mass", "inserted_energy", "removed_energy")
 ACCOUNTING = (*COUNTS, "removed_kinetic_energy", "energy_put_in", "outlets")
+"""Attributes of Accounting that a checkpoint contains."""
 CLOCKS = (
     "neighbor_list",
     "advance",
@@ -48,6 +50,7 @@ CLOCKS = (
     "step_count",
     "particle_steps",
 )
+"""Attributes of Timing that a checkpoint contains."""
 
 
 class EngineCheckpoint:
@@ -69,7 +72,10 @@ class EngineCheckpoint:
         self._entries = FieldTable({"partner": neighbors.partner, **flags, **neighbors.history})
 
     def state_dict(self) -> SavedState:
-        """The state of the engine that determines how it continues, without the data of the scene."""
+        """The state of the engine that determines how it continues, without the data of the scene.
+
+        Nested dictionaries of numbers and numpy arrays; particle arrays (n,) or (n, 3) are in device order.
+        """
         if self._growth_count != self.engine.timing.growth_count:
             self._build_tables()
         engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
@@ -92,9 +98,12 @@ class EngineCheckpoint:
         }
 
     def load_state_dict(self, saved: SavedState, motions: Sequence[Sequence[Motion]]) -> None:
-        """Restore the saved state into a new engine, given the motions of its walls.
+        """Restore the saved state into a new engine.
 
-        Raises GranflowError if the scene needs other arrays than the saved state has.
+        saved:    result of `state_dict`
+        motions:  motions of each wall
+        Raises:   GranflowError if the scene needs other arrays than the saved state has, or has other force-controlled
+                  motions
         """
         engine, state, accounting = self.engine, self.engine.state, self.engine.accounting
         state.count = saved["particle_count"]
@@ -122,6 +131,7 @@ class EngineCheckpoint:
         return {name: field for name, field in fields.items() if field is not None}
 
     def _load_wall_dynamics(self, saved: SavedState) -> None:
+        """Restore the force-controlled walls. Raises GranflowError if their motions differ from those of the scene."""
         controlled_motions = [controlled.key for controlled in self.engine.plan.controlled_motions]
         if saved["controlled_motions"] != controlled_motions:
             before, now = (", ".join(each) or "none" for each in (saved["controlled_motions"], controlled_motions))
@@ -156,7 +166,11 @@ class EngineCheckpoint:
 
 
 def _consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Numbers begin, begin + 1, ... of each list, one list after the other."""
+    """Numbers begin, begin + 1, ... of each list, one list after the other.
+
+    begin, length:  (n,)
+    Returns:        (sum of the lengths,)
+    """
     before = np.cumsum(length) - length
     return np.repeat(begin - before, length) + np.arange(int(length.sum()))
 
@@ -175,7 +189,7 @@ def _named(saved: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, 
 class FieldTable:
     """Fields of the same length: copies selected entries of all fields to the host and back.
 
-    The reals form one table and the integers another.
+    The reals form one table and the integers another, so that each direction takes one kernel per table.
     """
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
@@ -192,7 +206,7 @@ class FieldTable:
         return found
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write these arrays to the entries with these indices (k,)."""
+        """Write these arrays, as returned by `take`, to the entries with these indices (k,)."""
         for half in self._halves:
             half.put(np.ascontiguousarray(entries, np.int32), arrays)
 
@@ -208,6 +222,7 @@ class _FieldTableHalf:
         self._take, self._put = _build_take_and_put(list(fields.values()), widths)
 
     def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
+        """Arrays (k,) or (k, components) by name, in the types of the fields."""
         table = np.zeros((len(entries), self._ends[-1]), self._dtype)
         if len(entries):
             self._take(entries, table)
@@ -218,6 +233,7 @@ class _FieldTableHalf:
         }
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write the arrays to the entries (k,) int32."""
         if len(entries):
             columns = [arrays[name].reshape(len(entries), -1) for name in self._fields]
             self._put(entries, np.concatenate(columns, axis=1).astype(self._dtype))
@@ -226,6 +242,11 @@ class _FieldTableHalf:
 def _build_take_and_put(
     fields: Sequence[Any], widths: Sequence[int]
 ) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Kernels (entries, table): copy field entries to the table (k, columns), and the table to the entries.
+
+    fields:  scalar or vector fields
+    widths:  number of columns of each field
+    """
     external: Any = ti.types.ndarray()
     vectors, firsts = [hasattr(field, "n") for field in fields], [sum(widths[:f]) for f in range(len(fields))]
 

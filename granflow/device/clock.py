@@ -10,6 +10,7 @@ class Clock:
     """
 
     def __init__(self, time_step: float) -> None:
+        """Start at time 0 with a time step [s]."""
         self.time_step = time_step
         self.step_count = 0
         self._since_step, self._since_time = 0, 0.0
@@ -20,7 +21,7 @@ class Clock:
         return float(self.time_after(self.step_count))
 
     def time_after(self, step: int | np.ndarray) -> float | np.ndarray:
-        """Simulated time [s] after these step numbers; none may precede the last change of the time step."""
+        """Simulated time [s] after step numbers, scalar or (k,); none may precede the last change of the time step."""
         return self._since_time + (step - self._since_step) * self.time_step
 
     def change(self, time_step: float) -> None:

@@ -8,10 +8,14 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 around: Callable[[], AbstractContextManager[None]] = nullcontext
+"""Context in which kernels are compiled."""
 
 
 def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps a Taichi function (program, configuration, capabilities, kernel); the first call per kernel uses `around`.
+    """Wraps `Program.compile_kernel` of Taichi, so that the first call per kernel runs in the context `around`.
+
+    compile_kernel:  function (program, configuration, capabilities, kernel)
+    Returns:         function with the same arguments and result
 
     Taichi calls the function at every launch; only the first call of a kernel compiles it.
     """

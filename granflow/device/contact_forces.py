@@ -33,7 +33,15 @@ from granflow.plan.capacities import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_W
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
-    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one contact."""
+    """Device function (chunk, i, list index, j, pose, time_step) -> (force [N], torque [N m]) on i of one contact.
+
+    with_wall:  True for walls (j < 0), False for particles
+
+    Without overlap it ends the contact and clears its history; its plastic work is added to the losses.
+
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
+    Writes:  history, in_contact, losses, boundary_work, impulses, wall_force, abort, abort_particle
+    """
     plan, particles, control = state.plan, state.particles, state.control
     features, real = plan.features, state.backend.real
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
@@ -81,6 +89,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def wall_work(i, j, pose, force, torque, dt):
+        """Work of the wall motion on particle i in this step [J]; prescribed motions only."""
         work = 0.0 * dt
         if ti.static(with_wall and features.moving_walls):
             velocity = geometry.prescribed_velocity(-1 - j, pose, particles.position[i])
@@ -170,6 +179,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
 def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
+    Forces are at the time of the positions and include the weight. A pair across two chunks is evaluated in both, so
+    that no two workers write to the same particle.
+
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
@@ -183,6 +195,7 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def in_this_pass(list_index, pass_index):
+        """1 if the entry is evaluated in this pass; see CONTACT_ORDER."""
         chosen = 1
         if ti.static(pass_count > 1):
             chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)

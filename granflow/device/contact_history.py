@@ -11,7 +11,14 @@ NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 
 
 def build_read_history(state: State) -> Any:
-    """Device function (list index) -> (normal history, tangential and rolling displacement); absent ones are 0."""
+    """Device function (list index) -> (normal history, tangential and rolling displacement); absent ones are 0.
+
+    normal:      (h,) in the order of `NormalLaw.history_names`, at least one component
+    tangential:  3-vector [m]
+    rolling:     3-vector [rad]; with CDT and the energy budget the torque of the previous step [N m]
+
+    Reads:  history
+    """
     history, real = state.neighbors.history, state.backend.real
     size = max(state.plan.law.history_count, 1)
 
@@ -34,7 +41,10 @@ def build_read_history(state: State) -> Any:
 
 
 def build_write_history(state: State) -> Any:
-    """Device function (list index, normal history, tangential and rolling displacement): write them; set IN_CONTACT."""
+    """Device function (list index, normal history, tangential and rolling displacement): write them; set IN_CONTACT.
+
+    Writes:  history, in_contact
+    """
     neighbors, history = state.neighbors, state.neighbors.history
 
     @ti.func
@@ -52,7 +62,12 @@ def build_write_history(state: State) -> Any:
 
 
 def build_end_contact(state: State) -> Any:
-    """Device function: clear the entry of an open contact; returns the plastic work [J] of a contact that has ended."""
+    """Device function (list index, constants, effective radius, effective mass, time_step): clear an open contact.
+
+    Returns the plastic work [J] of a contact that has ended in this step; 0 without the energy budget.
+
+    Writes:  history, in_contact
+    """
     plan, law, neighbors = state.plan, state.plan.law, state.neighbors
     names = list(neighbors.history)
 

@@ -16,7 +16,10 @@ AT_LIMIT = 1.0 - 1e-6
 
 
 def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Owner, list index, partner (negative: `walls_of`) of all candidate pairs; pairs across two chunks occur twice."""
+    """All candidate pairs on the host; pairs across two chunks occur twice.
+
+    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
+    """
     neighbors = state.neighbors
     begin, end = (f.to_numpy()[: state.count] for f in (neighbors.list_begin, neighbors.list_end))
     owner = np.repeat(np.arange(state.count), end - begin)
@@ -39,7 +42,11 @@ class ContactOutput:
         self._evaluate = _build_evaluate(state, self)
 
     def take(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """All contacts, each once, as in Snapshot.contacts; `arrays` holds id and position in device order."""
+        """All contacts, each once, as in Snapshot.contacts, with n entries or (n, 3) arrays.
+
+        arrays:   id (particles,) and position (particles, 3) [m] in device order
+        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history
+        """
         owner, list_index, partner, numbers = self._pairs()
         found = dict(zip(QUANTITIES, numbers.T, strict=True))
         normal_history = self._history(list_index, found["overlap"])
@@ -71,7 +78,7 @@ class ContactOutput:
         )
 
     def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Owner, list index, partner and recorded quantities of all contacts, each pair once."""
+        """Owner, list index, partner (n,) and recorded quantities (n, 4) of all contacts, each pair once."""
         state = self.state
         if state.count:
             self._evaluate(state.count, state.clock.time_step)
@@ -81,7 +88,7 @@ class ContactOutput:
         return owner[is_contact], list_index[is_contact], partner[is_contact], numbers[is_contact]
 
     def _history(self, list_index: np.ndarray, overlap: np.ndarray) -> dict[str, np.ndarray]:
-        """Maximum overlap and restitution from the history; without a history, the overlap itself and 1."""
+        """Maximum overlap [m] and restitution (n,) from the history; without a history, the overlap itself and 1."""
         names, history = self.state.plan.law.history_names, self.state.neighbors.history
         found = {"overlap_max": overlap, "restitution": np.ones(len(list_index))}
         for index, name in enumerate(names):
@@ -91,10 +98,16 @@ class ContactOutput:
 
 
 QUANTITIES = ("overlap", "normal_force", "tangential_force", "friction_limit")
+"""Quantities that `_build_evaluate` records for each list entry, in N except for the overlap in m."""
 OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(QUANTITIES))
 
 
 def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
+    """Kernel (count, time_step): evaluate all list entries at pose 0.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Writes:  numbers, force, contact_point of `output`
+    """
     plan, law, particles, neighbors = state.plan, state.plan.law, state.particles, state.neighbors
     real, history_size = state.backend.real, max(law.history_count, 1)
     any_kinematics, pair_number, geometry = (
@@ -106,6 +119,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
 
     @ti.func
     def contact_point_of(i, j):
+        """Contact point [m] with a wall; for particles the wrapped position of i."""
         contact_point = wrap_position(particles.position[i])
         if ti.static(plan.has_walls):
             if j < 0:

@@ -9,6 +9,7 @@ from granflow.device.pair_kinematics import build_any_kinematics, build_pair_num
 from granflow.device.state import FieldBlock, State
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
+"""Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""
 COUNT, OVERLAP_SUM, OVERLAP_LARGEST, ELASTIC, PLASTIC = range(len(STATISTICS))
 
 
@@ -25,7 +26,7 @@ class ContactStatistics:
         self._measure = _build_measure(state, self.statistics)
 
     def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0; fills `coordination`."""
+        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination`."""
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
@@ -37,6 +38,11 @@ class ContactStatistics:
 
 
 def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
+    """Kernel (chunks, count, time_step): statistics of each chunk; a pair in two lists counts half in each.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Writes:  coordination, statistics
+    """
     particles, neighbors, control = state.particles, state.neighbors, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     any_kinematics, weight, pair_number = build_any_kinematics(state), build_weight(state), build_pair_number(state)
@@ -77,7 +83,13 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
 
 
 def build_energies(state: State) -> Any:
-    """Device function: elastic and dissipated energy [J] of a contact; 0 without the energy budget."""
+    """Device function: elastic and dissipated energy [J] of a contact; 0 without the energy budget.
+
+    Arguments: list index, pair constants, effective radius [m], effective mass [kg], time step [s], overlap [m]. The
+    elastic energy includes the tangential and the EPSD rolling spring; the dissipated energy is the plastic work.
+
+    Reads:  history
+    """
     plan, law, neighbors = state.plan, state.plan.law, state.neighbors
     energy_budget, history_size = plan.features.energy_budget, max(state.plan.law.history_count, 1)
     real = state.backend.real

@@ -6,10 +6,15 @@ from math import ceil
 from pathlib import Path
 
 SLURM = "SLURM_CPUS_PER_TASK"
+"""Environment variable with the number of cores of a Slurm task."""
 
 
 def worker_count(requested: int | None, affinity: int | None = None, quota: int | None = None) -> tuple[int, str]:
-    """CPU threads to start, and a warning or an empty text. `affinity`, `quota`: cores, in place of the system's.
+    """Number of CPU threads to start, and a warning or an empty text.
+
+    requested:        number from the command line; None: all available cores
+    affinity, quota:  cores, in place of those of the operating system
+    Returns:          at most `affinity`; without a request also at most the quota
 
     Taichi starts at most one thread per core of the machine, and surplus threads only delay each other.
     """
@@ -29,7 +34,11 @@ def allowed_cores() -> int:
 
 
 def quota_cores(root: Path = Path("/"), environment: Mapping[str, str] = os.environ) -> int | None:
-    """Cores by the smallest of the cgroup quotas and SLURM_CPUS_PER_TASK, rounded up; None without a limit."""
+    """Cores by the smallest of the cgroup quotas and SLURM_CPUS_PER_TASK, rounded up; None without a limit.
+
+    root:         root of the file system
+    environment:  environment variables
+    """
     limits = [ceil(limit) for limit in _cgroup_limits(root)]
     slurm = environment.get(SLURM, "")
     if slurm.isdecimal() and int(slurm) > 0:
@@ -69,10 +78,12 @@ def _upward(base: Path, path: str) -> Iterator[Path]:
 
 
 def _words(path: Path) -> list[str]:
+    """Words of a text file; empty if it cannot be read."""
     return _text(path).split()
 
 
 def _text(path: Path) -> str:
+    """Content of a text file; empty if it cannot be read."""
     try:
         return path.read_text()
     except OSError:

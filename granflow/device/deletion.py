@@ -15,6 +15,8 @@ from granflow.plan.outlets import PlannedOutlet
 def check_coordinates(state: State) -> None:
     """Set the abort code if a particle in an expanding domain is too far from the origin for the precision.
 
+    The limit is `plan.coordinate_limit` [m] along each axis.
+
     Reads:   low, high (see `build_bounds`); position, id if the limit is exceeded
     Writes:  abort, abort_particle
     """
@@ -30,7 +32,10 @@ def check_coordinates(state: State) -> None:
 def build_remains(state: State) -> Any:
     """Device function (i): true if particle i is in the domain and not in an outlet.
 
-    A position that is NaN is outside; an outlet does not delete fixed particles. Reads: position, fixed
+    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is outside; an
+    outlet does not delete fixed particles.
+
+    Reads:  position, fixed
     """
     in_outlet = _build_in_outlet(state)
     position, real, periodic_box = state.particles.position, state.backend.position_real, state.plan.periodic_box
@@ -53,7 +58,10 @@ def build_remains(state: State) -> Any:
 
 
 def _build_in_outlet(state: State) -> Any:
-    """Device function (i): true if particle i is in an outlet and not fixed."""
+    """Device function (i): true if particle i is in an outlet and not fixed.
+
+    Reads:  position, fixed
+    """
     particles, fixed_particles = state.particles, state.plan.features.fixed_particles
     in_one_outlet = [_build_in_one_outlet(outlet, state.backend.position_real) for outlet in state.plan.outlets]
 
@@ -70,7 +78,10 @@ def _build_in_outlet(state: State) -> Any:
 
 
 def _build_in_one_outlet(outlet: PlannedOutlet, real: Any) -> Any:
-    """Device function (point): true if the point [m] is in one outlet."""
+    """Device function (point): true if the point [m] is in one outlet.
+
+    An outlet is a box, a half space, or the part of a half space within a radius of its axis (disc).
+    """
     is_box, has_radius = outlet.low is not None, outlet.radius < inf
     lows, highs = ([] if corner is None else corner.tolist() for corner in (outlet.low, outlet.high))
     point, normal, radius = outlet.point.tolist(), outlet.normal.tolist(), outlet.radius

@@ -29,6 +29,7 @@ from granflow.walls.mesh_contact import reference_contact
 from granflow.walls.motion import pose
 
 FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")
+"""Particle fields that the diagnosis reads."""
 
 TINY_MASS = 1e-300
 """Mass [kg] of unused array entries."""
@@ -38,8 +39,11 @@ TINY_MASS = 1e-300
 class CandidatePairs:
     """The n candidate pairs at their positions.
 
-    Indices of owner and partner (-1 - wall), overlap over the smaller radius, approach velocity [m/s] and velocity of
-    the partner's surface (n, 3) [m/s].
+    owner:     (n,) particle index
+    partner:   (n,) particle index, or -1 - wall index
+    overlap:   (n,) over the smaller radius, negative for a gap
+    approach:  (n,) approach velocity [m/s] along the normal
+    surface:   (n, 3) velocity of the partner's surface [m/s]
     """
 
     owner: np.ndarray
@@ -50,9 +54,15 @@ class CandidatePairs:
 
 
 def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool) -> Diagnosis:
-    """Diagnosis of an abort at `time` [s], with the contact pair of the largest overlap, if there is a contact.
+    """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
-    `step_taken`: true if a step was taken; false if only the initial forces were computed.
+    code:        abort code, see `limits`
+    particle:    id of the particle that exceeded the limit; unused for walls
+    time:        simulated time [s]
+    step_taken:  true if a step was taken; false if only the initial forces were computed
+
+    Runs on the host in float64. For a position that is not finite or a displacement above its limit, only contacts of
+    this particle one step earlier are considered.
     """
     if code == ABORT_WALL:
         return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, step_taken)
@@ -83,7 +93,7 @@ def _fastest_wall(state: State) -> Participant:
 
 
 def _participant(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Participant:
-    """One particle as messages describe it."""
+    """One particle as messages describe it; `index` in device order."""
     velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
     return Participant(
         f"particle {arrays['id'][index]}",
@@ -110,23 +120,33 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
     distance = np.linalg.norm(branch, axis=1)
     overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
     normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
-    moving, smaller = velocity[partner_index], np.minimum(arrays["radius"][owner], arrays["radius"][partner_index])
+    surface_velocity, smaller = (
+        velocity[partner_index],
+        np.minimum(arrays["radius"][owner], arrays["radius"][partner_index]),
+    )
     face = -1 - partner
     partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
     for index in range(len(state.plan.walls)):
         of_wall = partner == -1 - index
         points = state.plan.periodic_box.wrap(position[owner[of_wall]])
-        gap, normal[of_wall], moving[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
+        gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
         smaller[of_wall] = arrays["radius"][owner[of_wall]]
         overlap[of_wall] = smaller[of_wall] - gap
-    approach = -np.sum((velocity[owner] - moving) * normal, axis=1)
-    return CandidatePairs(owner, partner, overlap / smaller, approach, moving)
+    approach = -np.sum((velocity[owner] - surface_velocity) * normal, axis=1)
+    return CandidatePairs(owner, partner, overlap / smaller, approach, surface_velocity)
 
 
 def _wall_gaps(
     state: State, index: int, face: np.ndarray, points: np.ndarray, time: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gap (n,), normal (n, 3) and surface velocity (n, 3) of a wall, or of its faces (n,), at points (n, 3)."""
+    """Gap and surface velocity of a wall.
+
+    index:    wall index
+    face:     (n,) wall index, or wall count + triangle index
+    points:   (n, 3) [m], inside the periodic box
+    time:     [s]
+    Returns:  gap (n,) [m] or FAR_AWAY, unit normal (n, 3), velocity (n, 3) [m/s]
+    """
     shape, wall_pose = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
     rotation, center = (
         wall_pose.rotation[0],
@@ -176,7 +196,7 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
 
 
 def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
-    """Number of contacts of the participant that has more."""
+    """Number of contacts of the participant that has more, of `ends` (negative: wall, not counted)."""
     touching = candidates.overlap > 0.0
     pairs = {
         (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)

@@ -31,7 +31,11 @@ TIME_TOLERANCE = 1e-6
 
 
 class Engine:
-    """One plan on one backend; the clock of the state counts steps and time."""
+    """One plan on one backend; the clock of the state counts steps and time.
+
+    Typical order: `insert`, `set_walls` and `refresh`, then `advance` and `snapshot` repeatedly; again `refresh` after
+    particles or walls have changed; `free` at the end.
+    """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
@@ -46,15 +50,19 @@ class Engine:
         self._started = False
 
     def _build_host_access(self) -> None:
-        """Build the kernels that access fields from the host; repeated after fields are replaced by larger ones."""
-        self._host_access_growth = self.timing.growth_count
+        """Build the kernels that access fields from the host; repeated after fields are replaced by larger ones.
+
+        Kernels refer to the fields that exist when they are built.
+        """
+        self._host_access_version = self.timing.growth_count
         self._host_copy = HostCopy(self.state)
         self._contact_statistics = ContactStatistics(self.state)
         self._contact_output: ContactOutput | None = None
         self._max_impact_velocity = MaxImpactVelocity(self.state) if self.plan.adaptive_time_step is not None else None
 
-    def _follow_growth(self) -> None:
-        if self._host_access_growth != self.timing.growth_count:
+    def _update_host_access(self) -> None:
+        """Build the host access again if fields have been replaced."""
+        if self._host_access_version != self.timing.growth_count:
             self._free_host_access()
             self._build_host_access()
 
@@ -66,13 +74,13 @@ class Engine:
     @property
     def host_copy(self) -> HostCopy:
         """Copies between host arrays and particle fields."""
-        self._follow_growth()
+        self._update_host_access()
         return self._host_copy
 
     @property
     def contact_statistics(self) -> ContactStatistics:
-        """Contact statistics."""
-        self._follow_growth()
+        """Kernels of the contact statistics."""
+        self._update_host_access()
         return self._contact_statistics
 
     @property
@@ -124,7 +132,13 @@ class Engine:
         return diagnose(code, particle, self.state, self.host_copy, self.time, self._started)
 
     def insert(self, new: ParticleData) -> None:
-        """Insert particles at the present time; the next `refresh` computes their forces."""
+        """Insert particles at the present time; the next `refresh` computes their forces.
+
+        new:  k particles; material numbers of the scene, velocities [m/s] at the present time
+
+        Ids continue the count of inserted particles. After the start, velocities are shifted half a step back by
+        gravity, as the leapfrog scheme requires. The mechanical energy counts as inserted.
+        """
         if not len(new):
             return
         scene, accounting, count = self.plan.scene, self.accounting, len(new)
@@ -151,7 +165,11 @@ class Engine:
         accounting.group.append(new.group)
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
-        """Set which walls are present and their motions; takes effect with the next `refresh`."""
+        """Set which walls are present and their motions; takes effect with the next `refresh`.
+
+        present:  one entry per wall of the plan
+        motions:  motions of each wall
+        """
         self.state.wall_motions = tuple(tuple(each) for each in motions)
         for index, is_present in enumerate(present):
             self.state.walls.present[index] = int(is_present)
@@ -177,13 +195,16 @@ class Engine:
         self._update_time_step()
 
     def _contact_energy(self) -> float:
-        """Elastic and dissipated energy [J] of the present contacts."""
+        """Elastic energy and plastic dissipation [J] of the present contacts."""
         self.stepper.place_walls(self.step_count)
         measured = self.contact_statistics.measure()
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
-        """Take `steps` steps; fewer after an abort, a stop request or a change of the time step."""
+        """Take `steps` steps; fewer after an abort, a stop request or a change of the time step.
+
+        `step_count`, `time` and `aborted` show the result.
+        """
         clock, before = self.state.clock, self.time_step
         wanted = clock.step_count + steps
         while clock.step_count < wanted and self.time_step == before and not (self.aborted or self.stepper.interrupted):
@@ -212,7 +233,7 @@ class Engine:
         if adaptive_time_step is None or self.aborted:
             return
         self.stepper.place_walls(self.step_count)
-        self._follow_growth()
+        self._update_host_access()
         assert self._max_impact_velocity is not None
         step = adaptive_time_step.step_for(
             self._max_impact_velocity.measure(), float(np.linalg.norm(self._gravity)) * self.time_step
@@ -233,9 +254,12 @@ class Engine:
         return (kinetic + rotational) / max(mobility_mask(arrays).sum(), 1.0)
 
     def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
-        """Snapshot of the present state.
+        """Snapshot of the present state, read-only arrays in SI units.
 
-        `quantities` as for observers. Contact statistics are computed only if a quantity needs them.
+        stage:       name of the present stage
+        quantities:  subset of particles, contacts, walls and totals, as for observers
+
+        With walls alone, `totals` contains the particle count only, and no contact statistics are computed.
         """
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
@@ -272,7 +296,10 @@ class Engine:
         return self.plan.materials.index(material) if material in self.plan.materials else 0
 
     def _on_deleted(self, first: int, last: int) -> None:
-        """Add particles that left the domain or entered an outlet to the accounting."""
+        """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device order.
+
+        With `on_exit: error`, sets the abort code if one of them left the domain.
+        """
         arrays = self.host_copy.copy_to_host(
             ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed"), first, last
         )
@@ -302,9 +329,14 @@ class Engine:
         return outlet_index
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields on the host, with velocities and angular velocities at the time of the positions.
+        """Fields on the host in device order, with velocities and angular velocities at the time of the positions.
 
-        Before the first step they are the initial values: a run that aborts there has not shifted them yet.
+        names:    particle fields, with mass, velocity, force and, with rotation, radius, angular_velocity, torque
+        Returns:  arrays (n,) or (n, 3); fields that the scene does not have are absent
+
+            v(t) = v(t - dt/2) + dt F(t) / (2 m),   w(t) = w(t - dt/2) + dt M(t) / (2 I),   I = (2/5) m R^2
+
+        Before the first step they are the initial values: a run that aborts there has not shifted them.
         """
         arrays = self.host_copy.copy_to_host((*names, "fixed"))
         if not self._started:
@@ -318,6 +350,7 @@ class Engine:
         return arrays
 
     def _particle_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Arrays of PARTICLE_QUANTITIES, ordered by id; zeros for angular velocity and torque without rotation."""
         order = np.argsort(arrays["id"], kind="stable")
         found = {name: values[order] for name, values in arrays.items()}
         found["id"] = found["id"].astype(np.int64)
@@ -329,12 +362,14 @@ class Engine:
         return found
 
     def _contact_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        self._follow_growth()
+        """Arrays of CONTACT_QUANTITIES, from the fields (n,) or (n, 3) in device order."""
+        self._update_host_access()
         if self._contact_output is None:
             self._contact_output = ContactOutput(self.state)
         return self._contact_output.take(arrays)
 
     def _totals(self, arrays: dict[str, np.ndarray], measured: dict[str, float]) -> dict[str, float]:
+        """Totals of the present state by name, SI units; also checks the stability."""
         accounting, count = self.accounting, self.state.count
         energies = mechanical_energy(arrays, self._gravity)
         contacts, free = measured["contact_count"], mobility_mask(arrays)

@@ -12,7 +12,10 @@ FROZEN_MASS_FACTOR = 2.0**60
 
 
 def build_mobility(state: State) -> Any:
-    """Device function (i): 1, or 0 for a fixed particle."""
+    """Device function (i): 1, or 0 for a fixed particle.
+
+    Reads:  fixed
+    """
     particles, real = state.particles, state.backend.real
 
     @ti.func
@@ -26,7 +29,10 @@ def build_mobility(state: State) -> Any:
 
 
 def build_contact_mass(state: State) -> Any:
-    """Device function (i): mass [kg] of a particle in its contacts."""
+    """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it is fixed.
+
+    Reads:  mass, fixed
+    """
     particles, real = state.particles, state.backend.real
 
     @ti.func
@@ -40,7 +46,10 @@ def build_contact_mass(state: State) -> Any:
 
 
 def build_can_touch(state: State) -> Any:
-    """Device function (i, j): false for two fixed particles, and for a fixed particle and a wall (j < 0)."""
+    """Device function (i, j): false for two fixed particles, and for a fixed particle and a wall (j < 0).
+
+    Reads:  fixed
+    """
     particles = state.particles
 
     @ti.func
@@ -57,6 +66,9 @@ def build_can_touch(state: State) -> Any:
 
 
 def mobility_mask(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """1 (n,), or 0 for fixed particles; `arrays` are particle fields, with `fixed` only if some are fixed."""
+    """1.0 for mobile and 0.0 for fixed particles, float64 (n,).
+
+    arrays:  particle fields: mass (n,), and `fixed` (n,) only if some are fixed
+    """
     fixed = arrays.get("fixed", np.zeros(len(arrays["mass"]), np.int32))
     return 1.0 - np.asarray(fixed, float)

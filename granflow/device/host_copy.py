@@ -23,8 +23,10 @@ class HostCopy:
     def append(self, arrays: dict[str, np.ndarray]) -> None:
         """Append n particles behind the present ones.
 
-        `arrays`: id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,) [m], mass (n,) [kg],
-        position (n, 3) [m], velocity (n, 3) [m/s] half a step back, angular_velocity (n, 3) [rad/s].
+        arrays:  id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,) [m], mass (n,) [kg],
+                 position (n, 3) [m], velocity (n, 3) [m/s] half a step back, angular_velocity (n, 3) [rad/s]
+
+        The arrays are converted to the types of the fields. Forces and torques of the new particles are zero.
         """
         state, particles = self.state, self.state.particles
         count = len(arrays["radius"])
@@ -47,11 +49,19 @@ class HostCopy:
         state.count += count
 
     def kick(self, time: float) -> None:
-        """Advance velocities and angular velocities by `time` [s] under the present forces; backwards if negative."""
+        """Advance velocities and angular velocities by `time` [s] under the present forces; backwards if negative.
+
+        Fixed particles keep their velocity.
+        """
         self._kick(self.state.count, time)
 
     def copy_to_host(self, names: tuple[str, ...], first: int = 0, last: int | None = None) -> dict[str, np.ndarray]:
-        """Host copies of particle fields from index `first` up to `last`, exclusive (default: the particle count)."""
+        """Host copies of particle fields.
+
+        names:        fields; those that the scene does not have are absent in the result
+        first, last:  index range, `last` exclusive (default: the particle count)
+        Returns:      arrays (k,) or (k, 3) in the types of the fields
+        """
         count = (self.state.count if last is None else last) - first
         if names not in self._copies:
             self._copies[names] = FieldCopy(self.state, names)
@@ -100,6 +110,7 @@ def _component_count(field: Any) -> int:
 
 
 def _build_copy(fields: list[Any], columns: list[int]) -> Callable[..., None]:
+    """Kernel (first, reals, integers): copy the entries from `first` on into columns of the two tables."""
     sizes, is_integer_field = [_component_count(field) for field in fields], [_is_integer(field) for field in fields]
     external: Any = ti.types.ndarray()
 
@@ -119,6 +130,10 @@ def _build_copy(fields: list[Any], columns: list[int]) -> Callable[..., None]:
 
 
 def _build_append(state: State) -> Callable[..., None]:
+    """Kernel (first, arrays): write new particles from index `first` on.
+
+    Writes:  all particle fields except coordination and position_at_rebuild
+    """
     particles, features = state.particles, state.plan.features
     external: Any = ti.types.ndarray()
 
@@ -150,6 +165,13 @@ def _build_append(state: State) -> Callable[..., None]:
 
 
 def _build_kick(state: State) -> Callable[..., None]:
+    """Kernel (count, time): velocity change of `HostCopy.kick`.
+
+        v += time F / m,   w += time M / I,   I = (2/5) m R^2
+
+    Reads:   force, torque, mass, radius, fixed
+    Writes:  velocity, angular_velocity
+    """
     particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
     mobility = build_mobility(state)
 

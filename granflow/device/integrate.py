@@ -3,6 +3,10 @@
 Before a step, positions and forces are at t, velocities and angular velocities half a step earlier:
 
     v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
+
+Dashpots need the velocity at the time of the positions; it is extrapolated with the force at t:
+
+    velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
 """
 
 from typing import Any
@@ -17,8 +21,11 @@ from granflow.device.state import State
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
 
+    Requests a rebuild if a particle has moved by more than half the skin since the last one; aborts if a position is
+    not finite or a displacement in one step exceeds `plan.travel_limit`.
+
     Reads:   force, torque, mass, radius, fixed, position_at_rebuild
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle
     """
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size

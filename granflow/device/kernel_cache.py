@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 VARIABLE = "GRANFLOW_CACHE"
+"""Environment variable with the path of the folder."""
 KERNELS = "*.tic"
+"""Name pattern of the compiled kernels of Taichi."""
 INDEX, LOCK = "ticache.tcb", "ticache.lock"
+"""Names of the index and of the lock of the kernel cache of Taichi."""
 TEMPORARY = "granflow_kernels_"
 """Prefix of a temporary folder for one process, deleted at its end."""
 STALE_LOCK = 60.0
@@ -18,15 +21,15 @@ STALE_LOCK = 60.0
 
 
 @dataclass(frozen=True)
-class Contents:
-    """Contents of the folder: number of kernels, and size [bytes] of all files."""
+class CacheContents:
+    """Contents of the cache folder: number of kernels, and size [bytes] of all files."""
 
     kernel_count: int
     size: int
 
 
 def cache_folder() -> Path:
-    """The folder in GRANFLOW_CACHE, or granflow/kernels in the cache folder of the platform."""
+    """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the platform."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named).expanduser().absolute()
@@ -42,6 +45,8 @@ def cache_folder() -> Path:
 def usable_folder() -> Path:
     """The cache folder, created if necessary. If it is not writable: a warning, and a temporary folder.
 
+    The caller deletes a temporary folder, whose name begins with TEMPORARY. A lock older than STALE_LOCK is removed.
+
     Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
     """
     folder = cache_folder()
@@ -56,17 +61,17 @@ def usable_folder() -> Path:
             folder, VARIABLE,
         )  # fmt: skip
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
-    _break_stale_lock(folder / LOCK)
+    _remove_stale_lock(folder / LOCK)
     return folder
 
 
-def cache_contents() -> Contents:
+def cache_contents() -> CacheContents:
     """Number of kernels and size of the folder; zeros without a folder."""
     sizes = [_size(path) for path in _files()]
-    return Contents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
+    return CacheContents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
 
 
-def clear_cache() -> Contents:
+def clear_cache() -> CacheContents:
     """Delete the files of Taichi in the folder and no others; returns their number and size."""
     removed = cache_contents()
     for path in _files():
@@ -75,18 +80,21 @@ def clear_cache() -> Contents:
 
 
 def _files() -> list[Path]:
+    """Files of Taichi in the cache folder."""
     folder = cache_folder()
     return [*folder.glob(KERNELS), *(folder / name for name in (INDEX, LOCK) if (folder / name).exists())]
 
 
 def _size(path: Path) -> int:
+    """Size of a file [bytes]; 0 if it does not exist."""
     try:
         return path.stat().st_size
     except FileNotFoundError:  # another process has deleted it
         return 0
 
 
-def _break_stale_lock(lock: Path) -> None:
+def _remove_stale_lock(lock: Path) -> None:
+    """Remove a lock that is older than STALE_LOCK; errors of the file system are ignored."""
     try:
         if time.time() - lock.stat().st_mtime > STALE_LOCK:
             lock.unlink()

@@ -20,6 +20,7 @@ ABORT_REASONS = {
     ABORT_WALL: "wall",
     ABORT_FAR: "far",
 }
+"""Reason of each code, as in Diagnosis.reason."""
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
@@ -55,9 +56,10 @@ class Participant:
 class ContactPair:
     """A contact at the time of the abort.
 
-    `overlap` over the smaller radius; `approach` [m/s] along the normal, negative if the partners separate;
-    `impact_velocity` [m/s]: impact velocity with the energy of this overlap and approach; `stable_step` [s]: time step
-    that is stable for it.
+    overlap:          over the smaller radius
+    approach:         [m/s] along the normal, negative if the partners separate
+    impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
+    stable_step:      time step [s] that is stable for it
     """
 
     first: Participant
@@ -70,7 +72,13 @@ class ContactPair:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Abort reason, the particle with the smallest id above the limit, the worst contact and the time step [s]."""
+    """Cause of an aborted run.
+
+    reason:       one of the values of ABORT_REASONS
+    participant:  the particle with the smallest id above the limit, or the wall
+    pair:         the contact with the largest overlap, None without a contact
+    time_step:    [s]
+    """
 
     reason: str
     participant: Participant
@@ -88,11 +96,15 @@ def diagnosis_of(
 
 
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
-    """Message for an abort: participants and time, the exceeded limit, the likely cause and the remedies."""
+    """Message for an abort: participants and time, the exceeded limit, the likely cause and the remedies.
+
+    `time`: simulated time [s] of the abort.
+    """
     return f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
 
 
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Overlap above `numerics.max_overlap`."""
     pair = diagnosis.pair
     if pair is None:
         return f"{diagnosis.participant} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
@@ -116,6 +128,7 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement in one step above the limit."""
     description = _too_far(diagnosis, plan, time, plan.travel_limit)
     if diagnosis.pair is None:
         speed = diagnosis.participant.speed
@@ -127,6 +140,7 @@ def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that is not a number."""
     description = f"the position of {diagnosis.participant} at {time:.6g} s is not a number."
     if diagnosis.pair is None:
         return (
@@ -139,6 +153,7 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Particle outside a domain with `on_exit: error`."""
     where = plan.scene.where("domain", "on_exit")
     name, _, rest = str(diagnosis.participant).partition(" (")
     x, y, z = diagnosis.participant.position or (0.0, 0.0, 0.0)
@@ -150,6 +165,7 @@ def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that the precision does not resolve."""
     precision, position = plan.scene.run.precision, diagnosis.participant.position or (0.0, 0.0, 0.0)
     farthest = max(map(abs, position))
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
@@ -161,6 +177,7 @@ def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement of a force-controlled wall in one step above the limit."""
     kind = next(
         controlled.kind
         for controlled in plan.controlled_motions
@@ -176,6 +193,7 @@ def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str:
+    """Sentence on a displacement in one step above `limit` [m]."""
     moved = diagnosis.participant.speed * diagnosis.time_step
     return (
         f"{diagnosis.participant} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
@@ -184,10 +202,12 @@ def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str
 
 
 def _overlap_before(pair: ContactPair) -> str:
+    """Sentence on the overlap one step earlier."""
     return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} of the smaller radius."
 
 
 def _relative_motion(pair: ContactPair) -> str:
+    """Sentence on the approach velocity; empty if it is not finite."""
     if not isfinite(pair.approach):
         return ""
     return f"They {'approach' if pair.approach >= 0.0 else 'separate'} at {abs(pair.approach):.3g} m/s."
@@ -211,6 +231,7 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
 
 
 def _advice(time_step: float, cause: str) -> str:
+    """The cause and the remedies for a contact that is neither unstable nor faster than `velocity_max`."""
     return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
 
 

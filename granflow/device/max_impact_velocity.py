@@ -32,6 +32,11 @@ class MaxImpactVelocity:
 
 
 def _build_scan(state: State, squares: Any) -> Any:
+    """Kernel (chunks, count, time_step): largest squared impact velocity [m2/s2] of each chunk.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, walls
+    Writes:  squares
+    """
     neighbors, stride, real = state.neighbors, state.stride, state.backend.real
     chunk_size, energy_velocity_squared = state.plan.chunk_size, _build_square(state)
 
@@ -50,9 +55,11 @@ def _build_scan(state: State, squares: Any) -> Any:
 
 
 def _build_square(state: State) -> Any:
-    """Device function: squared impact velocity with the kinetic and elastic energy of a pair (Zhou, Eq. 5).
+    """Device function (i, j, time_step): squared impact velocity with the kinetic and elastic energy of a pair.
 
-    v^2 = d'^2 + 4 k d^2.5 / (5 M)
+        v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
+
+    For a pair without overlap v is the approach velocity, 0 if the pair separates.
     """
     control, modulus = state.control, state.plan.law.constant_names.index("modulus_eff")
     overlap_and_rate, pair_number = _build_overlap_and_rate(state), build_pair_number(state)
@@ -74,7 +81,10 @@ def _build_square(state: State) -> Any:
 
 
 def _build_overlap_and_rate(state: State) -> Any:
-    """Device function: overlap [m], negative for a gap, and overlap rate [m/s] of a pair; walls at pose 0."""
+    """Device function (i, j, time_step): overlap [m], negative for a gap, and overlap rate [m/s] of a pair.
+
+    Walls are at pose 0. Velocities are half a step behind the positions.
+    """
     particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
     sphere_kinematics, geometry = build_sphere_kinematics(state.plan), build_wall_geometry(state)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)

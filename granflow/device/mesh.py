@@ -16,6 +16,7 @@ from granflow.walls.mesh_contact import ROUNDING
 from granflow.walls.shape import FAR_AWAY
 
 EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
+"""Relative rounding error of each type."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,15 @@ class MeshGeometry:
 
 
 def build_mesh_geometry(state: State) -> MeshGeometry:
-    """Functions for the meshes of this plan."""
+    """Functions for the meshes of this plan; points are in m, in the precision of positions.
+
+    Reads:  mesh
+    """
     return MeshGeometry(_build_cell(state), _build_from_nearest(state), _build_may_own(state), _build_contact(state))
 
 
 def _build_cell(state: State) -> Any:
+    """Device function (wall, point): range of the triangles in the cell of the point; empty outside the grid."""
     mesh = state.mesh
 
     @ti.func
@@ -61,6 +66,7 @@ def _build_cell(state: State) -> Any:
 
 
 def _build_from_nearest(state: State) -> Any:
+    """Device function (triangle, point): vector [m] from the nearest point of the triangle, on face, edge or vertex."""
     mesh, real = state.mesh, state.backend.position_real
 
     @ti.func
@@ -87,10 +93,10 @@ def _build_from_nearest(state: State) -> Any:
 
 
 def _build_may_own(state: State) -> Any:
-    """Each length that `contact` compares changes by at most the displacement of the point.
+    """Device function (triangle, point, slack): `contact` with all comparisons relaxed by `slack` [m].
 
-    Without this test the neighbor list of a sphere would hold all triangles within its radius, although only one or two
-    can own a contact.
+    Each length that `contact` compares changes by at most the displacement of the point. Without this test the neighbor
+    list of a sphere would contain all triangles within its radius, although only one or two can own a contact.
     """
     mesh = state.mesh
 
@@ -105,23 +111,23 @@ def _build_may_own(state: State) -> Any:
 
     @ti.func
     def in_edge_region(t, k, point, slack):
-        edge, from_edge_nearest = 3 * t + k, 0
+        edge, possible = 3 * t + k, 0
         if mesh.role[edge] != NOT_OWNED:
-            from_nearest = point - mesh.vertex[edge]
-            edge_direction, length = from_nearest.dot(mesh.edge_direction[edge]), mesh.length[edge]
-            off = from_nearest.dot(mesh.inward[edge]) <= slack
-            off = off and (mesh.role[edge] == OPEN_EDGE or from_nearest.dot(mesh.inward_other[edge]) <= slack)
-            from_edge_nearest = ti.cast(off and edge_direction > -slack and edge_direction < length + slack, ti.i32)
-        return from_edge_nearest
+            from_vertex = point - mesh.vertex[edge]
+            along, length = from_vertex.dot(mesh.edge_direction[edge]), mesh.length[edge]
+            beyond = from_vertex.dot(mesh.inward[edge]) <= slack
+            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack)
+            possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
+        return possible
 
     @ti.func
     def above_vertex(t, k, point, slack):
         vertex_index, above = mesh.point[3 * t + k], 0
         if mesh.owner[vertex_index] == t:
             above = 1
-            from_nearest = point - mesh.vertex[3 * t + k]
+            from_vertex = point - mesh.vertex[3 * t + k]
             for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
-                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
+                if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                     above = 0
         return above
 
@@ -137,6 +143,7 @@ def _build_may_own(state: State) -> Any:
 
 
 def _build_contact(state: State) -> Any:
+    """Device function (triangle, point): gap [m] and normal of a contact that no competing triangle owns."""
     mesh, contact_alone, real = state.mesh, _build_contact_alone(state), state.backend.position_real
 
     @ti.func
@@ -167,7 +174,7 @@ def _build_contact(state: State) -> Any:
 
 
 def _build_contact_alone(state: State) -> Any:
-    """As `contact`, before the comparison with competing faces."""
+    """Device function (triangle, point): as `contact`, before the comparison with competing faces."""
     mesh, real = state.mesh, state.backend.position_real
     above_vertex, in_edge_region = _build_above_vertex(state), _build_in_edge_region(state)
 
@@ -199,6 +206,7 @@ def _build_contact_alone(state: State) -> Any:
 
     @ti.func
     def over_edge(t, k, point):
+        """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
         edge = 3 * t + k
         s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
         return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
@@ -215,12 +223,12 @@ def _build_in_edge_region(state: State) -> Any:
         edge = 3 * t + k
         from_nearest, owns = point - mesh.vertex[edge], 0
         if mesh.role[edge] != NOT_OWNED:
-            edge_direction = from_nearest.dot(mesh.edge_direction[edge])
+            along = from_nearest.dot(mesh.edge_direction[edge])
             from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
-            off = from_base.dot(mesh.inward[edge]) <= 0.0
-            off = off and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
-            owns = ti.cast(off and edge_direction > 0.0 and edge_direction < mesh.length[edge], ti.i32)
-            from_nearest -= edge_direction * mesh.edge_direction[edge]
+            beyond = from_base.dot(mesh.inward[edge]) <= 0.0
+            beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
+            owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
+            from_nearest -= along * mesh.edge_direction[edge]
         return owns, from_nearest
 
     return in_edge_region
@@ -234,17 +242,17 @@ def _build_above_vertex(state: State) -> Any:
     @ti.func
     def above_vertex(t, k, point):
         vertex_index = mesh.point[3 * t + k]
-        from_nearest = point - mesh.vertex[3 * t + k]
-        slack = rounding * (mesh.longest[vertex_index] + from_nearest.norm())
+        from_vertex = point - mesh.vertex[3 * t + k]
+        slack = rounding * (mesh.longest[vertex_index] + from_vertex.norm())
         above = 1
         if (
-            from_nearest.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
-            or from_nearest.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
+            from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
+            or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
         ):
             above = 0
         if above == 1:
             for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
-                if mesh.vertex_edge[vertex_edge].dot(from_nearest) > slack:
+                if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                     above = 0
         return above
 

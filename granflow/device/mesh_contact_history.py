@@ -26,7 +26,8 @@ def transfers_history(state: State) -> bool:
 def build_release_history(state: State) -> Any:
     """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if released.
 
-    Released if the triangle no longer owns the contact although the sphere still reaches it: another triangle does.
+    The history is released if the triangle no longer owns the contact although the sphere still reaches it: another
+    triangle owns it now.
 
     Reads:   position, radius, mesh
     Writes:  in_contact
@@ -49,6 +50,9 @@ def build_release_history(state: State) -> Any:
 def build_acquire_history(state: State) -> Any:
     """Device function (i, list index, j, pose): a new contact acquires the nearest released history on its wall.
 
+    The distance is that between the nearest points of the two triangles. The history moves: the source entry is
+    cleared.
+
     Reads:   position, neighbor lists, mesh
     Writes:  history, in_contact
     """
@@ -57,6 +61,7 @@ def build_acquire_history(state: State) -> Any:
 
     @ti.func
     def released_near(i, t, pose):
+        """List index of the nearest released history on the wall of triangle t; -1 if none."""
         found, nearest = -1, ti.cast(FAR_AWAY, real)
         for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
             if neighbors.in_contact[list_index] == RELEASED:
@@ -82,7 +87,10 @@ def build_acquire_history(state: State) -> Any:
 
 
 def _build_separation(state: State) -> Any:
-    """Device function (i, triangle, pose): vector from the nearest point of the triangle to the particle at rest."""
+    """Device function (i, triangle, pose): vector [m] from the nearest point of the triangle to particle i.
+
+    The vector is in the frame of the wall at rest.
+    """
     geometry, wall_geometry = build_mesh_geometry(state), build_wall_geometry(state)
 
     @ti.func

@@ -12,7 +12,12 @@ from granflow.walls.mesh_grid import MeshGrid
 
 
 class MeshFields:
-    """Triangles, their edges (three in a row) and vertices of all meshes, and the cell grid of each mesh."""
+    """Triangles, their edges (three in a row) and vertices of all meshes, and the cell grid of each mesh.
+
+    The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the first cell
+    of each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of triangle t is 3 t +
+    k. Lengths are in m, in the precision of positions.
+    """
 
     def __init__(self, block: Any, plan: Plan, backend: Any) -> None:
         parts = mesh_parts(plan)
@@ -37,7 +42,7 @@ class MeshFields:
         self.cell_start, self.cell_triangles = block.scalar(ti.i32, cells + 1), block.scalar(ti.i32, cell_triangles)
 
     def fill(self, plan: Plan) -> None:
-        """Write all arrays; they never change."""
+        """Write all arrays; they do not change during a run."""
         parts = mesh_parts(plan)
         arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
         arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
@@ -63,12 +68,14 @@ def mesh_parts(plan: Plan) -> list[MeshPart]:
 
 
 def _sizes(part: MeshPart) -> tuple[int, ...]:
+    """Numbers of triangles, points, vertex edges, competitors, cells, and triangles of all cells."""
     adjacency, grid = part.adjacency, part.grid
     counts = (adjacency.normal, adjacency.owner, adjacency.vertex_edge, adjacency.competitor)
     return (*(len(each) for each in counts), len(grid.start) - 1, len(grid.triangle))
 
 
 def _numpy_type(field: Any) -> Any:
+    """Data type of a field in numpy."""
     return {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]
 
 
@@ -102,6 +109,7 @@ def _starts(starts: list[np.ndarray]) -> np.ndarray:
 
 
 def _of_grids(parts: list[MeshPart], wall_count: int) -> dict[str, np.ndarray]:
+    """Arrays of all grids; walls without a mesh have no cells."""
     low, side, shape = np.zeros((wall_count, 3)), np.ones(wall_count), np.zeros((wall_count, 3), np.int64)
     first_cell, cells, triangles, cell_triangles = np.zeros(wall_count, np.int64), 0, 0, []
     for part in parts:

@@ -22,7 +22,11 @@ ROUNDING = 1e-5
 
 
 def build_bounds(state: State) -> Callable[[int], None]:
-    """Kernel (count): bounding box of every BOUNDS-th particle, for each offset, into sorting.low and sorting.high."""
+    """Kernel (count): bounding boxes of BOUNDS parts of the particle list; part p contains p, p + BOUNDS, ...
+
+    Reads:   position
+    Writes:  low, high of the cell sort
+    """
     position, low, high = state.particles.position, state.cell_sort.low, state.cell_sort.high
 
     @ti.kernel
@@ -30,8 +34,8 @@ def build_bounds(state: State) -> Callable[[int], None]:
         for part in range(BOUNDS):
             start = position[ti.min(part, ti.max(count - 1, 0))]
             smallest, largest = start, start
-            for turn in range((count - part + BOUNDS - 1) // BOUNDS):
-                here = position[part + turn * BOUNDS]
+            for row in range((count - part + BOUNDS - 1) // BOUNDS):
+                here = position[part + row * BOUNDS]
                 smallest, largest = ti.min(smallest, here), ti.max(largest, here)
             low[part], high[part] = smallest, largest
 
@@ -39,7 +43,10 @@ def build_bounds(state: State) -> Callable[[int], None]:
 
 
 def build_cell_of_point(state: State) -> Any:
-    """Device function (point, grid number): cell that contains the point, or the nearest cell of the grid."""
+    """Device function (point, grid number) -> (x, y, z): cell that contains the point, or the nearest cell of the grid.
+
+    Reads:  grid_low, cell_side, cells
+    """
     sorting, real = state.cell_sort, state.backend.position_real
 
     @ti.func
@@ -57,8 +64,10 @@ def build_cell_of_point(state: State) -> Any:
 def build_adjacent_cells(state: State) -> tuple[Any, Any]:
     """Device functions (cell, cells, axis) for the cells adjacent to one along an axis.
 
-    The first returns the begin and end of their range, the second the cell of a coordinate outside the grid. Along a
-    periodic axis the first and the last cell are adjacent; with fewer than three cells, all are.
+    first:   begin and end of the range of adjacent cells, which may extend beyond the grid along a periodic axis
+    second:  the cell of a coordinate outside the grid
+
+    Along a periodic axis the first and the last cell are adjacent; with fewer than three cells, all are.
     """
     periodic = state.plan.periodic_box.axes
 
@@ -84,6 +93,9 @@ def build_adjacent_cells(state: State) -> tuple[Any, Any]:
 
 def build_cells_within(state: State) -> Any:
     """Device function (point, reach, grid number): range of cells along each axis that a sphere intersects.
+
+    reach:    radius of the sphere [m], enlarged by ROUNDING
+    Returns:  first cells and end of the range along the axes, 3-vectors of integers
 
     Along a periodic axis the range may extend beyond the grid, but contains no cell twice. Images along a sheared
     gradient are searched separately.
@@ -117,6 +129,8 @@ def build_cells_within(state: State) -> Any:
 def build_sort(state: State) -> Callable[..., None]:
     """Kernel (count, cells): order of the particles by cell, by id within a cell; deleted particles come last.
 
+    The order is unique, because ids are: it does not depend on the threads.
+
     Reads:   position, id
     Writes:  cell_start, order
     """
@@ -141,6 +155,8 @@ def build_sort(state: State) -> Callable[..., None]:
 def build_class_lists(state: State) -> Callable[..., None]:
     """Kernel (count, cells): order of the sorted particles by size class and cell of its grid.
 
+    Within a cell the particles keep their order.
+
     Reads:   position, radius
     Writes:  class_start, class_order
     """
@@ -161,7 +177,7 @@ def build_class_lists(state: State) -> Callable[..., None]:
 
 
 def build_class_of(state: State) -> Any:
-    """Device function (radius): number of the size class."""
+    """Device function (radius [m]): number of the size class, from 0 for the smallest."""
     real, uppers = state.backend.real, state.plan.size_classes[:-1]
 
     @ti.func
@@ -177,7 +193,14 @@ def build_class_of(state: State) -> Any:
 def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order: Any) -> Callable[..., None]:
     """Kernel (count, cells): `order` of particles by `cell_of(i, cells + 1)`, by `key(i)` within a cell.
 
-    The particles of cell c are order[start[c]:start[c + 1]]; cell `cells` collects the particles outside the grid.
+    cell_of:  device function, 0 to `cells`
+    key:      device function, different for all particles
+    start:    field, written; the particles of cell c are order[start[c]:start[c + 1]]
+    order:    field, written
+
+    Cell `cells` collects the particles outside the grid. Counts are added atomically, which is exact for integers.
+
+    Writes:  start, order, cell, cell_fill, block_sum
     """
     sorting = state.cell_sort
 
@@ -218,6 +241,7 @@ def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order
 
     @ti.func
     def order_by_key(begin, end):
+        """Insertion sort of order[begin:end] by key."""
         for k in range(begin + 1, end):
             moving = order[k]
             rank = k
@@ -233,6 +257,9 @@ def build_reorder(state: State) -> Callable[[int], None]:
     """Kernel (count): move all particle fields to the new order, one field after the other.
 
     `position_at_rebuild` and `coordination` serve as buffers; both are written again before they are read.
+
+    Reads:   order
+    Writes:  all fields of `Particles.sorted_fields`
     """
     sorting, particles, fields = state.cell_sort, state.particles, state.particles.sorted_fields()
     vectors = [field for field in fields if isinstance(field, ti.MatrixField)]
@@ -270,9 +297,13 @@ def build_reorder(state: State) -> Callable[[int], None]:
 
 
 def build_save_history(state: State) -> Callable[[int], None]:
-    """Copy history entries to `saved`, where the new neighbor lists look them up.
+    """Kernel (count): copy history entries to `saved`, where `restore_history` finds them.
 
-    `list_length_needed`: largest number of history entries of a chunk.
+    `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
+    the host repeats the kernel with a larger capacity.
+
+    Reads:   neighbor lists, in_contact, history
+    Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
     neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
     chunk_size, history_capacity = state.plan.chunk_size, neighbors.history_capacity_per_chunk
@@ -304,9 +335,12 @@ def build_save_history(state: State) -> Callable[[int], None]:
 
 
 def build_restore_history(state: State) -> Any:
-    """Device function: copy the history of the pair (i, j) from before the sort to its new list entry.
+    """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
-    If the pair was in the list of the partner, its vectors change sign.
+    If the pair was in the list of the partner, its vectors change sign. Without a saved history all values are zero.
+
+    Reads:   order, saved, partner_saved
+    Writes:  history, in_contact
     """
     neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
     names = list(neighbors.history)
@@ -314,6 +348,7 @@ def build_restore_history(state: State) -> Any:
 
     @ti.func
     def find_saved(row, partner):
+        """Index in `saved` of a partner of the particle `row`; -1 if none. Both are indices before the sort."""
         found = -1
         for list_index in range(neighbors.list_begin_before[row], neighbors.list_end_before[row]):
             if neighbors.partner_saved[list_index] == partner:
@@ -344,7 +379,7 @@ def build_restore_history(state: State) -> Any:
 
 
 def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Fill the neighbor lists with all particles and walls nearer than the skin.
+    """Kernel (count, skin, pose): fill the neighbor lists with all particles and walls nearer than the skin [m].
 
     Reads:   position, radius, cell_start, walls
     Writes:  list_begin, list_end, partner, history, list_length_needed, position_at_rebuild, rebuild_due
@@ -377,6 +412,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 
     @ti.func
     def append_walls(chunk, list_index, i, skin, pose):
+        """Append the walls, and the triangles of meshes, within the skin."""
         list_end, reach = list_index, particles.radius[i] + skin
         for w in range(wall_count):
             if state.walls.present[w] == 1 and can_touch(i, -1 - w):
@@ -388,6 +424,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 
     @ti.func
     def append_triangles(chunk, list_index, i, w, skin, pose):
+        """Append the triangles of a mesh that are within the skin and may own a contact."""
         list_end, reach = list_index, particles.radius[i] + skin
         local = geometry.to_wall_frame(w, pose, particles.position[i])
         begin, end = mesh.cell(w, local)

@@ -18,7 +18,10 @@ ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
 
 
 def build_in_contact(real: Any) -> Any:
-    """Device function (squared distance, sum of radii): true if the overlap is above rounding."""
+    """Device function (squared distance [m2], sum of radii [m]): true if the overlap is above rounding.
+
+    real:  Taichi type of the arguments
+    """
     ratio = 1.0 - ROUNDING[real]
 
     @ti.func
@@ -68,9 +71,14 @@ def effective_value(one, other):
 def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     """Device function: force and torques of one contact in a step.
 
-    With `is_prepared`, the branches of the contact model have been evaluated before (see NormalLaw). Returns the force
-    on the first [N], the torques on both [N m], the three histories, and the energy [J] dissipated in this step by
-    friction, rolling and damping.
+    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
+
+    Arguments: pair constants; effective radius [m], mass [kg] and inertia [kg m2]; kinematics of
+    `build_sphere_kinematics`; angular velocities of both [rad/s]; normal history, tangential displacement [m], rolling
+    displacement; time step [s].
+
+    Returns the force on the first [N], the torques on both [N m], the three histories, and the energy [J] dissipated in
+    this step by friction, rolling and damping.
     """
     law, features = plan.law, plan.features
     normal_force_of = law.force if is_prepared else complete_force(law)
@@ -79,6 +87,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     @ti.func
     def stiffness_ratio(overlap, overlap_rate_half, dt):
+        """Ratio of the previous to the present tangential stiffness, sqrt(d(t - dt) / d(t)) for Hertz contacts."""
         ratio = 0.0 * overlap + 1.0
         if ti.static(law.tangential_stiffness_grows):
             ratio = ti.sqrt(ti.max(overlap - dt * overlap_rate_half, 0.0) / overlap)
@@ -146,8 +155,8 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 def _build_rolling_torque(plan: Plan) -> Any:
     """Device function: rolling torque on the first [N m], rolling history, dissipated energy [J].
 
-    The history (`rolling_displacement`) is the rolling displacement of EPSD; with CDT and the energy budget it is the
-    torque of the previous step.
+    The history (`rolling_displacement`) is the rolling displacement of EPSD [rad]; with CDT and the energy budget it is
+    the torque of the previous step [N m]. See `laws/rolling.py`.
     """
     epsd, energy_budget, longest_step = (
         plan.features.rolling == "epsd",

@@ -14,15 +14,19 @@ from granflow.device.walls import build_wall_geometry, build_wall_of
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
     """Device function (i, j, pose, time_step) -> kinematics of a candidate pair; for a wall, j is -1 - index.
 
+    with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
+
     Returns overlap [m] (<= 0 without contact), normal from j to i, mean of the present and the previous normal,
     tangential velocity of i relative to j at the half step [m/s], overlap rate at the half step and at the time of the
-    positions [m/s] (positive if approaching), lever arms of both [m]. Particles and walls have separate functions, so
-    that the loops contain no branch between them.
+    positions [m/s] (positive if approaching), lever arms of both [m].
+
+    Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
     return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
 
 
 def _build_particle_kinematics(state: State) -> Any:
+    """`build_pair_kinematics` for two particles."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
     sphere_kinematics, in_contact = build_sphere_kinematics(state.plan), build_in_contact(real)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
@@ -50,6 +54,7 @@ def _build_particle_kinematics(state: State) -> Any:
 
 
 def _build_wall_kinematics(state: State) -> Any:
+    """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
     geometry = build_wall_geometry(state)
 
@@ -86,7 +91,12 @@ def _build_wall_kinematics(state: State) -> Any:
 
 
 def build_effective(state: State, with_wall: bool) -> Any:
-    """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair."""
+    """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair.
+
+    a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large mass.
+
+    Reads:  radius, mass, fixed
+    """
     particles, contact_mass = state.particles, build_contact_mass(state)
 
     @ti.func
@@ -109,6 +119,8 @@ def build_any_kinematics(state: State) -> Any:
     """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not matter.
 
     Returns (overlap [m], normal, overlap rate [m/s], effective radius [m], effective mass [kg]).
+
+    Reads:  as `build_pair_kinematics`
     """
     has_walls = state.plan.has_walls
     particle_kinematics, particle_effective = build_pair_kinematics(state, False), build_effective(state, False)
@@ -131,7 +143,10 @@ def build_any_kinematics(state: State) -> Any:
 
 
 def build_weight(state: State) -> Any:
-    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two."""
+    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two.
+
+    Sums over list entries with this weight count each contact once.
+    """
     chunk_size = state.plan.chunk_size
 
     @ti.func
@@ -147,7 +162,9 @@ def build_weight(state: State) -> Any:
 def build_boundary_work(state: State) -> Any:
     """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
 
-    W = F_ij . (velocity of the image relative to its original) dt, once per pair.
+        W = F_ij . (velocity of the image relative to its original) dt, once per pair
+
+    Writes:  boundary_work
     """
     weight, image_velocity = build_weight(state), build_image_velocity(state)
     boundary_work: Any = state.control.boundary_work
@@ -161,7 +178,12 @@ def build_boundary_work(state: State) -> Any:
 
 
 def build_pair_number(state: State) -> Any:
-    """Device function (i, j): row of the pair constants for particle i and partner j."""
+    """Device function (i, j): row of the pair constants for particle i and partner j.
+
+        material of i * material count + material of j
+
+    Reads:  material of particles and walls
+    """
     plan, particles, walls = state.plan, state.particles, state.walls
     features, wall_of = plan.features, build_wall_of(state)
 

@@ -26,7 +26,8 @@ def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
 def build_image_index(state: State) -> Any:
     """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
 
-    Above and below refer to the gradient axis of a sheared box.
+    Above and below refer to the gradient axis of a sheared box. Points are in m and may be outside the box by less than
+    the skin.
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     _, gradient = _lees_edwards_axes(periodic_box)
@@ -44,6 +45,8 @@ def build_minimum_image(state: State) -> Any:
     """Device function (one, other, pose): branch vector [m] from `other` to `one` by the minimum image convention.
 
     Exchanged points give exactly the opposite vector. Without periodic axes it is the plain difference.
+
+    Reads:  image_offset
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     widths, sheared = [float(width) for width in periodic_box.width], periodic_box.image_motion is not None
@@ -67,7 +70,12 @@ def build_minimum_image(state: State) -> Any:
 
 
 def build_shift_by_images(state: State) -> Any:
-    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the gradient."""
+    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the gradient.
+
+    The point itself in a box without shear.
+
+    Reads:  image_offset
+    """
     real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
     sheared = periodic_box.image_motion is not None
     flow, gradient = _lees_edwards_axes(periodic_box)
@@ -88,7 +96,9 @@ def build_shift_by_images(state: State) -> Any:
 def build_image_velocity(state: State) -> Any:
     """Device function (i, j, pose): velocity [m/s] of the image of j nearest to i, relative to j itself.
 
-    It is zero except in a sheared box.
+    Zero except in a sheared box. The velocity is at the half step.
+
+    Reads:  position, image_speed
     """
     real, position, periodic_box = state.backend.real, state.particles.position, state.plan.periodic_box
     sheared, speed = periodic_box.image_motion is not None, state.control.image_speed
@@ -106,7 +116,10 @@ def build_image_velocity(state: State) -> Any:
 
 
 def build_wrap_position(state: State) -> Any:
-    """Device function (point): the image of the point [m] inside the box, without shear."""
+    """Device function (point): the image of the point [m] inside the box, without shear.
+
+    Coordinates along axes that are not periodic are unchanged.
+    """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
 
@@ -124,7 +137,9 @@ def build_wrap_position(state: State) -> Any:
 def build_wrap(state: State) -> Any:
     """Kernel (count, pose, time_step): wrap all particles into the box; the energy they gain counts as boundary work.
 
-    Reads:   position, velocity, mass, force
+        W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
+
+    Reads:   position, velocity, mass, force, image_offset, image_speed
     Writes:  position, velocity, velocity_synchronized, boundary_work
     """
     plan, particles, real = state.plan, state.particles, state.backend.real
@@ -172,7 +187,10 @@ def build_wrap(state: State) -> Any:
 
 
 def _build_cross_boundary(state: State) -> Any:
-    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s]."""
+    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s].
+
+    Reads:  image_offset, image_speed
+    """
     real, position_real, periodic_box, control = (
         state.backend.real,
         state.backend.position_real,
@@ -195,13 +213,15 @@ def _build_cross_boundary(state: State) -> Any:
 
 
 def upload_offsets(state: State, step: int) -> None:
-    """Upload offset and velocity of the images for WALL_BATCH steps after step number `step`.
+    """Upload offset [m] and velocity [m/s] of the images for WALL_BATCH steps after step number `step`.
 
     Velocities refer to the middle of each step, because particle velocities are half a step behind.
+
+    Writes:  image_offset, image_speed
     """
     periodic_box, clock, control = state.plan.periodic_box, state.clock, state.control
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    wide = np.float32 if state.backend.precision == "f32" else np.float64
-    narrow = np.float64 if state.backend.precision == "f64" else np.float32
-    control.image_offset.from_numpy(periodic_box.offsets(times).astype(wide))
-    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(narrow))
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))
+    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(real))

@@ -24,7 +24,7 @@ BATCH = 128
 
 @ti.func
 def store_vector(columns: ti.template(), worker, entry, vector):
-    """Write the components of a vector into columns."""
+    """Write the components of a vector into columns, one column [worker, entry] per component."""
     for k in ti.static(range(len(columns))):
         columns[k][worker, entry] = vector[k]
 
@@ -58,7 +58,14 @@ def build_batched_forces(state: State) -> Any:
 
 
 def _build_collect(state: State) -> Any:
-    """Device function: add the contacts of one neighbor list to the batch; returns the end of the entries."""
+    """Device function (worker, chunk, i, begin, pose, time_step): add the contacts of one neighbor list to the batch.
+
+    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
+    end.
+
+    Reads:   position, radius, neighbor lists, in_contact
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort
+    """
     plan, particles, neighbors, control, batch = (
         state.plan,
         state.particles,
@@ -111,10 +118,20 @@ def _build_collect(state: State) -> Any:
 
 
 def _build_gather(state: State) -> Any:
-    """Device function: gather velocities, masses and histories of the entries into columns."""
+    """Device function (worker, end, pose, time_step): gather velocities, masses and histories into columns.
+
+    Evaluates `NormalLaw.prepare`, which has branches, so that `evaluate` has none.
+
+    Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
+    Writes:  columns of the batch
+    """
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     law, features = plan.law, plan.features
-    read, pair_number, has_prepare = build_read_history(state), build_pair_number(state), law.prepare is not None
+    read_history, pair_number, has_prepare = (
+        build_read_history(state),
+        build_pair_number(state),
+        law.prepare is not None,
+    )
     image_velocity = build_image_velocity(state)
     contact_mass = build_contact_mass(state)
 
@@ -150,7 +167,7 @@ def _build_gather(state: State) -> Any:
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
-            normal_history, tangential_displacement, rolling_displacement = read(list_index)
+            normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
             number = pair_number(i, j)
             if ti.static(has_prepare):
                 normal_history = prepared(
@@ -176,7 +193,11 @@ def _build_gather(state: State) -> Any:
 def _build_evaluate(state: State) -> Any:
     """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
 
-    It is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones. It
+    is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+
+    Reads:   columns of the batch, pair_constants
+    Writes:  columns of the batch
     """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
     features, size, constant_count = plan.features, max(plan.law.history_count, 1), plan.pair_constants.shape[1]
@@ -184,6 +205,7 @@ def _build_evaluate(state: State) -> Any:
 
     @ti.func
     def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
+        """Vector of `count` components from columns; zeros without columns."""
         vector = ti.Vector.zero(real, count)
         for k in ti.static(range(len(columns))):
             vector[k] = columns[k][worker, entry]
@@ -191,6 +213,7 @@ def _build_evaluate(state: State) -> Any:
 
     @ti.func
     def effective(worker, entry):
+        """Effective radius [m], mass [kg] and moment of inertia [kg m2] of an entry."""
         radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
         mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
         inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
@@ -273,7 +296,13 @@ def _build_evaluate(state: State) -> Any:
 
 
 def _build_scatter(state: State) -> Any:
-    """Device function: add forces to both partners, if the second is in this chunk, and write the histories back."""
+    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
+
+    Forces are added to both partners, if the second is in this chunk, in the order of the entries.
+
+    Reads:   columns of the batch
+    Writes:  force, torque, history, in_contact, losses, boundary_work
+    """
     plan, particles, neighbors, control, batch = (
         state.plan,
         state.particles,

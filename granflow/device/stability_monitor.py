@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 
-from granflow.device.accounting import LARGEST_ERROR, ROUNDING, Accounting, put_in
+from granflow.device.accounting import LARGEST_ERROR, ROUNDING, Accounting, energy_input
 from granflow.plan import Plan
 from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import stable_step
@@ -18,7 +18,9 @@ class StabilityMonitor:
 
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
     energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
-    the largest energy put in so far. This check requires a start without contacts, walls at rest and no cohesion.
+    the largest energy input so far. This check requires a start without contacts, walls at rest and no cohesion.
+
+    `warnings`: logged warnings by kind ("energy", "speed"), each logged once.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -39,7 +41,14 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """Check kinetic, rotational, potential energy [J], totals and largest speed [m/s] at `time` [s]."""
+        """Check one snapshot; logs a warning if the energy error exceeds its limit in two snapshots in succession.
+
+        time:        simulated time [s]
+        energies:    kinetic, rotational and gravitational energy [J]
+        accounting:  counts and energies since the start; its `energy_put_in` is updated
+        totals:      totals of the snapshot
+        speed:       largest speed of a particle [m/s]
+        """
         self._check_speed(time, speed)
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
@@ -48,7 +57,7 @@ class StabilityMonitor:
             self._enabled = False
             self._warn_once(
                 "energy",
-                f"At {time:.6g} s the energy error is {share:.2%} of the energy put in, more than {LARGEST_ERROR:.1%}: "
+                f"At {time:.6g} s the energy error is {share:.2%} of the energy input, more than {LARGEST_ERROR:.1%}: "
                 f"the time step is too long for the contacts. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
                 "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
                 "budget.",
@@ -57,9 +66,9 @@ class StabilityMonitor:
     def _gained_share(
         self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
     ) -> float:
-        """Excess energy over the largest energy put in so far."""
+        """Excess energy over the largest energy input so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
-        accounting.energy_put_in = max(accounting.energy_put_in, put_in(accounting, energies[2]))
+        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2]))
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
     def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
@@ -67,12 +76,14 @@ class StabilityMonitor:
         if not self._enabled:
             return 0.0
         energy_inserted = accounting.inserted_energy - accounting.removed_energy
-        energy_held = sum(energies) - energy_inserted
+        present_energy = sum(energies) - energy_inserted
         if not self._started:
             self._started = True
             self._enabled = contact_count == 0
-            self._initial_energy = energy_held
-        return max(energy_held - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0)
+            self._initial_energy = present_energy
+        return max(
+            present_energy - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0
+        )
 
     def _check_speed(self, time: float, speed: float) -> None:
         """Compare a fixed time step with the stable time step at the speed of the fastest particle."""
@@ -98,11 +109,11 @@ class StabilityMonitor:
 def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
     walls = plan.scene.walls.values()
-    walls_stay = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
+    walls_static = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
     # Gravity along a periodic axis accelerates particles without limit.
     has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
     has_image_work = has_image_work or plan.features.lees_edwards
-    return walls_stay and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
+    return walls_static and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
 
 
 def largest_speed(velocity: np.ndarray) -> float:

@@ -35,11 +35,11 @@ class FieldBlock:
         self.fields: list[Any] = []
 
     def scalar(self, dtype: Any, *shape: int) -> Any:
-        """A scalar field."""
+        """A scalar field of one or two dimensions."""
         return self._placed(ti.field(dtype), shape)
 
     def vector(self, dtype: Any, *shape: int, count: int = 3) -> Any:
-        """A field of vectors with adjacent components."""
+        """A field of vectors of `count` adjacent components."""
         return self._placed(ti.Vector.field(count, dtype), shape)
 
     def matrix(self, dtype: Any, *shape: int) -> Any:
@@ -47,13 +47,16 @@ class FieldBlock:
         return self._placed(ti.Matrix.field(3, 3, dtype), shape)
 
     def together(self, count: int, *fields: Any) -> None:
-        """Interleave fields entry by entry: kernels read these quantities of a particle together."""
+        """Interleave fields of `count` entries entry by entry: kernels read these quantities of a particle together.
+
+        None is ignored.
+        """
         wanted = [field for field in fields if field is not None]
         self._builder.dense(ti.i, count).place(*wanted)
         self.fields += wanted
 
     def parts(self, count: int) -> Any:
-        """A number of equal parts; each holds the complete part of several columns."""
+        """`count` equal parts; each holds the complete part of several columns."""
         return self._builder.dense(ti.i, count)
 
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
@@ -67,7 +70,7 @@ class FieldBlock:
         self._tree = self._builder.finalize()
 
     def free(self) -> None:
-        """Free the memory."""
+        """Free the memory; the fields cannot be used afterwards."""
         if self._tree is not None:
             self._tree.destroy()
             self._tree = None
@@ -80,7 +83,20 @@ class FieldBlock:
 
 
 class Particles:
-    """Particle fields, in cell order; velocities are half a step behind the positions (leapfrog)."""
+    """Particle fields, in cell order; velocities are half a step behind the positions (leapfrog).
+
+    position:               [m], not wrapped between rebuilds
+    velocity:               [m/s], half a step behind
+    angular_velocity:       [rad/s], half a step behind; None without rotation
+    velocity_synchronized:  [m/s], at the time of the positions; for rate-dependent models
+    radius, mass:           [m], [kg]
+    force, torque:          [N], [N m], at the time of the positions
+    position_at_rebuild:    [m], at the last neighbor-list rebuild
+    id:                     unique in a run
+    material:               number of the plan
+    fixed:                  1 for fixed particles
+    coordination:           number of contacts, filled by ContactStatistics
+    """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
@@ -109,7 +125,10 @@ class Particles:
         self.coordination = block.scalar(ti.i32, count)
 
     def sorted_fields(self) -> list[Any]:
-        """Fields that are permuted with the particles at a neighbor-list rebuild."""
+        """Fields that are permuted with the particles at a neighbor-list rebuild.
+
+        Force and torque are computed again after a rebuild.
+        """
         fields = [self.position, self.velocity, self.radius, self.mass, self.id]
         optional = (self.material, self.fixed, self.angular_velocity, self.velocity_synchronized)
         return fields + [field for field in optional if field is not None]
@@ -118,7 +137,15 @@ class Particles:
 class CellSort:
     """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ widely.
 
-    `class_order`: particles by class and cell, from `class_start` of a cell; those of a class begin at `first_cell`.
+    cell_start:   first particle of each cell in `order`
+    order:        previous index of each particle of the new order
+    grid_low:     low corner [m] of each grid
+    cell_side:    cell sides [m] of each grid
+    cells:        number of cells along each axis of each grid
+    class_order:  particles by class and cell, from `class_start` of a cell
+    first_cell:   first cell of each class
+    radius:       largest radius [m] of each class
+    low, high:    corners [m] of the bounding boxes of `build_bounds`
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, particles: Particles) -> None:
@@ -147,9 +174,14 @@ SCAN_BLOCK = 1024
 class NeighborList:
     """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
 
-    `partner` holds the index of a particle, or -1 - wall; walls are first, at list_begin..list_walls_end.
-    A pair within a chunk is in one list, a pair across two chunks in both. `in_contact` is 1 for entries with a contact
-    history. `saved` holds a copy of those entries while the particles are sorted.
+    list_begin, list_end:  range of the entries of each particle
+    list_walls_end:        end of its wall entries, which are first
+    partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
+    history:               history of each entry by name: normal, tangential, rolling
+    in_contact:            state of each entry, see `contact_history`; only with a history
+    saved:                 copy of the entries with a history while the particles are sorted
+
+    A pair within a chunk is in one list, a pair across two chunks in both.
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
@@ -181,7 +213,10 @@ STAGGER = 24
 
 
 class PairBatch:
-    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread."""
+    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
+
+    The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
+    """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
         features, real = plan.features, backend.real
@@ -214,7 +249,17 @@ NOT_MEASURED = -1
 
 
 class Walls:
-    """Shapes at rest, materials, and poses for the next WALL_BATCH steps."""
+    """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
+
+    kind:              code of the kind, see `catalog.surface_code`
+    parameters:        of the shape, PARAMETER_COUNT numbers
+    present:           1 for walls that are present
+    pivot:             [m], point of the rotation at rest
+    center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
+    velocity:          [m/s] of the center at the middle of each step
+    angular_velocity:  [rad/s] at the middle of each step
+    impulse_row:       row in `Control.impulses`, or NOT_MEASURED
+    """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         count = max(len(plan.walls), 1)
@@ -243,11 +288,16 @@ class Walls:
 
 
 class WallDynamicsFields:
-    """Force-controlled walls, an entry per motion: offset along its direction [m], velocity [m/s] half a step behind.
+    """Force-controlled walls, an entry per motion, in float64 for every precision.
 
-    `active`: 1 if the motion is active in the step that ends at a pose; `was_active`: in the previous step;
-    `wall_force` [N]: force of the particles summed by each chunk; `work_on_particles` [J]: work on the particles;
-    `work` [J]: work of all other forces on a free wall.
+    offset:             displacement along the direction of the motion [m]
+    offset_at_rebuild:  `offset` at the last neighbor-list rebuild [m]
+    velocity:           [m/s], half a step behind
+    active:             1 if the motion is active in the step that ends at a pose
+    was_active:         1 if it was active in the previous step
+    wall_force:         force of the particles [N] along the direction, summed by each chunk
+    work_on_particles:  work on the particles [J]
+    work:               work of all other forces on a free wall [J]
     """
 
     def __init__(self, block: FieldBlock, plan: Plan) -> None:
@@ -259,7 +309,23 @@ class WallDynamicsFields:
 
 
 class Control:
-    """Flags, counters and constants shared by kernels and host."""
+    """Flags, counters and constants shared by kernels and host.
+
+    rebuild_requested:          set by the integration if a particle or wall has moved too far
+    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do nothing
+    steps_done, running:        completed steps of a launch; 1 while it continues
+    worker_count:               workers that have not left the launch
+    patience:                   number of polls after which a worker leaves
+    next_chunk:                 number of chunks that workers have taken in this phase
+    arrived, released:          counters of the barrier, see `barrier`
+    list_length_needed:         largest number of entries of a chunk
+    abort, abort_particle:      abort code and smallest id above the limit
+    pair_constants:             row per pair of materials
+    losses:                     terms LOSSES of each chunk [J]
+    impulses:                   time integrals of the wall forces of each chunk
+    boundary_work:              work at periodic boundaries of each chunk [J]
+    image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
+    """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         self.rebuild_due = block.scalar(ti.i32, 1)
@@ -290,7 +356,17 @@ class Control:
 
 
 class State:
-    """All device data of one plan."""
+    """All device data of one plan.
+
+    count:          number of particles
+    clock:          simulated time
+    wall_motions:   present motions of each wall
+    particles:      particle fields
+    neighbors:      neighbor lists and contact histories
+    batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
+    wall_dynamics:  force-controlled walls; None without
+    mesh:           mesh walls; None without
+    """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
@@ -319,7 +395,7 @@ class State:
 
     @property
     def stride(self) -> int:
-        """Loop iterations per chunk, of which the first does the work; see CPU_STRIDE."""
+        """Loop iterations per chunk, of which the first processes the chunk; see CPU_STRIDE."""
         return CPU_STRIDE if self.backend.on_cpu else 1
 
     @property
@@ -330,7 +406,9 @@ class State:
     def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
         """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
 
-        `build` may launch kernels on empty ranges: the restored values overwrite their output.
+        list_capacity_per_chunk:  new number of entries
+        build:                    builds the kernels; it may launch them on empty ranges, because the restored values
+                                  overwrite their output
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self._block.free()
@@ -342,5 +420,5 @@ class State:
             field.from_numpy(padded)
 
     def free(self) -> None:
-        """Free all device memory."""
+        """Free all device memory; the state cannot be used afterwards."""
         self._block.free()

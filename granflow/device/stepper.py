@@ -1,7 +1,8 @@
 """The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
 One launch takes many steps on a CPU and one on a GPU. If a particle has moved by half the skin, all further phases of
-the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer to the host.
+the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer to the host. If the
+list capacity is too small, the host reallocates the fields and repeats the rebuild.
 """
 
 import time as clock
@@ -45,7 +46,7 @@ CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
 differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
 
 SINGLE_WORKER_PARTICLES = 512
-"""Particle count up to which one thread does all the work: barriers would cost more time than more threads save."""
+"""Particle count up to which one worker processes all chunks: barriers would cost more time than more workers save."""
 
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
@@ -53,7 +54,18 @@ SAMPLE_EVERY = 256
 
 @dataclass
 class Timing:
-    """Wall-clock time [s] by phase. `forces` and `integration` divide `advance` in the ratio of the sampled steps."""
+    """Wall-clock time [s] by phase, and counts.
+
+    neighbor_list:        neighbor-list rebuilds
+    advance:              all other phases of the steps
+    sampled_forces:       forces of the sampled steps
+    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
+    rebuild_count:        number of neighbor-list rebuilds
+    step_count:           number of completed steps
+    particle_steps:       sum of the particle counts of all steps
+    growth_count:         number of reallocations with a larger list capacity
+    compile:              compilation of kernels
+    """
 
     neighbor_list: float = 0.0
     advance: float = 0.0
@@ -78,7 +90,14 @@ class Timing:
 
 
 class Stepper:
-    """Advances a State by steps. `on_deleted` receives the index range of the particles to delete."""
+    """Advances a State by steps.
+
+    state:       device data
+    on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
+                 deleted
+
+    `interrupted` stops `advance` after the present launch.
+    """
 
     def __init__(self, state: State, on_deleted: Callable[[int, int], None]) -> None:
         self.state = state
@@ -93,7 +112,7 @@ class Stepper:
         self._build()
 
     def _build(self) -> None:
-        """Compile all phases by launching them on empty ranges."""
+        """Compile all phases by launching them on empty ranges; repeated after a reallocation of the fields."""
         began, state = clock.perf_counter(), self.state
         periodic = state.plan.features.periodic != "none"
         self._wrap = build_wrap(state) if periodic else lambda count, pose, step: None
@@ -119,7 +138,10 @@ class Stepper:
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, pose: int = 0) -> None:
-        """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists."""
+        """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
+
+        `pose`: index of the wall poses at the time of the positions.
+        """
         began, compiled = clock.perf_counter(), self.timing.compile
         state = self.state
         if state.count:
@@ -133,7 +155,10 @@ class Stepper:
         self.timing.rebuild_count += 1
 
     def _sort_particles(self, pose: int) -> int:
-        """Sort the particles in cell order; returns the number of particles to delete, which are behind the others."""
+        """Sort the particles in cell order, with their contact histories saved.
+
+        Returns the number of particles to delete, which are behind the others.
+        """
         state = self.state
         self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
@@ -148,6 +173,7 @@ class Stepper:
         return state.count - present
 
     def _save_history(self) -> None:
+        """Copy the contact histories to `saved`; increase the list capacity if they do not fit."""
         state = self.state
         if not state.neighbors.history:
             return
@@ -159,6 +185,7 @@ class Stepper:
             self.grow_neighbor_lists(list_capacity_for(needed))
 
     def _length_needed(self) -> int:
+        """Number of entries that the previous kernel needed in the fullest chunk."""
         return int(self.state.control.list_length_needed[0])
 
     def grow_neighbor_lists(self, needed: int) -> None:
@@ -167,6 +194,7 @@ class Stepper:
         self.state.grow_neighbor_list(int(1.3 * needed) + 8, self._build)
 
     def _rebuild_neighbor_list(self, pose: int) -> None:
+        """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
         state = self.state
         mark_rebuild(state)
         if not state.count:
@@ -181,13 +209,20 @@ class Stepper:
             self.grow_neighbor_lists(needed)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
-        """Forces at the present positions; with `history_step` = 0 the contact displacements do not change."""
+        """Forces at the present positions.
+
+        pose:          index of the wall poses
+        history_step:  time step [s] by which contact displacements change; 0: no change; None: the time step
+        """
         step = self.state.clock.time_step if history_step is None else history_step
         self.state.control.steps_done[0] = 0
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, step: int) -> None:
-        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed."""
+        """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed.
+
+        Contact displacements do not change.
+        """
         self.place_walls(step)
         self.rebuild_neighbor_lists()
         self.forces(history_step=0.0)
@@ -210,6 +245,8 @@ class Stepper:
 
         It is smaller after an abort, if `interrupted` is set (by a signal handler), and, with an adaptive time step,
         after a neighbor-list rebuild, which adds candidate pairs.
+
+        `interrupted` takes effect between two launches, each of which takes about LAUNCH_SECONDS.
         """
         done, rebuilds = 0, self.timing.rebuild_count
         is_adaptive = self.state.plan.adaptive_time_step is not None
@@ -225,14 +262,18 @@ class Stepper:
         return int(self.state.control.abort[0])
 
     def _advance_batch(self, steps: int, step: int) -> int:
+        """Take up to `steps` steps in one launch; rebuild the neighbor lists if due.
+
+        Returns the number of completed steps.
+        """
         state, plan = self.state, self.state.plan
         if plan.has_poses:
-            if self._steps_walls_allow() < 1:
+            if self._steps_to_displacement_limit() < 1:
                 self.refresh(step)
             if self._pose == WALL_BATCH:
                 self._upload(step + 1)
                 self._pose = 0
-            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_walls_allow(), 1))
+            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_to_displacement_limit(), 1))
         state.control.steps_done[0] = 0
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         done = self._launch(steps)
@@ -263,7 +304,7 @@ class Stepper:
         self._launch_step(wanted, self._pose, step)
         done = int(self.state.control.steps_done[0])
         if done:
-            self._learn(done, clock.perf_counter() - began)
+            self._adapt_launch(done, clock.perf_counter() - began)
         return done
 
     @property
@@ -273,7 +314,7 @@ class Stepper:
             return max(FIRST_LAUNCH // max(self.state.count, 1), 1)
         return max(int(LAUNCH_SECONDS / self._step_seconds), 1)
 
-    def _learn(self, done: int, seconds: float) -> None:
+    def _adapt_launch(self, done: int, seconds: float) -> None:
         """Choose length, workers and patience of the next launch from the wall-clock time of `done` steps [s]."""
         self._step_seconds = seconds / done
         state = self.state
@@ -284,9 +325,9 @@ class Stepper:
         self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        spins = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
-        if not 0.8 * self._patience < spins < 1.25 * self._patience:
-            state.control.patience[0] = self._patience = spins
+        polls = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
+        if not 0.8 * self._patience < polls < 1.25 * self._patience:
+            state.control.patience[0] = self._patience = polls
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
@@ -300,20 +341,20 @@ class Stepper:
         self._since_sample = 0
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
-        moved = clock.perf_counter()
+        integrated = clock.perf_counter()
         if state.control.rebuild_due[0] or self.abort_code:
             return 0
         forces_began = clock.perf_counter()
         self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
-        self.timing.sampled_integration += moved - began
+        self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
         return int(state.control.steps_done[0])
 
-    def _steps_walls_allow(self) -> int:
+    def _steps_to_displacement_limit(self) -> int:
         """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
 
-        Force-controlled walls request their rebuilds themselves.
+        Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
         """
         plan = self.state.plan
         displacement_limit, speed = (
@@ -327,7 +368,16 @@ class Stepper:
 
 
 def _build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """One step; each chunk is a separate task."""
+    """Kernel for one step on a GPU; each chunk is a separate task.
+
+    integrate, forces:  device functions of `build_integrate` and `build_forces`
+
+    Arguments: steps and workers (unused), number of chunks, particle count, pose, time step [s], and whether to
+    integrate (`moving`) and compute forces (`forcing`).
+
+    Reads:   as the phases
+    Writes:  as the phases; rebuild_due, steps_done
+    """
     control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
     move_walls = build_wall_dynamics(state) if force_controlled else None
 
@@ -355,7 +405,14 @@ def _build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., 
 
 
 def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """Many steps in one launch. Workers process one chunk after the other; a barrier separates the phases."""
+    """Kernel for up to `steps` steps on a CPU, with the arguments of `_build_gpu_step`.
+
+    Workers process one chunk after the other; a barrier separates the phases. Taking chunks dynamically balances the
+    load, and does not affect the results, because each chunk writes to its particles only.
+
+    Reads:   as the phases
+    Writes:  as the phases; rebuild_due, steps_done, running, and the fields of the barrier
+    """
     control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
     move_walls = build_wall_dynamics(state) if force_controlled else None
     arrive, release, wait = build_barrier(control)
@@ -384,10 +441,12 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
 
     @ti.func
     def next_chunk():
+        """Index of the next chunk of this phase; at least the number of chunks if none is left."""
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
     def work(worker, chunks, count, pose, dt, moving, forcing, steps):
+        """Steps of one worker, until the launch ends or the worker leaves it."""
         barrier_number, left = 0, 0
         while left == 0 and control.running[0] == 1:
             if moving == 1:

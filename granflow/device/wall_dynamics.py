@@ -4,9 +4,10 @@
     free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
     both    x(t + dt) = x(t) + dt v(t + dt/2)
 
-with f the force of the wall on the particles along its direction, and F the target force of a servo, or the weight and
-the applied force of a free wall. As in the leapfrog scheme of the particles, the velocity of a wall is half a step
-behind its position, and both are integrated in the same phase of the step.
+with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo, or the
+weight and the applied force of a free wall; gain [m/(N s)], mass M [kg] and damping c [N s/m] are those of the plan. As
+in the leapfrog scheme of the particles, the velocity of a wall is half a step behind its position, and both are
+integrated in the same phase of the step.
 """
 
 from typing import Any
@@ -23,7 +24,14 @@ SAVED_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_f
 
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
-    """Device functions (chunk) and (chunk, wall, force on a particle [N]): clear and sum the forces on such walls."""
+    """Device functions that clear and sum the forces on force-controlled walls.
+
+    clear:  (chunk)
+    add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts, with
+            opposite sign
+
+    Writes:  wall_force
+    """
     controlled_motions, fields = state.plan.controlled_motions, state.wall_dynamics
 
     @ti.func
@@ -44,6 +52,8 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 def build_wall_dynamics(state: State) -> Any:
     """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
 
+    Chunks are summed in order, so that the result does not depend on the number of threads.
+
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
@@ -52,6 +62,7 @@ def build_wall_dynamics(state: State) -> Any:
 
     @ti.func
     def controlled_velocity(r: ti.template(), force_on_wall, dt):
+        """Velocity [m/s] of a motion at the next half step; the first kick of a free wall is half a step."""
         velocity = fields.velocity[r]
         if ti.static(controlled_motions[r].kind == "servo"):
             velocity = controlled_motions[r].gain * (controlled_motions[r].force + force_on_wall)
@@ -112,7 +123,10 @@ def build_wall_dynamics(state: State) -> Any:
 
 
 def build_wall_displacement(state: State) -> tuple[Any, Any]:
-    """Device functions (wall): displacement [m] and velocity [m/s] of a force-controlled wall; zero for others."""
+    """Device functions (wall): displacement [m] and velocity [m/s] of a force-controlled wall; zero for others.
+
+    Reads:  offset, velocity
+    """
     controlled_motions, fields, real = state.plan.controlled_motions, state.wall_dynamics, state.backend.position_real
 
     def sum_per_wall(values: Any) -> Any:
@@ -130,9 +144,11 @@ def build_wall_displacement(state: State) -> tuple[Any, Any]:
 
 
 def upload_running(state: State, times: np.ndarray) -> None:
-    """Set which motions are active in the steps that end at each pose; `times` (WALL_BATCH,) [s]: middle of each step.
+    """Set which motions are active in the steps that end at each pose. A wall that is not present does not move.
 
-    A wall that is not present does not move.
+    times:  (WALL_BATCH,) [s], middle of each step
+
+    Writes:  active
     """
     if state.wall_dynamics is None:
         return
@@ -145,7 +161,11 @@ def upload_running(state: State, times: np.ndarray) -> None:
 
 
 def mark_rebuild(state: State) -> None:
-    """Measure the displacements of force-controlled walls from the present positions."""
+    """Measure the displacements of force-controlled walls from the present positions.
+
+    Reads:   offset
+    Writes:  offset_at_rebuild
+    """
     if state.wall_dynamics is not None:
         state.wall_dynamics.offset_at_rebuild.copy_from(state.wall_dynamics.offset)
 
@@ -161,6 +181,7 @@ def controlled_velocities(state: State) -> np.ndarray:
 
 
 def _per_wall(state: State, name: str) -> np.ndarray:
+    """Sum over the motions of each wall of a field times the direction (walls, 3)."""
     found = np.zeros((len(state.plan.walls), 3))
     if state.wall_dynamics is not None:
         values = getattr(state.wall_dynamics, name).to_numpy()
@@ -170,7 +191,10 @@ def _per_wall(state: State, name: str) -> np.ndarray:
 
 
 def controlled_totals(state: State) -> dict[str, float]:
-    """Displacement [m] and velocity [m/s] of force-controlled walls by name; with the energy budget, energies [J]."""
+    """Displacement [m] and velocity [m/s] of force-controlled walls; with the energy budget, energies [J].
+
+    Keys as `wall_displacement.NAME`; velocities at the time of the positions. Empty without force-controlled walls.
+    """
     if state.wall_dynamics is None:
         return {}
     controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
@@ -193,7 +217,7 @@ def controlled_work(state: State) -> float:
 
 
 def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity [m/s], work on particles and other work [J] of each motion at the time of the positions."""
+    """Velocity [m/s], work on particles and other work [J] of each motion (motions,) at the time of the positions."""
     fields, half = state.wall_dynamics, 0.5 * state.clock.time_step
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
@@ -216,7 +240,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
-    """State of the force-controlled walls by field name, for checkpoints."""
+    """State of the force-controlled walls by field name, for checkpoints; empty without such walls."""
     return (
         {}
         if state.wall_dynamics is None

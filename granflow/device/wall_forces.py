@@ -15,6 +15,9 @@ def build_add_impulse(state: State) -> Any:
 
     with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are in f64 for every
     precision, because a wall force is the difference of two sums.
+
+    Reads:   position, impulse_row, pivot
+    Writes:  impulses
     """
     particles, walls, impulses = state.particles, state.walls, state.control.impulses
 
@@ -37,7 +40,11 @@ def build_add_impulse(state: State) -> Any:
 
 
 def wall_impulses(state: State) -> dict[str, np.ndarray]:
-    """Impulse [N s], angular impulse [N m s] and normal impulse [N s] of each measured wall since the start (7,)."""
+    """Time integrals since the start of each measured wall by name.
+
+    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of the
+              particles on the wall; empty without measured walls
+    """
     if state.control.impulses is None:
         return {}
     sums = state.control.impulses.to_numpy().sum(axis=0)

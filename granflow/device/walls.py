@@ -17,7 +17,10 @@ from granflow.walls.shape import FAR_AWAY, Shape
 
 @dataclass(frozen=True)
 class WallGeometry:
-    """Device functions (face, pose, point); a face is a wall index, or wall count + triangle index."""
+    """Device functions (face, pose, point); a face is a wall index, or wall count + triangle index.
+
+    Points are in m in the frame of the scene; `pose` is the index of the poses uploaded by `upload_poses`.
+    """
 
     to_wall_frame: Any
     """(wall, pose, point) -> the point in the frame of the wall at rest."""
@@ -35,6 +38,8 @@ def build_wall_geometry(state: State) -> WallGeometry:
     """Functions for the shapes in this plan, with motion only if a wall moves.
 
     In a periodic box the point is wrapped into the box first.
+
+    Reads:  kind, parameters, pivot, center, rotation, velocity and angular_velocity of walls; wall dynamics; mesh
     """
     walls, moving, force_controlled = (
         state.walls,
@@ -49,6 +54,7 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
     @ti.func
     def center(w, pose):
+        """Position [m] of the pivot of a wall at a pose."""
         center_now = walls.center[pose, w]
         if ti.static(force_controlled):
             center_now += controlled_displacement(w)
@@ -107,9 +113,11 @@ def build_wall_geometry(state: State) -> WallGeometry:
 
 
 def build_wall_of(state: State) -> Any:
-    """Device function: the wall of a partner j < 0.
+    """Device function (j): the wall of a partner j < 0.
 
     Partner -1 - p is the wall p, or the triangle p - wall count, numbered over all meshes.
+
+    Reads:  wall of the mesh triangles
     """
     wall_count, mesh, has_mesh = len(state.plan.walls), state.mesh, state.mesh is not None
 
@@ -125,7 +133,7 @@ def build_wall_of(state: State) -> Any:
 
 
 def build_triangle_of(state: State) -> Any:
-    """Device function: the triangle of a partner j < 0, numbered over all meshes; negative if it is not a triangle."""
+    """Device function (j): triangle of a partner j < 0, numbered over all meshes; negative for other walls."""
     wall_count = len(state.plan.walls)
 
     @ti.func
@@ -155,6 +163,8 @@ def upload_poses(state: State, step: int) -> None:
     """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
 
     Times follow from step numbers, so that they are bit-identical for any start of a batch.
+
+    Writes:  center, rotation, velocity, angular_velocity of walls; active
     """
     walls, clock = state.walls, state.clock
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))

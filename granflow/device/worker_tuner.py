@@ -24,7 +24,12 @@ CONTENTION_LIMIT = 3
 
 
 class WorkerTuner:
-    """Proposes the number of workers of each launch from the rate and the contention of previous launches."""
+    """Proposes the number of workers of each launch from the rate and the contention of previous launches.
+
+    max_size:  largest number of workers, with which the first launch starts
+
+    `size` is the number of workers outside trials.
+    """
 
     def __init__(self, max_size: int) -> None:
         self.size = max_size
@@ -48,7 +53,12 @@ class WorkerTuner:
         return bool(self._candidate)
 
     def record(self, work: float, seconds: float, contended: bool) -> None:
-        """Record a launch: its work in a constant unit, its wall-clock time [s], and whether a worker left it."""
+        """Record a launch.
+
+        work:       amount of work in a constant unit, such as particle-steps
+        seconds:    wall-clock time [s]
+        contended:  True if a worker left the launch
+        """
         self._work += work
         self._seconds += seconds
         self._since_up += seconds
@@ -70,7 +80,11 @@ class WorkerTuner:
         self._work = self._seconds = 0.0
 
     def _evaluate(self, rate: float) -> None:
-        """Adopt the number of workers of the trial if it is faster."""
+        """Adopt the number of workers of the trial if it is faster.
+
+        `rate`: work per second during the trial. The interval between trials with fewer workers doubles after each of
+        them that is not faster.
+        """
         faster, down, self._candidate, candidate = (
             rate > MIN_SPEEDUP * self._rate,
             self._candidate < self.size,
@@ -96,5 +110,6 @@ class WorkerTuner:
         return 0
 
     def _down_is_due(self) -> bool:
+        """True if a trial with fewer workers is due, because of the interval or of contention."""
         contended = self._contention > CONTENTION_LIMIT and self._since_contended_down >= CONTENDED_DOWN_INTERVAL
         return contended or self._since_down >= self._down_interval

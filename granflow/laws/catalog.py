@@ -6,15 +6,18 @@ from types import MappingProxyType
 from granflow.laws.model_kind import Amount, Choice, LawKind
 
 SPRING = Choice(
-    "onset (Eq. 19 per contact, at its impact velocity), {reference_velocity: 1 m/s} or {value: 1e4 N/m}",
+    "onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at this "
+    "velocity) or {value: 1e4 N/m}",
     words=("onset",),
     keyed={
         "reference_velocity": Amount(
-            "approach velocity at which the spring stores the same energy as a Hertz contact [m/s]",
+            "approach velocity [m/s] at which the spring stores the same energy as a Hertz contact",
             *("1 m/s", "velocity", "a speed"),
             above=0,
         ),
-        "value": Amount("stiffness of the spring [N/m]", "1e4 N/m", "stiffness", above=0),
+        "value": Amount(
+            "stiffness [N/m] of the spring, for all pairs and particle sizes", "1e4 N/m", "stiffness", above=0
+        ),
     },
 )
 
@@ -23,14 +26,14 @@ ZHOU = LawKind(
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
     {
         "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, Eq. 5) "
-            "or constant (e does not depend on velocity; the default if every pair gives a number)",
+            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, "
+            "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if every pair gives a number)",
             words=("impact", "max_overlap", "constant"),
             default="impact",
             with_numbers="constant",
         ),
         "damping_ratio": Amount(
-            "ratio of the viscous damping on the elastic branch to the critical damping",
+            "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical damping",
             *("0.1", "number", "a damping ratio"),
             at_least=0,
             at_most=1,
@@ -66,7 +69,7 @@ WALTON_BRAUN = LawKind(
             words=("constant",),
             keyed={
                 "reference_velocity": Amount(
-                    "approach velocity at which e equals the restitution of the pair [m/s]",
+                    "approach velocity [m/s] at which e equals the restitution of the pair",
                     *("1 m/s", "velocity", "a speed"),
                     above=0,
                 )
@@ -102,7 +105,7 @@ KUWABARA_KONO = LawKind(
     "velocity (Kuwabara & Kono 1987).",
     {
         "reference_velocity": Amount(
-            "approach velocity at which e equals the restitution of the pair [m/s]",
+            "approach velocity [m/s] at which e equals the restitution of the pair",
             *("1 m/s", "velocity", "a speed"),
             above=0,
         )

@@ -20,16 +20,21 @@ from granflow.laws.material import PairMaterial
 def with_sjkr(law: NormalLaw) -> NormalLaw:
     """Add SJKR cohesion to a contact model. Closed forms (durations, restitution) remain those of the model alone.
 
-    F = F_law - w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair [J/m3]
+        F = F_law - w A,   A = 2 pi R d   to first order in d / R,   w the cohesion energy density of the pair [J/m3]
+
+    law:      contact model; its constants, history and attraction are kept
+    Returns:  model with the additional constant `cohesion_energy_density`
     """
     index = len(law.constant_names)
 
     @ti.func
     def cohesive_force(constants, radius_eff, overlap):
+        """Attraction w A [N] of an overlap."""
         return 2.0 * math.pi * constants[index] * radius_eff * overlap
 
     @ti.func
     def attraction(constants, radius_eff, overlap, history):
+        """Attraction [N] that the friction limit excludes: that of the model and the cohesive force."""
         total = cohesive_force(constants, radius_eff, overlap)
         if ti.static(law.attracts):
             total += law.attraction(constants, radius_eff, overlap, history)

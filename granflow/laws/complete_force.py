@@ -8,7 +8,11 @@ from granflow.laws.law import NormalLaw
 
 
 def complete_force(law: NormalLaw) -> Any:
-    """Device function with the arguments of `force` that evaluates `prepare`, then `force`."""
+    """Device function that evaluates `prepare`, then `force` of a contact model.
+
+    Returns:  ti.func (constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history) -> (normal force [N],
+              its viscous part [N], history)
+    """
     prepare = law.prepare or _unchanged
 
     @ti.func

@@ -10,6 +10,7 @@ from granflow.laws.mindlin import mindlin_stiffness
 from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "viscosity")
+"""Pair constants: effective moduli E, G [Pa] and viscosity sqrt(5) zeta [-]."""
 DAMPING_POWER = 0.25
 """Exponent of the overlap in the viscous force."""
 
@@ -27,7 +28,7 @@ def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
 
 @ti.func
 def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Energy of the Hertz spring [J], (2/5) k d^2.5."""
+    """Energy of the Hertz spring [J], (2/5) k d^2.5; exact integral of the elastic force."""
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     return 0.4 * k * overlap * overlap * ti.sqrt(overlap)
 
@@ -39,8 +40,11 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 
 def build(damped: bool) -> NormalLaw:
-    """Build the Hertz model; `damped` if any pair has a restitution below 1."""
-    root_over_step = build_step_mean(DAMPING_POWER)
+    """Build the Hertz model.
+
+    damped:  True if any pair has a restitution below 1; otherwise the viscous force is compiled out
+    """
+    step_mean = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
@@ -54,7 +58,7 @@ def build(damped: bool) -> NormalLaw:
         elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap
         viscous = 0.0 * elastic
         if ti.static(damped):
-            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            overlap_at, weight = step_mean(overlap, overlap_rate, time_step)
             secant = stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = ti.max(constants[2] * weight * ti.sqrt(mass_eff * secant) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history
@@ -96,14 +100,20 @@ def reference(contact: ContactState) -> tuple[float, np.ndarray]:
 
 
 def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Ratio of viscous force to overlap rate at the maximum overlap [N s/m], see `force`."""
+    """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m], see `force`.
+
+    Arguments as for `law.PhaseDurations`; the maximum overlap is that of the undamped contact (Zhou 2011, Eq. 5).
+    """
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     largest = float(theory.overlap_max(k, mass_eff, velocity))
     return pair_constants(pair)[2] * float(np.sqrt(mass_eff * k) * largest**0.25)
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-    """Loading and unloading durations [s] of the undamped contact (Zhou 2011, Eq. 13 with e = 1)."""
+    """Loading and unloading durations [s] of the undamped contact (Zhou 2011, Eq. 13 with e = 1).
+
+    eta1 Ts,   Ts = (25 M^2 / (16 k^2 v))^(1/5)
+    """
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     half = theory.LOADING_DURATION * float(theory.time_scale(k, mass_eff, velocity))
     return half, half

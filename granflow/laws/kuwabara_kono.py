@@ -18,6 +18,7 @@ from granflow.laws.mindlin import mindlin_stiffness
 from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
+"""Pair constants: effective moduli E, G [Pa] and dissipation g at 1 m/s [(s/m)^(1/5)]."""
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""
 EXPONENT = 0.2
@@ -34,7 +35,13 @@ def law_for(request: ModelRequest) -> NormalLaw:
 
 
 def build(reference_velocity: float) -> NormalLaw:
-    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes."""
+    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
+
+    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives e at 1
+    m/s.
+
+    The pair constants raise ValueError if the restitution is 0 or depends on velocity.
+    """
     scale = reference_velocity**-EXPONENT
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
@@ -44,18 +51,21 @@ def build(reference_velocity: float) -> NormalLaw:
         return pair.modulus_eff, pair.shear_modulus_eff, dissipation
 
     def rebound(pair: PairMaterial, velocity: float) -> tuple[float, float, float]:
+        """Restitution and dimensionless durations at an approach velocity [m/s], see `rebound_of`."""
         return rebound_of(pair_constants(pair)[2] * velocity**EXPONENT)
 
     def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         return rebound(pair, velocity)[0]
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        """Loading and unloading durations [s]; the unit of time is (M^2 / (k^2 v))^(1/5)."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         unit = (mass_eff**2 / (k**2 * velocity)) ** EXPONENT
         _, loading, unloading = rebound(pair, velocity)
         return unit * loading, unit * unloading
 
     def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N s/m]."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = float(theory.overlap_max(k, mass_eff, velocity))
         return pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
@@ -84,7 +94,7 @@ def build(reference_velocity: float) -> NormalLaw:
     )
 
 
-_root_over_step = build_step_mean(DAMPING_POWER)
+_step_mean = build_step_mean(DAMPING_POWER)
 
 
 @ti.func
@@ -95,7 +105,7 @@ def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, his
     """
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     elastic = k * ti.sqrt(overlap) * overlap
-    overlap_at, weight = _root_over_step(overlap, overlap_rate, time_step)
+    overlap_at, weight = _step_mean(overlap, overlap_rate, time_step)
     viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at) * overlap_rate
     viscous = ti.max(viscous, -elastic)
     return elastic + viscous, viscous, history
@@ -112,7 +122,10 @@ def reference(contact: ContactState) -> tuple[float, np.ndarray]:
 
 @cache
 def dissipation_for(e: float) -> float:
-    """Dissipation g that gives the restitution e. Raises ValueError for e outside (0, 1]."""
+    """Dissipation g that gives the restitution e, by bisection of `rebound_of`.
+
+    Raises ValueError for e outside (0, 1], and for e below the restitution at LARGEST_DISSIPATION.
+    """
     if not 0.0 < e <= 1.0:
         raise ValueError("a viscous contact model supports any restitution in (0, 1], not 0")
     low, high = 0.0, 1.0
@@ -135,26 +148,32 @@ def rebound_of(dissipation: float) -> tuple[float, float, float]:
     The unit of length is (M v^2 / k)^(2/5), the unit of time that length over v. With s = t^(1/2) as the variable the
     solution is smooth at the start.
     """
-    state, s, turn = (0.0, 1.0), 0.0, 0.0
+    state, s, turning_time = (0.0, 1.0), 0.0, 0.0
     step = math.sqrt(2.0 * theory.LOADING_DURATION) / STEPS / max(1.0, dissipation)
     while True:
-        after = _step(state, s, step, dissipation)
-        if turn == 0.0 and after[1] <= 0.0:
-            turn = (s + step * state[1] / (state[1] - after[1])) ** 2
+        after = _runge_kutta_step(state, s, step, dissipation)
+        if turning_time == 0.0 and after[1] <= 0.0:
+            turning_time = (s + step * state[1] / (state[1] - after[1])) ** 2
         if after[1] < 0.0 and after[0] + dissipation * after[1] <= 0.0:
             break
         state, s = after, s + step
     low, high = 0.0, step
     for _ in range(40):
         middle = 0.5 * (low + high)
-        x, w = _step(state, s, middle, dissipation)
+        x, w = _runge_kutta_step(state, s, middle, dissipation)
         low, high = (middle, high) if x + dissipation * w > 0.0 else (low, middle)
     end = (s + low) ** 2
-    return -_step(state, s, low, dissipation)[1], turn, end - turn
+    return -_runge_kutta_step(state, s, low, dissipation)[1], turning_time, end - turning_time
 
 
-def _step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
-    """One step of the classical fourth-order Runge-Kutta method in s."""
+def _runge_kutta_step(state: tuple[float, float], s: float, step: float, g: float) -> tuple[float, float]:
+    """One step of the classical fourth-order Runge-Kutta method in s = t^(1/2).
+
+    state:    x and x' = w
+    s, step:  variable and step length
+    g:        dissipation
+    Returns:  state after the step
+    """
 
     def slope(s: float, x: float, w: float) -> tuple[float, float]:
         root = max(x, 0.0) ** 0.5

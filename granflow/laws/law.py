@@ -13,7 +13,10 @@ from granflow.laws.material import PairMaterial
 class ModelRequest:
     """Request of a scene for a normal contact model.
 
-    `settings` are those of `contact.normal`; `velocity_max` [m/s] and `unloading_angle` bound the model.
+    settings:         those of `contact.normal`, numbers in SI units
+    pairs:            effective constants of all pairs of materials that can be in contact
+    velocity_max:     largest expected impact velocity [m/s]
+    unloading_angle:  theta of a model that bounds its unloading tangent by theta^2 M/dt^2
     """
 
     settings: Mapping[str, Any]
@@ -24,7 +27,16 @@ class ModelRequest:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Arguments of `force` for one contact and step, in SI units. `overlap_rate` is positive during approach."""
+    """Arguments of `force` for one contact and step, in SI units.
+
+    constants:     (c,) float64, in the order of `constant_names`
+    radius_eff:    effective radius [m]
+    mass_eff:      effective mass [kg]
+    time_step:     [s]
+    overlap:       [m], above 0 in a contact
+    overlap_rate:  [m/s], positive during approach
+    history:       (h,) float64, in the order of `history_names`
+    """
 
     constants: np.ndarray
     radius_eff: float
@@ -36,25 +48,34 @@ class ContactState:
 
 
 ReferenceForce = Callable[[ContactState], tuple[float, np.ndarray]]
-"""Reference implementation of `force` in numpy; returns the normal force [N] and the history."""
+"""Reference implementation of `force` in numpy; returns the normal force [N] and the history (h,)."""
 
 
 class PhaseDurations(Protocol):
-    """Loading and unloading durations [s] of a binary collision."""
+    """Loading and unloading durations [s] of a binary collision.
+
+    pair:        effective constants of the materials
+    radius_eff:  effective radius [m]
+    mass_eff:    effective mass [kg]
+    velocity:    approach velocity [m/s], above 0
+    """
 
     def __call__(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
         """Loading and unloading durations [s] at an approach velocity [m/s]."""
 
 
 class CollisionNumber(Protocol):
-    """Scalar property of a binary collision."""
+    """Scalar property of a binary collision; arguments as for PhaseDurations."""
 
     def __call__(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Value at an approach velocity [m/s]."""
 
 
 class LeastRestitution(Protocol):
-    """Smallest restitution that a binary collision can reach at a given time step [s]."""
+    """Smallest restitution that a binary collision can reach at a given time step [s].
+
+    The other arguments are those of PhaseDurations.
+    """
 
     def __call__(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
@@ -63,7 +84,10 @@ class LeastRestitution(Protocol):
 
 
 def requested_restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Restitution given for the pair; default for models that reproduce it exactly."""
+    """Restitution given for the pair; default for models that reproduce it exactly.
+
+    Raises ValueError if the pair has none.
+    """
     return pair.restitution_at(velocity)
 
 
@@ -96,6 +120,7 @@ class NormalLaw:
     tangential_stiffness_grows: bool
     """True if the tangential stiffness is proportional to the square root of the overlap."""
     pair_constants: Callable[[PairMaterial], tuple[float, ...]]
+    """Constants (c,) of one pair of materials; raises ValueError for a pair that the model does not support."""
     force: Any
     stored_energy: Any
     lost_energy: Any
@@ -134,12 +159,18 @@ class NormalLaw:
     neighbor lists."""
 
     def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Normal tangent stiffness [N/m] at the maximum overlap that determines the tangential stiffness."""
+        """Normal tangent stiffness [N/m] at the maximum overlap that determines the tangential stiffness.
+
+        Arguments as for PhaseDurations.
+        """
         tangent = self.loading_tangent or self.stable_stiffness
         return tangent(pair, radius_eff, mass_eff, velocity)
 
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m]."""
+        """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m].
+
+        Arguments as for PhaseDurations.
+        """
         return 0.0 if self.damping is None else self.damping(pair, radius_eff, mass_eff, velocity)
 
     @property
@@ -149,7 +180,7 @@ class NormalLaw:
 
     @property
     def history_count(self) -> int:
-        """Number of history fields per contact."""
+        """Number of history fields per contact; 0 for a model without history."""
         return len(self.history_names)
 
     def reference_force(
@@ -162,5 +193,8 @@ class NormalLaw:
         overlap_rate: float,
         history: np.ndarray,
     ) -> tuple[float, np.ndarray]:
-        """Normal force [N] and history from the reference implementation, with the arguments of `force`."""
+        """Normal force [N] and history (h,) from the reference implementation.
+
+        Arguments as in ContactState.
+        """
         return self.reference(ContactState(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history))

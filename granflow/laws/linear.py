@@ -10,10 +10,14 @@ from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_
 from granflow.laws.substep_corrections import build_step_mean, reference_step_mean
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
+"""Pair constants: effective moduli E, G [Pa] and damping ratio zeta [-]."""
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Values of CONSTANTS. Raises ValueError if the restitution is 0 or depends on velocity."""
+    """Values of CONSTANTS; zeta follows from the restitution (Schwager & Poeschel 2007, `theory.damping_ratio_for`).
+
+    Raises ValueError if the restitution is 0 or depends on velocity.
+    """
     if not isinstance(pair.restitution, float):
         raise ValueError("the contact model linear requires one number as restitution coefficient")
     return pair.modulus_eff, pair.shear_modulus_eff, theory.damping_ratio_for(pair.restitution)
@@ -25,8 +29,11 @@ def law_for(request: ModelRequest) -> NormalLaw:
 
 
 def build(spring: Spring) -> NormalLaw:
-    """Build the linear model with the given spring."""
-    share_of_step = build_step_mean(0.0)
+    """Build the linear model.
+
+    spring:  spring whose stiffness K [N/m] is constant during a contact; its history index is 0
+    """
+    step_mean = build_step_mean(0.0)
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
@@ -37,27 +44,32 @@ def build(spring: Spring) -> NormalLaw:
         history_new = history
         stiffness = spring.stiffness_of(history_new)
         elastic = stiffness * overlap
-        _place, share = share_of_step(overlap, overlap_rate, time_step)
+        _overlap_at, share = step_mean(overlap, overlap_rate, time_step)
         viscous = ti.max(2.0 * constants[2] * share * ti.sqrt(stiffness * mass_eff) * overlap_rate, -elastic)
         return elastic + viscous, viscous, history_new
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Energy of the spring [J], K d^2 / 2."""
         return 0.5 * spring.stiffness_of(history) * overlap * overlap
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Zero: all loss is viscous."""
         return 0.0 * overlap
 
     @ti.func
     def tangential_stiffness(constants, radius_eff, overlap, history):
+        """Mindlin's ratio 4 G / E times K [N/m]."""
         return tangential_spring(constants, spring.stiffness_of(history))
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        """Two quarter periods of the undamped spring [s]."""
         quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, quarter
 
     def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Dashpot constant 2 zeta sqrt(K M) [N s/m]."""
         stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
         return 2.0 * pair_constants(pair)[2] * float(np.sqrt(stiffness * mass_eff))
 

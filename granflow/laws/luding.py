@@ -2,6 +2,8 @@
 
 The loading slope is k1. The unloading slope k2 lies between k1 and kp and increases with the maximum overlap. Beyond
 the limit overlap the contact is elastic along the kp line: the limit branch. The tension, if any, is -kc d.
+
+    F = max(k1 dmax - k2 (dmax - d), -kc d),   k2 = k1 (1 + growth dmax / R),   dmax up to the limit overlap
 """
 
 import math
@@ -15,6 +17,7 @@ from granflow.laws.material import PairMaterial
 from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "growth", "limit")
+"""Pair constants: effective moduli E, G [Pa], growth of k2 / k1 per dmax / R, limit of dmax / R."""
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
@@ -26,13 +29,21 @@ def law_for(request: ModelRequest) -> NormalLaw:
 def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
     """Build Luding's model with the loading spring k1.
 
-    `plasticity_depth` is the ratio of the largest residual overlap to 2 R, `tension` the ratio kc / k1. The restitution
-    of a pair applies on the limit branch: kp = k1 / e^2.
+    spring:            spring k1; its index in the history follows overlap_max and, with tension, plastic_work
+    plasticity_depth:  ratio of the largest residual overlap to 2 R
+    tension:           ratio kc / k1; 0: no tension
+
+    The restitution of a pair applies on the limit branch: kp = k1 / e^2.
     """
     has_tension = tension > 0.0
 
     def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-        """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R."""
+        """Growth and limit: k2 = k1 (1 + growth dmax / R) for dmax up to limit R.
+
+            growth = (1 - e^2)^2 / (2 depth e^2),   limit = 2 depth / (1 - e^2), infinite for e = 1
+
+        Raises ValueError if the restitution is 0, above 1 or depends on velocity.
+        """
         if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
             raise ValueError("the contact model luding requires one number above 0 as restitution coefficient")
         share = pair.restitution**2
@@ -43,8 +54,8 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
     @ti.func
     def loading_loss(growth, stiffness, largest):
         """Energy lost by first loading to an overlap [J]: k1 dmax^2 (1 - k1/k2) / 2."""
-        steeper = growth * largest
-        return 0.5 * stiffness * largest * largest * steeper / (1.0 + steeper)
+        excess = growth * largest
+        return 0.5 * stiffness * largest * largest * excess / (1.0 + excess)
 
     @ti.func
     def tension_loss(growth, stiffness, largest, overlap):
@@ -52,10 +63,12 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         energy_lost = 0.0 * stiffness
         if ti.static(has_tension):
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
-            energy_held = tension * tension * (begin * begin / (1.0 + growth * largest))
-            energy_held -= tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, overlap))
-            heat = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + energy_held)
-            energy_lost = ti.select(overlap < begin, heat, energy_lost)
+            elastic_change = tension * tension * (begin * begin / (1.0 + growth * largest))
+            elastic_change -= (
+                tension * tension * overlap * overlap / (1.0 + growth * tension_overlap_max(growth, overlap))
+            )
+            dissipated = 0.5 * stiffness * (tension * (begin * begin - overlap * overlap) + elastic_change)
+            energy_lost = ti.select(overlap < begin, dissipated, energy_lost)
         return energy_lost
 
     @ti.func
@@ -84,10 +97,11 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-        stiffness, steeper = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
-        energy_held = history[0] + steeper * (overlap - history[0])
-        energy_held = ti.max(energy_held, -tension * overlap)
-        return 0.5 * stiffness * energy_held * energy_held / steeper
+        """Elastic energy [J], F^2 / (2 k2)."""
+        stiffness, stiffness_ratio = spring.stiffness_of(history), 1.0 + constants[2] / radius_eff * history[0]
+        scaled_force = history[0] + stiffness_ratio * (overlap - history[0])
+        scaled_force = ti.max(scaled_force, -tension * overlap)
+        return 0.5 * stiffness * scaled_force * scaled_force / stiffness_ratio
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
@@ -101,6 +115,7 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
 
     @ti.func
     def tangential_stiffness(constants, radius_eff, overlap, history):
+        """Mindlin's ratio 4 G / E times k1 [N/m]."""
         return tangential_spring(constants, spring.stiffness_of(history))
 
     @ti.func
@@ -130,18 +145,26 @@ def build(spring: Spring, plasticity_depth: float, tension: float) -> NormalLaw:
         lost_energy=lost_energy,
         tangential_stiffness=tangential_stiffness,
         reference=_reference(spring, tension),
-        phase_durations=lambda *bodies: collision(*bodies).durations(),
-        unloading_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
-        stable_stiffness=lambda *bodies: collision(*bodies).unloading_stiffness,
+        phase_durations=lambda *arguments: collision(*arguments).durations(),
+        unloading_stiffness=lambda *arguments: collision(*arguments).unloading_stiffness,
+        stable_stiffness=lambda *arguments: collision(*arguments).unloading_stiffness,
         loading_tangent=spring.stiffness,
-        restitution=lambda *bodies: collision(*bodies).restitution,
+        restitution=lambda *arguments: collision(*arguments).restitution,
         attraction=attraction if has_tension else None,
     )
 
 
 @dataclass(frozen=True)
 class LudingCollision:
-    """A binary collision in closed form; `growth` [1/m], `limit` overlap [m], `tension` kc / k1."""
+    """A binary collision in closed form.
+
+    stiffness:  k1 [N/m]
+    growth:     relative increase of k2 with the maximum overlap [1/m]
+    limit:      limit overlap [m]
+    tension:    kc / k1
+    mass_eff:   effective mass [kg]
+    velocity:   approach velocity [m/s]
+    """
 
     stiffness: float
     growth: float
@@ -157,7 +180,7 @@ class LudingCollision:
 
     @property
     def unloading_stiffness(self) -> float:
-        """Slope k2 [N/m]."""
+        """Slope k2 [N/m] after loading to `overlap_max`."""
         return self.stiffness * (1.0 + self.growth * self.overlap_max)
 
     @property
@@ -180,8 +203,8 @@ class LudingCollision:
     @property
     def restitution(self) -> float:
         """Restitution coefficient; 0 if the tension prevents separation."""
-        pull = self.tension * self.stiffness * self.overlap_in_tension
-        work = 0.5 * pull * self.overlap_in_tension + 0.5 * pull**2 / self.unloading_stiffness
+        tension_force = self.tension * self.stiffness * self.overlap_in_tension
+        work = 0.5 * tension_force * self.overlap_in_tension + 0.5 * tension_force**2 / self.unloading_stiffness
         return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
 
     def durations(self) -> tuple[float, float]:
@@ -190,15 +213,16 @@ class LudingCollision:
         return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
 
     def _loading_duration(self) -> float:
+        """Loading duration [s]: a quarter period of k1, or the limit overlap with k1 and the rest with kp."""
         omega = math.sqrt(self.stiffness / self.mass_eff)
         if self.velocity <= omega * self.limit:
             return 0.5 * math.pi / omega
         stiffer = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        velocity_left = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
+        velocity_at_limit = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
         elastic = self.limit * self.stiffness / self.unloading_stiffness
         return (
             math.asin(omega * self.limit / self.velocity) / omega
-            + math.atan2(velocity_left, stiffer * elastic) / stiffer
+            + math.atan2(velocity_at_limit, stiffer * elastic) / stiffer
         )
 
     def _tension_duration(self) -> float:
@@ -220,9 +244,11 @@ def _reference(spring: Spring, tension: float) -> ReferenceForce:
     """Reference implementation of `force` in numpy, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
 
     def unloading_stiffness(k1: float, growth: float, largest: float) -> float:
+        """Slope k2 [N/m]."""
         return k1 * (1.0 + growth * largest)
 
     def loss(k1: float, growth: float, largest: float) -> float:
+        """Energy [J] lost by first loading to `largest` [m]."""
         residual = growth * largest**2 / (1.0 + growth * largest)
         return 0.5 * k1 * largest * residual
 
@@ -239,10 +265,10 @@ def _reference(spring: Spring, tension: float) -> ReferenceForce:
                 begin, end = (k2 - k1) * largest / (k2 + kc), contact.overlap
                 # g dmax^2 - g d dmax - (1 + kc/k1) d = 0: the unloading line through (d, -kc d)
                 largest = max(np.roots([growth, -growth * end, -(1.0 + tension) * end]))
-                energy_held = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (kc * begin) ** 2 / (
-                    2.0 * k2
-                )
-                work += 0.5 * kc * (begin**2 - end**2) - energy_held
+                elastic_change = (kc * end) ** 2 / (2.0 * unloading_stiffness(k1, growth, largest)) - (
+                    kc * begin
+                ) ** 2 / (2.0 * k2)
+                work += 0.5 * kc * (begin**2 - end**2) - elastic_change
         return float(force), np.array([largest, *([work] if tension else []), *spring_history])
 
     return reference

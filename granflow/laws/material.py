@@ -10,7 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Solid:
-    """Elastic and plastic constants of one material: Young's modulus [Pa], density [kg/m3], yield strength [Pa]."""
+    """Elastic and plastic constants of one material.
+
+    young_modulus:   [Pa]
+    poisson_ratio:   [-]
+    density:         [kg/m3]
+    yield_strength:  [Pa]; None if the material never yields
+    """
 
     young_modulus: float
     poisson_ratio: float
@@ -27,7 +33,10 @@ class Solid:
 class VelocityRestitution:
     """Restitution coefficient that decreases with the approach velocity (Zhou 2011, Eq. 12).
 
-    e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+        e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+
+    sigma, psi:      dimensionless fit constants of the pair
+    limit_velocity:  vlim [m/s], Eq. 11
     """
 
     sigma: float
@@ -35,7 +44,7 @@ class VelocityRestitution:
     limit_velocity: float
 
     def __call__(self, velocity: float | np.ndarray) -> np.ndarray:
-        """Restitution coefficient at an approach velocity [m/s], any shape."""
+        """Restitution coefficient at an approach velocity [m/s] >= 0, any shape; float64 of the same shape."""
         speed = np.asarray(velocity, dtype=float)
         below = np.minimum(speed, np.nextafter(self.limit_velocity, 0.0))
         e = np.exp(-self.sigma * (below / (self.limit_velocity - below)) ** self.psi)
@@ -44,12 +53,19 @@ class VelocityRestitution:
 
 @dataclass(frozen=True)
 class PairMaterial:
-    """Effective constants of a pair of materials, symmetric under exchange of the two: moduli and strength [Pa]."""
+    """Effective constants of a pair of materials, symmetric under exchange of the two.
+
+    modulus_eff:              E [Pa], see `modulus_eff`
+    shear_modulus_eff:        G [Pa], see `shear_modulus_eff`
+    friction:                 coefficient of sliding friction [-]
+    rolling_friction:         coefficient of rolling friction [-]
+    cohesion_energy_density:  [J/m3], 0 without cohesion
+    """
 
     modulus_eff: float
     shear_modulus_eff: float
     restitution: float | VelocityRestitution | None
-    """None if the pair gives none; the contact model then derives it from the materials."""
+    """Number or function of velocity. None if the pair gives none; the model then derives it from the materials."""
     friction: float
     rolling_friction: float = 0.0
     yield_strength: float | None = None

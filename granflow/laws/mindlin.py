@@ -12,28 +12,40 @@ import taichi as ti
 
 @ti.func
 def mindlin_stiffness(constants, radius_eff, overlap, history):
-    """No-slip stiffness of a Hertz contact, 8 G sqrt(R d) [N/m] (Mindlin 1949); constants[1] is G."""
+    """No-slip stiffness of a Hertz contact [N/m] (Mindlin 1949).
+
+    kt = 8 G sqrt(R d)          constants[1] is the effective shear modulus G
+    """
     return 8.0 * constants[1] * ti.sqrt(radius_eff * overlap)
 
 
 @ti.func
 def rotated_displacement(displacement, normal, normal_middle):
-    """Tangential displacement rotated with the contact plane over one step.
+    """Tangential displacement [m] rotated with the contact plane over one step.
 
         s' = s - (s . n) (n_before + n) / 2
 
-    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs
-    a cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
+    normal:         unit normal n now
+    normal_middle:  mean of the previous and the present normal
+
+    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs a
+    cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
     """
     return displacement - displacement.dot(normal) * normal_middle
 
 
 @ti.func
 def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
-    """Spring force -k s after one step of displacement, limited to `cap`. Returns (force, new displacement).
+    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new displacement).
 
-    `stiffness_ratio` is the ratio of the previous to the present stiffness: below 1 the force is preserved, above 1
-    the displacement. `ti.select` replaces a branch, so that the compiler can vectorize over contacts.
+    stiffness:        present stiffness k [N/m]
+    stiffness_ratio:  ratio of the previous to the present stiffness: below 1 the force is preserved, above 1 the
+                      displacement
+    rotated:          displacement of the previous step [m] in the present contact plane
+    step:             relative tangential displacement in this step [m]
+
+    For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a branch, so
+    that the compiler can vectorize over contacts.
     """
     displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
     force = -stiffness * displacement_new
@@ -55,7 +67,7 @@ def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_n
 def reference_spring(
     stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `elastic_plastic_spring` in numpy."""
+    """Reference implementation of `elastic_plastic_spring` in numpy, with vectors (3,)."""
     trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
     size = stiffness * float(np.sqrt(trial @ trial))
     displacement_new = trial if size <= cap else trial * (cap / size)

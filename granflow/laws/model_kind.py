@@ -16,7 +16,15 @@ RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothi
 
 @dataclass(frozen=True)
 class Amount:
-    """A setting that is one number, in SI units or with a unit; required if it has no default."""
+    """A setting that is one number, in SI units or with a unit; required if it has no default.
+
+    description:  meaning, for the schema and the documentation
+    example:      value with unit, for messages
+    dimension:    dimension as in `scene.units`, "number" if dimensionless
+    noun:         noun with article, for messages
+    limits:       `above`, `at_least`, `at_most`, in SI units; None: no limit
+    default:      value if the setting is omitted
+    """
 
     description: str
     example: str
@@ -32,7 +40,8 @@ class Amount:
 class Choice:
     """A setting that is one of `words`, or a mapping with one key of `keyed`: onset, {value: 1e4 N/m}.
 
-    `with_numbers` is the word used instead if every pair gives a number as restitution.
+    default:       word if the setting is omitted; None: the setting is required
+    with_numbers:  word used in place of the default if every pair gives a number as restitution
     """
 
     description: str
@@ -47,7 +56,13 @@ Setting: TypeAlias = Amount | Choice
 
 @dataclass(frozen=True)
 class LawKind:
-    """One entry of the catalog. The file of the model, `granflow/laws/<name>.py`, defines `law_for(request)`."""
+    """One entry of the catalog. The file of the model, `granflow/laws/<name>.py`, defines `law_for(request)`.
+
+    name:         value of `contact.normal.law`
+    summary:      description in one sentence
+    settings:     other keys of `contact.normal`
+    restitution:  form of the restitution that the model requires of a pair
+    """
 
     name: str
     summary: str
@@ -58,10 +73,13 @@ class LawKind:
 
     @property
     def needs_settings(self) -> bool:
-        """Whether a scene must give settings in addition to the name of the model."""
+        """Whether a scene requires settings in addition to the name of the model."""
         return any(setting.default is None for setting in self.settings.values())
 
     def build(self, request: ModelRequest) -> NormalLaw:
-        """Build the contact model that a scene requests. Imports Taichi."""
+        """Build the contact model that a scene requests. Imports Taichi.
+
+        The pair constants of the model raise ValueError for a pair that it does not support.
+        """
         law: NormalLaw = import_module(f"granflow.laws.{self.name}").law_for(request)
         return law

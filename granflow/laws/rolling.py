@@ -22,9 +22,14 @@ STOPPED_SHARE = 0.125
 def directional_torque(radius_eff, rolling_friction, normal_force, rolling_rate, inertia_eff, time_step):
     """CDT [N m]: mu_r R F against the rolling rate w [rad/s], viscous below the rate at which both are equal.
 
-        T = -min(mu_r R F / |w|, I / (8 dt)) w
+        T = -min(mu_r R F / |w|, I / (8 dt)) w        (Ai et al. 2011, model A, with the bound above)
 
-    `time_step` is the longest time step of the run, so that a force evaluation between two steps has the same limit.
+    radius_eff:        effective radius R [m]
+    rolling_friction:  mu_r [-]
+    normal_force:      F [N]
+    rolling_rate:      w, 3-vector
+    inertia_eff:       effective moment of inertia I [kg m2]
+    time_step:         dt [s], the longest of the run, so that a force evaluation between two steps has the same limit
     """
     rate = ti.sqrt(rolling_rate.dot(rolling_rate))
     size = ti.min(rolling_friction * radius_eff * normal_force, STOPPED_SHARE * inertia_eff * rate / time_step)
@@ -37,7 +42,10 @@ def torque_loss(torque_before, torque, rolling_rate, time_step):
 
         W = -(T(t - dt) + T(t)) / 2 . w(t - dt/2) dt
 
-    Each kick changes the kinetic energy by the torque times the mean of the rates before and after. In the sum over
-    all steps each half-step rate is multiplied by half of the torque before and half of the torque after it.
+    torque_before, torque:  T of the previous and of this step [N m]
+    rolling_rate:           relative angular velocity w at the half step [rad/s]
+
+    Each kick changes the kinetic energy by the torque times the mean of the rates before and after. In the sum over all
+    steps each half-step rate is multiplied by half of the torque before and half of the torque after it.
     """
     return -0.5 * time_step * (torque_before + torque).dot(rolling_rate)

@@ -32,22 +32,25 @@ class Spring:
     """Index of the stiffness in the history of the contact model."""
 
     def stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Stiffness [N/m] in a collision of a pair."""
+        """Stiffness [N/m] in a collision of a pair; arguments as for `law.PhaseDurations`."""
         return self.host_stiffness(pair.modulus_eff, radius_eff, mass_eff, velocity)
 
     def reference_stiffness(self, contact: ContactState) -> tuple[float, list[float]]:
         """Reference implementation of `prepare` and `stiffness_of`: stiffness [N/m] and its history fields."""
-        stiffness_kept = contact.history[self.history_index] if self.history_names else 0.0
+        stiffness_saved = contact.history[self.history_index] if self.history_names else 0.0
         stiffness_new = self.host_stiffness(
             contact.constants[0], contact.radius_eff, contact.mass_eff, contact.overlap_rate
         )
-        stiffness = float(stiffness_kept) if stiffness_kept > 0.0 else stiffness_new
+        stiffness = float(stiffness_saved) if stiffness_saved > 0.0 else stiffness_new
         return stiffness, [stiffness] if self.history_names else []
 
 
 @ti.func
 def equivalent_spring(constants, radius_eff, mass_eff, velocity):
-    """Stiffness [N/m] with the Hertz energy at the same maximum overlap, (4/5) k sqrt(dmax) (Zhou 2011, Eq. 19)."""
+    """Stiffness [N/m] with the Hertz energy at the same maximum overlap (Zhou 2011, Eq. 19).
+
+    K = (4/5) k sqrt(dmax) = (4/5) k (5 M v^2 / (4 k))^(1/5)        k = (4/3) E sqrt(R), constants[0] is E
+    """
     k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
     return 0.8 * k * ti.pow(1.25 * mass_eff * velocity * velocity / k, 0.2)
 
@@ -66,13 +69,17 @@ def build_spring(
 ) -> Spring:
     """Spring with a given stiffness [N/m], or Eq. 19 at a reference velocity [m/s], or per contact (both None).
 
-    Per contact, Eq. 19 uses the impact velocity of the contact, but at least `velocity_floor`, because the stiffness
-    would be zero for a contact that forms at rest. `history_index` is the index of the stiffness in the history.
+    stiffness:           constant stiffness [N/m]
+    reference_velocity:  velocity [m/s] in Eq. 19
+    velocity_floor:      smallest velocity [m/s] in Eq. 19 per contact, because the stiffness would be zero for a
+                         contact that forms at rest
+    history_index:       index of the stiffness in the history of the contact model
     """
     is_given, fixed = stiffness is not None, reference_velocity is not None
 
     @ti.func
     def prepare(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """Set the stiffness in the history at first touch."""
         history_new = history
         if history_new[history_index] == 0.0:
             velocity = ti.max(overlap_rate, velocity_floor)
@@ -83,6 +90,7 @@ def build_spring(
 
     @ti.func
     def stiffness_of(history):
+        """Stiffness [N/m] of a contact."""
         value = 0.0 * history[0]
         if ti.static(is_given):
             value += stiffness
@@ -101,7 +109,11 @@ def build_spring(
 
 
 def spring_for(request: ModelRequest, history_index: int) -> Spring:
-    """Spring from the setting `stiffness` of a scene; `history_index` is its index in the history."""
+    """Spring from the setting `stiffness` of a scene.
+
+    request:        settings as in `catalog.SPRING`; the velocity floor is MIN_VELOCITY_SHARE of its `velocity_max`
+    history_index:  index of the stiffness in the history of the contact model
+    """
     given: str | Mapping[str, float] = request.settings["stiffness"]
     keyed: Mapping[str, float] = {} if isinstance(given, str) else given
     velocity_floor = MIN_VELOCITY_SHARE * request.velocity_max
@@ -109,5 +121,5 @@ def spring_for(request: ModelRequest, history_index: int) -> Spring:
 
 
 def quarter_period(stiffness: float, mass_eff: float) -> float:
-    """Time [s] from first touch to the maximum overlap of a linear spring."""
+    """Time [s] from first touch to the maximum overlap of a linear spring, (pi/2) sqrt(M / K)."""
     return 0.5 * np.pi * float(np.sqrt(mass_eff / stiffness))

@@ -33,7 +33,10 @@ def turning_point(largest, force, mass_eff, time_step, overlap_rate_half):
 def mean_above(above, rate, time_step):
     """Mean of max(d - ds, 0) over the step around the time level [m]; separation occurs inside a step.
 
-    mean of max(u, 0) over [u - h/2, u + h/2],  h = |d'| dt     =  u,  (u + h/2)^2 / (2 h),  or  0
+        mean of max(u, 0) over [u - h/2, u + h/2],  h = |d'| dt     =  u,  (u + h/2)^2 / (2 h),  or  0
+
+    above:  u = d - ds at the time level [m]
+    rate:   overlap rate d' [m/s]
     """
     half = 0.5 * ti.abs(rate) * time_step
     inside = ti.min(ti.max(above + half, 0.0), 2.0 * half)
@@ -63,7 +66,12 @@ def build_step_mean(power: float) -> Any:
 
 
 def reference_step_mean(power: float, overlap: float, rate: float, time_step: float) -> float:
-    """Reference implementation of `build_step_mean` in numpy; returns the mean."""
+    """Reference implementation of `build_step_mean` in numpy; returns the mean [m^power].
+
+    overlap:    d [m], above 0
+    rate:       overlap rate d' [m/s], positive during approach
+    time_step:  [s]
+    """
     travel = abs(rate) * time_step
     if overlap < rate * time_step:
         return float((overlap + 0.5 * travel) ** (power + 1.0) / ((power + 1.0) * travel))
@@ -72,7 +80,7 @@ def reference_step_mean(power: float, overlap: float, rate: float, time_step: fl
 
 
 def reference_mean_above(above: float, rate: float, time_step: float) -> float:
-    """Reference implementation of `mean_above` in numpy."""
+    """Reference implementation of `mean_above` in numpy [m]."""
     half = 0.5 * abs(rate) * time_step
     if above >= half:
         return above
@@ -82,7 +90,7 @@ def reference_mean_above(above: float, rate: float, time_step: float) -> float:
 def reference_turning_point(
     largest: float, force: float, mass_eff: float, time_step: float, overlap_rate_half: float
 ) -> float:
-    """Reference implementation of `turning_point` in numpy."""
+    """Reference implementation of `turning_point` in numpy; returns the maximum overlap [m]."""
     deceleration = force / mass_eff
     half_step_change = 0.5 * deceleration * time_step
     return float(

@@ -1,7 +1,8 @@
 """Closed forms of Zhou (2011) for one binary collision, in numpy float64.
 
-Symbols as in the paper: `e` restitution coefficient, `k` Hertz stiffness [N/m^1.5], `M` effective mass [kg], `v`
-approach velocity [m/s], `x` ratio of residual to maximum overlap, `y = 1 - x`. Arguments broadcast.
+Symbols as in the paper (Theor. Appl. Mech. Lett. 1, 041006, doi 10.1063/2.1104106): `e` restitution coefficient, `k`
+Hertz stiffness [N/m^1.5], `M` effective mass [kg], `v` approach velocity [m/s], `x` ratio of residual to maximum
+overlap, `y = 1 - x`. Arguments of the type Number broadcast; equation numbers are those of the paper.
 """
 
 import math
@@ -27,8 +28,13 @@ def hertz_stiffness(modulus: Number, radius: Number) -> Number:
 def recovery(e: Number) -> np.ndarray:
     """Recovered fraction y = 1 - x of the maximum overlap (Zhou 2011, Eq. 8, exact).
 
-    Solves y = (4/5) e^2 + (1/5) e^3 y^2.5 by fixed-point iteration; the slope of the right side is at most 1/2.
-    Raises ValueError for e outside [0, 1].
+        y = (4/5) e^2 + (1/5) e^3 y^2.5
+
+    e:        restitution in [0, 1], any shape
+    Returns:  float64 of the same shape
+    Raises:   ValueError for e outside [0, 1]
+
+    Solved by fixed-point iteration; the slope of the right side is at most 1/2.
     """
     e = np.asarray(e, dtype=float)
     if np.any((e < 0.0) | (e > 1.0)):
@@ -42,14 +48,22 @@ def recovery(e: Number) -> np.ndarray:
 
 
 def residual_closed_form(e: Number) -> np.ndarray:
-    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the root."""
+    """Ratio x of residual to maximum overlap by the closed form of the paper (Eq. 9), within 1.2 % of the root.
+
+    x = 1 - (4/5) e^2 - (c/5) e^8 / (1 - (1 - c) e) + e^16 (1 - e),   c = (4/5)^2.5
+    """
     e = np.asarray(e, dtype=float)
     c = 0.8**2.5
     return 1.0 - 0.8 * e**2 - 0.2 * c * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
 
 
 def unloading_slope(e: Number) -> np.ndarray:
-    """Lambda(e) = lam / (k sqrt(dmax)) (Eq. 7): 0 at e = 1, infinite at e = 0."""
+    """Dimensionless slope of the unloading line (Eq. 7): 0 at e = 1, infinite at e = 0.
+
+        Lambda(e) = lam / (k sqrt(dmax)) = (1 - e^3 y^1.5) / y
+
+    Raises ValueError for e outside [0, 1].
+    """
     e = np.asarray(e, dtype=float)
     y = recovery(e)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -58,24 +72,36 @@ def unloading_slope(e: Number) -> np.ndarray:
 
 
 def unloading_tangent(e: Number) -> np.ndarray:
-    """Tangent stiffness at the start of unloading over k sqrt(dmax): Lambda + 1.5 e^3 sqrt(y)."""
+    """Tangent stiffness at the start of unloading over k sqrt(dmax): Lambda + 1.5 e^3 sqrt(y) (from Eq. 4).
+
+    1.5, the Hertz tangent, at e = 1; infinite at e = 0. Raises ValueError for e outside [0, 1].
+    """
     e = np.asarray(e, dtype=float)
     return unloading_slope(e) + 1.5 * e**3 * np.sqrt(recovery(e))
 
 
 def overlap_max(k: Number, mass: Number, velocity: Number) -> Number:
-    """Maximum overlap dmax = (5 M v^2 / (4 k))^(2/5) [m] (Eq. 5)."""
+    """Maximum overlap [m] of a collision from energy conservation (Eq. 5).
+
+    dmax = (5 M v^2 / (4 k))^(2/5)
+    """
     return (1.25 * mass * velocity**2 / k) ** 0.4
 
 
 def hertz_tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-    """Hertz tangent stiffness at the maximum overlap of a collision, 1.5 k sqrt(dmax) [N/m]."""
+    """Hertz tangent stiffness at the maximum overlap of a collision, 1.5 k sqrt(dmax) [N/m].
+
+    Arguments as for `law.PhaseDurations`.
+    """
     k = float(hertz_stiffness(pair.modulus_eff, radius_eff))
     return 1.5 * k * float(np.sqrt(overlap_max(k, mass_eff, velocity)))
 
 
 def time_scale(k: Number, mass: Number, velocity: Number) -> Number:
-    """Ts = dmax / v = (25 M^2 / (16 k^2 v))^(1/5) [s] (Eq. 13)."""
+    """Time scale [s] of a collision (Eq. 13).
+
+    Ts = dmax / v = (25 M^2 / (16 k^2 v))^(1/5)
+    """
     return (25.0 * mass**2 / (16.0 * k**2 * velocity)) ** 0.2
 
 
@@ -99,7 +125,7 @@ def unloading_duration(e: float) -> float:
 
 @cache
 def _quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a plan."""
+    """120 Gauss nodes and weights on [-1, 1]; cached, because their computation dominates the time of a plan."""
     return leggauss(120)
 
 
@@ -117,9 +143,13 @@ def equivalent_spring(k: Number, mass: Number, velocity: Number) -> Number:
 
 
 def least_restitution(k: Number, mass: Number, largest: Number, time_step: Number, angle: Number) -> Number:
-    """Smallest restitution at a time step [s], not from the paper: the unloading tangent is at most angle^2 M / dt^2.
+    """Smallest restitution at a time step, not from the paper: the unloading tangent is at most angle^2 M / dt^2.
 
-    The tangent is close to k sqrt(dmax) / (0.8 e^2), so e^2 = 1.25 k sqrt(dmax) dt^2 / (angle^2 M).
+    The tangent is close to k sqrt(dmax) / (0.8 e^2), so e^2 = 1.25 k sqrt(dmax) dt^2 / (angle^2 M). May exceed 1.
+
+    largest:    maximum overlap dmax [m]
+    time_step:  dt [s]
+    angle:      bound on sqrt(K / M) dt [rad]
     """
     return np.sqrt(1.25 * k * np.sqrt(largest) / mass) * time_step / angle
 
@@ -146,7 +176,7 @@ def damping_ratio_for(e: float) -> float:
 
 
 def _viscous_restitution(zeta: float) -> float:
-    """Restitution of a spring-dashpot whose contact ends at zero force."""
+    """Restitution of a spring-dashpot with the damping ratio `zeta` > 0 whose contact ends at zero force."""
     if abs(zeta - 1.0) < 1e-9:
         return float(np.exp(-2.0))
     if zeta < 1.0:

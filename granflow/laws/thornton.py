@@ -17,6 +17,7 @@ from granflow.laws.material import PairMaterial
 from granflow.laws.mindlin import mindlin_stiffness
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "yield_pressure")
+"""Pair constants: effective moduli E, G [Pa] and limiting contact pressure p [Pa]."""
 
 
 @ti.func
@@ -38,7 +39,10 @@ def loading_force(constants, radius_eff, overlap):
 
 @ti.func
 def unloading_contact(constants, radius_eff, overlap_max):
-    """Unloading stiffness [N/m^1.5] and residual overlap [m]: R_p F* = R F_e*, where F_e* = k d*^1.5."""
+    """Unloading stiffness [N/m^1.5] and residual overlap [m] of the flattened contact (Thornton 1997).
+
+    R_p F* = R F_e*,   F_e* = k d*^1.5,   d_p = d* - d* F* / F_e*        * at the maximum overlap, R_p flattened radius
+    """
     hertz = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap_max) * overlap_max
     ratio = hertz / loading_force(constants, radius_eff, overlap_max)
     return 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * ratio), overlap_max - overlap_max / ratio
@@ -82,7 +86,15 @@ def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
 
 @dataclass(frozen=True)
 class ThorntonCollision:
-    """A binary collision of elastic, perfectly plastic spheres in closed form, in SI units."""
+    """A binary collision of elastic, perfectly plastic spheres in closed form.
+
+    hertz:          Hertz stiffness k [N/m^1.5]
+    radius_eff:     effective radius R [m]
+    mass_eff:       effective mass M [kg]
+    velocity:       approach velocity v [m/s]
+    pressure:       limiting contact pressure p [Pa]
+    overlap_yield:  overlap at first yield [m]
+    """
 
     hertz: float
     radius_eff: float
@@ -108,7 +120,10 @@ class ThorntonCollision:
 
     @property
     def overlap_max(self) -> float:
-        """Maximum overlap [m], from energy conservation."""
+        """Maximum overlap [m], from energy conservation; without yield Zhou 2011, Eq. 5.
+
+        d_y + (sqrt(F_y^2 + s M (v^2 - v_y^2)) - F_y) / s,   s = pi p R        v > v_y
+        """
         if self.velocity <= self.yield_velocity:
             return float(theory.overlap_max(self.hertz, self.mass_eff, self.velocity))
         energy = self.mass_eff * (self.velocity**2 - self.yield_velocity**2)
@@ -149,9 +164,9 @@ class ThorntonCollision:
         if self.velocity <= self.yield_velocity:
             return theory.LOADING_DURATION * scale, unloading
         elastic = scale * _hertz_time(self.overlap_yield * self.velocity**-1 / scale)
-        velocity_left = math.sqrt(self.velocity**2 - self.yield_velocity**2)
+        velocity_at_yield = math.sqrt(self.velocity**2 - self.yield_velocity**2)
         omega = math.sqrt(self.plastic_slope / self.mass_eff)
-        plastic = math.atan2(velocity_left * omega * self.mass_eff, self.force_yield) / omega
+        plastic = math.atan2(velocity_at_yield * omega * self.mass_eff, self.force_yield) / omega
         return elastic + plastic, unloading
 
 
@@ -170,9 +185,13 @@ def law_for(request: ModelRequest) -> NormalLaw:
 
 
 def build(yield_ratio: float) -> NormalLaw:
-    """Build Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength."""
+    """Build Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength.
+
+    The pair constants raise ValueError if neither material has a yield strength.
+    """
 
     def pressure(pair: PairMaterial) -> float:
+        """Limiting contact pressure [Pa] of a pair."""
         if pair.yield_strength is None:
             raise ValueError(
                 "the contact model thornton requires a yield strength of at least one of the two materials"
@@ -206,10 +225,10 @@ def build(yield_ratio: float) -> NormalLaw:
         lost_energy=lost_energy,
         tangential_stiffness=mindlin_stiffness,
         reference=reference,
-        phase_durations=lambda *bodies: collision(*bodies).durations(),
+        phase_durations=lambda *arguments: collision(*arguments).durations(),
         unloading_stiffness=tangent,
         stable_stiffness=tangent,
-        restitution=lambda *bodies: collision(*bodies).restitution,
+        restitution=lambda *arguments: collision(*arguments).restitution,
     )
 
 

@@ -10,6 +10,7 @@ from granflow.laws.material import PairMaterial
 from granflow.laws.spring import Spring, quarter_period, spring_for, tangential_spring
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
+"""Pair constants: effective moduli E, G [Pa] and loss ratio 1/e^2 - 1."""
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
@@ -31,16 +32,19 @@ def law_for(request: ModelRequest) -> NormalLaw:
 def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
     """Build the bilinear model with the loading spring k1.
 
+    spring:              spring k1; its index in the history is 1
+    reference_velocity:  velocity [m/s] at which e applies, or None
+
     Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 + S F_max)
-    with the slope S that gives e at the reference velocity [m/s], and e decreases with velocity.
+    with the slope S that gives e at the reference velocity, and e decreases with velocity.
     """
-    grows = reference_velocity is not None
+    velocity_dependent = reference_velocity is not None
 
     @ti.func
     def unloading_stiffness(constants, mass_eff, stiffness, overlap_max):
         """Slope k2 [N/m]: k1 / e^2, or k1 (1 + (1/e^2 - 1) dmax sqrt(k1/M) / v_ref)."""
         excess = constants[2]
-        if ti.static(grows):
+        if ti.static(velocity_dependent):
             excess *= overlap_max * ti.sqrt(stiffness / mass_eff) / reference_velocity
         return stiffness * (1.0 + excess)
 
@@ -55,6 +59,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Energy recovered by unloading [J], F^2 / (2 k2)."""
         stiffness = spring.stiffness_of(history)
         unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
         force = ti.max(stiffness * history[0] - unloading_stiffness_now * (history[0] - overlap), 0.0)
@@ -62,6 +67,7 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Work of loading minus recoverable energy at the maximum overlap [J], k1 dmax^2 (1 - k1/k2) / 2."""
         stiffness = spring.stiffness_of(history)
         unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
         return 0.5 * stiffness * history[0] * history[0] * (1.0 - stiffness / unloading_stiffness_now)
@@ -76,10 +82,12 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         return 1.0 / math.sqrt(1.0 + pair_constants(pair)[2] * share)
 
     def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
+        """Quarter periods [s] of k1 and of k2 = k1 / e(v)^2."""
         quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
         return quarter, restitution(pair, radius_eff, mass_eff, velocity) * quarter
 
-    def steepest(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+    def largest_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Slope k2 [N/m] = k1 / e(v)^2."""
         stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
         return stiffness / restitution(pair, radius_eff, mass_eff, velocity) ** 2
 
@@ -101,8 +109,8 @@ def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
         tangential_stiffness=tangential_stiffness,
         reference=_reference(spring, reference_velocity),
         phase_durations=phase_durations,
-        unloading_stiffness=steepest,
-        stable_stiffness=steepest,
+        unloading_stiffness=largest_stiffness,
+        stable_stiffness=largest_stiffness,
         loading_tangent=spring.stiffness,
         restitution=restitution,
     )

@@ -26,7 +26,9 @@ from granflow.laws.substep_corrections import (
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
 
 CONSTANTS = ("modulus_eff", "shear_modulus_eff", "restitution", "sigma", "psi", "limit_velocity")
+"""Pair constants: effective moduli E, G [Pa], constant restitution, sigma, psi and vlim [m/s] of Eq. 12."""
 HISTORY = ("overlap_max", "restitution", "recovery")
+"""History of a contact: dmax [m], restitution e of the contact, recovery y while it unloads (0: loading)."""
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 DAMPING_POWER = 0.25
@@ -36,7 +38,10 @@ NEWTON_STEPS = 5
 
 
 def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Values of CONSTANTS for one pair of materials; unused ones are 0."""
+    """Values of CONSTANTS for one pair of materials; unused ones are 0 (psi: 1).
+
+    Raises ValueError if the pair has no restitution.
+    """
     shared = (pair.modulus_eff, pair.shear_modulus_eff)
     if isinstance(pair.restitution, VelocityRestitution):
         law = pair.restitution
@@ -65,7 +70,10 @@ def restitution_at(constants, velocity):
 
 @ti.func
 def recovery_of(e):
-    """Recovered fraction y of the maximum overlap: y = (4/5) e^2 + (1/5) e^3 y^2.5 (Zhou 2011, Eq. 8)."""
+    """Recovered fraction y of the maximum overlap (Zhou 2011, Eq. 8), by NEWTON_STEPS Newton iterations.
+
+    y = (4/5) e^2 + (1/5) e^3 y^2.5
+    """
     first = 0.8 * e * e
     share = 0.2 * e * e * e
     y = first
@@ -77,7 +85,10 @@ def recovery_of(e):
 
 @ti.func
 def least_restitution(k, mass, overlap_max, time_step, angle):
-    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2 (model.md, e -> 0)."""
+    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2; not from the paper.
+
+    Device form of `theory.least_restitution`.
+    """
     return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
 
 
@@ -111,11 +122,13 @@ def unloading_energy(k, overlap_max, e, y, overlap):
 def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_ratio: float = 0.0) -> NormalLaw:
     """Build Zhou's model with the restitution at impact, from the maximum overlap, or constant.
 
-    `unloading_angle` is the bound theta on sqrt(K/M) dt, where K is the unloading tangent. `damping_ratio` adds a
-    viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is the Hertz tangent.
+    restitution_at_choice:  velocity at which e is evaluated
+    unloading_angle:        bound theta on sqrt(K/M) dt, where K is the unloading tangent
+    damping_ratio:          zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where
+                            K is the Hertz tangent; 0: no viscous force
     """
     from_max_overlap, damped = restitution_at_choice == "max_overlap", damping_ratio > 0.0
-    root_over_step = build_step_mean(DAMPING_POWER)
+    step_mean = build_step_mean(DAMPING_POWER)
 
     @ti.func
     def unloading_parameters(constants, radius_eff, mass_eff, time_step, history):
@@ -150,6 +163,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
 
     @ti.func
     def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+        """Force of the present branch [N] (Zhou 2011, Eq. 4); the viscous part is limited so that the total is >= 0."""
         stiffness = 4.0 / 3.0 * constants[0]
         contact_radius = ti.sqrt(radius_eff * overlap)
         overlap_max, e, recovery = history[0], history[1], history[2]
@@ -160,7 +174,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
         normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
         if ti.static(damped):
-            overlap_at, weight = root_over_step(overlap, overlap_rate, time_step)
+            overlap_at, weight = step_mean(overlap, overlap_rate, time_step)
             tangent = 1.5 * stiffness * ti.sqrt(radius_eff * overlap_at)
             viscous = 2.0 * damping_ratio * weight * ti.sqrt(tangent * mass_eff) * overlap_rate
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
@@ -169,16 +183,18 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
 
     @ti.func
     def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Energy recovered by unloading from the present overlap [J]."""
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history)
         return unloading_energy(k, history[0], e, y, overlap)
 
     @ti.func
     def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+        """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading [J]."""
         k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
         e, y = unloading_parameters(constants, radius_eff, mass_eff, time_step, history)
-        put_in = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
-        return put_in - unloading_energy(k, history[0], e, y, history[0])
+        loading_work = 0.4 * k * history[0] * history[0] * ti.sqrt(history[0])
+        return loading_work - unloading_energy(k, history[0], e, y, history[0])
 
     def least_restitution_reached(
         pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
@@ -188,6 +204,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
         return float(min(theory.least_restitution(k, mass_eff, largest, time_step, unloading_angle), 1.0))
 
     def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Viscous force over overlap rate [N s/m], 2 zeta sqrt(K M) with the Hertz tangent K at the maximum overlap."""
         tangent = theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
         return 2.0 * damping_ratio * float(np.sqrt(tangent * mass_eff))
 
@@ -219,7 +236,7 @@ def build(restitution_at_choice: RestitutionAt, unloading_angle: float, damping_
 
 
 def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-    """Loading and unloading durations [s] (Zhou 2011, Eqs. 13-15)."""
+    """Loading and unloading durations [s] (Zhou 2011, Eqs. 13-15): eta1 Ts and eta2(e(v)) Ts."""
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     scale = float(theory.time_scale(k, mass_eff, velocity))
     e = pair.restitution_at(velocity)

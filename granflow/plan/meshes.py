@@ -120,7 +120,11 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
         (mesh.quad_count, "quadrilateral{} split into triangles", False),
         (mesh.divided_count, "triangle{} split at vertices of others on their edges", False),
         (mesh.adjacency.open_count, "open edge{}: not watertight, which is valid for a hopper or a plate", False),
-        (mesh.adjacency.fold_count, "edge{} shared by more than two triangles, as at a T-junction of plates", False),
+        (
+            mesh.adjacency.nonmanifold_count,
+            "edge{} shared by more than two triangles, as at a T-junction of plates",
+            False,
+        ),
         (mesh.degenerate_count, "triangle{} of zero area removed", True),
         (mesh.duplicate_count, "duplicate triangle{} removed", True),
     ):

@@ -14,9 +14,11 @@ from granflow.scene.schema import ClassSizes
 
 
 class ParticleInsertion:
-    """The inserters of a scene, except for `existing_groups`, whose particles come from an earlier run.
+    """The inserters of a scene.
 
-    Raises SceneError if an inserter cannot be built.
+    scene:            resolved scene
+    existing_groups:  groups without inserter, because their particles come from an earlier run
+    Raises:           SceneError if an inserter cannot be built
     """
 
     def __init__(self, scene: Scene, existing_groups: Container[str]) -> None:
@@ -33,7 +35,11 @@ class ParticleInsertion:
         return all(inserter.remaining == 0 for inserter in self._inserters)
 
     def insert_due(self, engine: Engine) -> bool:
-        """Insert the particles that are due; return whether any were inserted."""
+        """Insert the particles that are due; return whether any were inserted.
+
+        The inserters receive the positions (n, 3) [m] and radii (n,) [m] of the present particles, which new particles
+        must not overlap. The number of queued particles in the accounting is updated.
+        """
         inserted = False
         for inserter in self._inserters:
             if engine.reached(inserter.next_time):
@@ -47,7 +53,10 @@ class ParticleInsertion:
         return inserted
 
     def results(self) -> dict[str, dict[str, float]]:
-        """Return `inserted_count`, `inserted_mass` [kg] and `not_inserted_count` of each inserted group."""
+        """Return the results of each inserted group by name.
+
+        `inserted_count`, `inserted_mass` [kg] and `not_inserted_count`, as in INSERTION_QUANTITIES.
+        """
         return {
             inserter.group_name: {
                 "inserted_count": float(inserter.is_inserted.sum()),
@@ -84,11 +93,11 @@ class ParticleInsertion:
                 yield f"{inserter.group_name} inserted: {', '.join(parts) or 'none'}."
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of each inserter by group."""
+        """Return the state of each inserter by group: numbers and numpy arrays."""
         return {inserter.group_name: inserter.state_dict() for inserter in self._inserters}
 
     def load_state_dict(self, saved: dict[str, Any], engine: Engine) -> None:
-        """Restore the state of `state_dict`."""
+        """Restore the state of `state_dict`, and the number of queued particles of the engine."""
         for inserter in self._inserters:
             inserter.load_state_dict(saved[inserter.group_name])
         self._update_queue(engine)

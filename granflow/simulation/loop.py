@@ -59,20 +59,29 @@ CHUNK_SECONDS = 0.2
 """Wall-clock time of one batch of steps [s]; between batches, signals are handled and checkpoints written."""
 
 ALL_QUANTITIES = frozenset({"particles", "walls", "totals"})
+"""Quantities of a complete snapshot without contacts."""
 TOTALS = frozenset({"totals"})
+"""Quantities of a snapshot that contains totals only."""
 
 
 class Simulation:
     """One run of one scene.
 
-    `precision`: overrides that of the scene. `threads`: CPU threads. `out`: directory for the files of the scene's
-    output block; without it no files are written. `observers`: additional observers, such as
-    `granflow.observe.every(interval, function)`. `progress`: display the progress. `resume`: checkpoint from which to
-    continue; `allow_changes`: even if the scene has changes that are not permitted. `allow_long`: accept a run with an
-    estimated duration of more than a year.
+    scene:          scene as read; it is resolved first
+    arch:           architecture, "cpu" by default
+    precision:      overrides that of the scene
+    threads:        CPU threads; None: all available
+    out:            directory for the files of the scene's output block; without it no files are written
+    observers:      additional observers, such as `granflow.observe.every(interval, function)`
+    progress:       display the progress
+    resume:         checkpoint from which to continue
+    allow_changes:  resume even if the scene has changes that are not permitted
+    allow_long:     accept a run with an estimated duration of more than a year
+    Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be
+                    resumed
 
-    Raises SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be resumed; `run`
-    raises RunError on an abort and OutputError if files cannot be written.
+    `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
+    have the same architecture, precision and threads.
     """
 
     def __init__(
@@ -116,7 +125,7 @@ class Simulation:
         self._stop_requested: BaseException | None = None
         self._writer = None if self.out is None else CheckpointWriter(self.out, scene.output.checkpoint)
         self._resumed = resume
-        self._begun: Callable[[], None] = lambda: None
+        self._delete_previous: Callable[[], None] = lambda: None
         if particles is not None:
             self.engine.insert(particles)
         if resume is not None and change is not None:
@@ -134,17 +143,24 @@ class Simulation:
         return self.engine.time
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
-        """Return the current state as read-only arrays, particles ordered by id; optionally with contacts."""
+        """Return the current state as read-only arrays, particles ordered by id.
+
+        `contacts`: also evaluate the contacts.
+        """
         return self.engine.snapshot(self.stage, ALL_QUANTITIES | ({"contacts"} if contacts else frozenset()))
 
     def run(self, until: float | None = None) -> Result:
-        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run."""
+        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run.
+
+        Returns:  numbers of the run; expectations of the scene are evaluated if it has reached its end
+        Raises:   RunError on an abort; OutputError if files cannot be written, after a checkpoint if possible
+        """
         try:
             with ExitStack() as stack:
                 if self.out is not None:
                     stack.enter_context(locked(self.out))
                     if self._resumed is None:
-                        self._begun = stack.enter_context(replaced_run(self.out))
+                        self._delete_previous = stack.enter_context(replaced_run(self.out))
                     self._clean_output(self.out)
                     stack.enter_context(run_log(self.out, append=self._resumed is not None))
                 stack.callback(self._finish_observers)
@@ -155,6 +171,7 @@ class Simulation:
             raise self._output_error(error) from error
 
     def _run(self, until: float | None) -> Result:
+        """Run the stages that have not ended, then write checkpoint and result."""
         self._wall_clock.start()
         if self._writer is not None:
             self._writer.start(self.time)
@@ -174,6 +191,7 @@ class Simulation:
         return result
 
     def _log_end(self) -> None:
+        """Log size classes, particles that were not inserted, and the end of the run."""
         log = logging.getLogger("granflow")
         for sentence in self._insertion.class_shares():
             log.info("%s", sentence)
@@ -182,7 +200,7 @@ class Simulation:
         log.info("done at %.6g s after %d steps", self.time, self.engine.step_count)
 
     def request_stop(self, error: BaseException) -> None:
-        """Let `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
+        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
         self._stop_requested = error
         self.engine.stepper.interrupted = True
 
@@ -229,7 +247,12 @@ class Simulation:
         return found
 
     def _run_stage(self, stage: Stage, end: float) -> None:
-        """Run a stage to its end, or to `end` [s]."""
+        """Run a stage to its end, or to `end` [s].
+
+        The stage ends after its duration, or, with `kinetic_energy_below`, at the first check at which the particles
+        are at rest; REST_CHECKS checks are distributed evenly over `max_duration`. A resumed stage continues at its
+        target.
+        """
         max_duration = stage.duration if stage.duration is not None else stage.max_duration
         assert max_duration is not None
         progress = self._stage_progress
@@ -249,10 +272,15 @@ class Simulation:
         progress.end(self.time)
 
     def _at_rest(self, stage: Stage) -> bool:
+        """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
         limit = stage.kinetic_energy_below
         return limit is not None and self.engine.mean_kinetic_energy() < limit and self._insertion.is_done
 
     def _begin_stage(self, stage: Stage, check_interval: float) -> None:
+        """Begin a stage: place its walls, insert due particles, compute the forces.
+
+        At the first stage, notify all observers and delete the results of the previous run in the directory.
+        """
         first = not self._stage_progress.stage_times
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
         self._stage_progress.begin(stage.name, self.time, check_interval)
@@ -263,9 +291,10 @@ class Simulation:
             self._abort(self.engine.diagnosis)
         if first:
             self._notify(self._observers)
-            self._begun()
+            self._delete_previous()
 
     def _reached(self, time: float) -> bool:
+        """Whether the current step is the nearest to this time [s], or later."""
         return self.engine.reached(time)
 
     def _next_event(self) -> float:
@@ -275,7 +304,11 @@ class Simulation:
         return min(due, default=inf)
 
     def _advance_to(self, time: float) -> None:
-        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due."""
+        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due.
+
+        The target is at least one step ahead, so that the run always advances. A resumed run continues to its saved
+        target.
+        """
         progress = self._stage_progress
         if progress.target is None:
             progress.set_target(max(time, self.time + self.engine.time_step))
@@ -293,7 +326,11 @@ class Simulation:
         progress.target = None
 
     def _advance(self, target: float) -> None:
-        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written."""
+        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
+
+        The number of steps of a batch follows the measured rate, so that a batch takes about CHUNK_SECONDS; it at most
+        doubles from one batch to the next.
+        """
         while self.engine.steps_to(target) > 0 and not self.engine.aborted:
             began, before = clock.perf_counter(), self.engine.step_count
             checkpoint = self._writer.next_time() if self._writer is not None else inf
@@ -320,7 +357,7 @@ class Simulation:
                 logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", self.time, error)
 
     def _insert_and_update_walls(self) -> None:
-        """Insert particles that are due, and let walls appear or vanish."""
+        """Insert particles that are due, and update the presence of walls."""
         inserted = self._insertion.insert_due(self.engine)
         if self._stage_progress.remove_past_changes(self.engine) or inserted:
             self._stage_progress.set_walls(self.scene, self.engine)
@@ -329,7 +366,11 @@ class Simulation:
     def _notify(
         self, observers: Sequence[Observer], quantities: frozenset[str] = frozenset(), aborted: bool = False
     ) -> Snapshot:
-        """Pass a snapshot to observers; that of an aborted run only if all its numbers are finite."""
+        """Pass a snapshot to observers; that of an aborted run only if all its numbers are finite.
+
+        quantities:  quantities of the snapshot in addition to those that the observers request
+        Returns:     the snapshot
+        """
         quantities = quantities.union(*(observer.wants for observer in observers))
         with self._wall_clock.measuring_output():
             snapshot = self.engine.snapshot(self.stage, quantities)
@@ -338,6 +379,7 @@ class Simulation:
         return snapshot
 
     def _finish_observers(self) -> None:
+        """Close the files of all observers."""
         for observer in self._observers:
             observer.finish()
 
@@ -352,7 +394,7 @@ class Simulation:
         raise RunError(message)
 
     def _save(self) -> None:
-        """Write a checkpoint if there is an output directory."""
+        """Write a checkpoint; nothing without an output directory."""
         if self._writer is not None:
             began = clock.perf_counter()
             with self._wall_clock.measuring_output():
@@ -361,7 +403,10 @@ class Simulation:
             logging.getLogger("granflow").info("checkpoint at %.6g s, written in %.3g s", self.time, seconds)
 
     def _state_dict(self) -> dict[str, Any]:
-        """Return the complete state of the run, except for the scene."""
+        """Return the complete state of the run, except for the scene.
+
+        Nested dictionaries of numbers, texts and numpy arrays.
+        """
         return {
             "stage_progress": self._stage_progress.state_dict(),
             "wall_clock": self._wall_clock.state_dict(self.engine),
@@ -373,7 +418,11 @@ class Simulation:
         }
 
     def _load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
-        """Restore the state of the checkpoint and apply the changes of the scene."""
+        """Restore the state of the checkpoint and apply the changes of the scene.
+
+        change:  accepted differences between the scenes of the checkpoint and of this run
+        Raises:  GranflowError if observers, particle groups or arrays do not match the checkpoint
+        """
         saved = checkpoint.saved
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in self._checkpointed()})
         counts = {name: group.count for name, group in self.scene.particles.items()}
@@ -405,7 +454,10 @@ class Simulation:
         return list(found.items())
 
     def _output_error(self, error: OSError) -> OutputError:
-        """Save the state if possible, and return the error for files that cannot be written."""
+        """Return the error for files that cannot be written, after a checkpoint if possible.
+
+        The message contains the file, the reason, the simulated time [s] and the command that resumes the run.
+        """
         where = f"{error.filename}: " if error.filename else f"{self.out}: "
         try:
             if self.out is not None and self._stage_progress.target is not None:

@@ -16,10 +16,12 @@ REST_CHECKS = 200
 class StageProgress:
     """Started and completed stages, and pending events of the current stage.
 
-    stage: name of the current stage.  changes [s]: future times at which walls appear or vanish.
-    stage_times [s]: start and end of the stages that have begun; the end is infinite during a stage.
-    next_check [s]: time of the next check for rest.  target [s]: time to which the current steps lead, None between
-    targets.  arrived: whether insertion and wall changes at the target are done, so that only observers are pending.
+    stage:        name of the current stage
+    changes:      future times [s] at which walls appear or vanish
+    stage_times:  start and end [s] of the stages that have begun; the end is infinite during a stage
+    next_check:   time [s] of the next check for rest; infinite without checks
+    target:       time [s] to which the current steps lead, None between targets
+    arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
     """
 
     stage: str
@@ -59,7 +61,10 @@ class StageProgress:
         return changed
 
     def set_walls(self, scene: Scene, engine: Engine) -> None:
-        """Copy presence and motions of the walls to the device."""
+        """Copy presence and motions of the walls to the device.
+
+        Presence is that of the middle of the next step, so that a change due at the present time is included.
+        """
         times: StageTimes = self.stage_times
         presence = wall_presence(scene, self.stage, engine.time + 0.5 * engine.time_step)
         engine.set_walls(presence, wall_motions(scene, times))
@@ -76,9 +81,10 @@ class StageProgress:
         }
 
     def load_state_dict(self, saved: dict[str, Any], reopened: bool, same_scene: bool) -> None:
-        """Restore the state; with `reopened`, the last stage continues even if it had ended.
+        """Restore the state.
 
-        If the scene changed, the target is determined again.
+        reopened:    the last stage continues even if it had ended
+        same_scene:  False if the scene changed; the target is then determined again
         """
         self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}

@@ -12,7 +12,10 @@ from granflow.plan import Plan, explain
 
 
 class WallClock:
-    """Wall-clock time of a run [s], including the time before it was resumed."""
+    """Wall-clock time of a run [s], including the time before it was resumed.
+
+    `output`: time [s] spent in observers and checkpoints.
+    """
 
     def __init__(self) -> None:
         self._began = clock.perf_counter()
@@ -24,7 +27,7 @@ class WallClock:
         self._setup = clock.perf_counter() - self._began - compile_seconds
 
     def start(self) -> None:
-        """Start the clock of the run; the time since the set-up is not counted."""
+        """Start the clock of the run; the time between the set-up and this call is not counted."""
         self._began = clock.perf_counter()
 
     @contextmanager
@@ -39,7 +42,7 @@ class WallClock:
         return self._before_resume + clock.perf_counter() - self._began + self._setup + engine.timing.compile
 
     def state_dict(self, engine: Engine) -> dict[str, Any]:
-        """Return the state for a checkpoint."""
+        """Return the state for a checkpoint: output time and total time so far [s]."""
         return {"output_seconds": self.output, "wall_clock": self.total(engine)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -54,7 +57,12 @@ Readings = Mapping[str, Mapping[str, float]]
 def collect_result(
     engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
 ) -> Result:
-    """Return the numbers of a run without evaluated expectations; `readings`: by kind, as in `Result`."""
+    """Return the numbers of a run without evaluated expectations.
+
+    engine:    engine at the end of the run
+    totals:    totals of the last snapshot
+    readings:  numbers of flow meters, wall forces, metrics and insertion by kind, as in `Result`
+    """
     timing = engine.timing
     computing = max(timing.neighbor_list + timing.advance, 1e-9)
     run = {
@@ -87,7 +95,10 @@ def collect_result(
 
 
 def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
-    """Write versions, device, plan with reasons, and warnings to the log."""
+    """Write versions, device, plan with reasons, and warnings to the log.
+
+    `resumed`: checkpoint from which the run continues, or None.
+    """
     log = logging.getLogger("granflow")
     backend = engine.state.backend
     log.info("%s", versions())

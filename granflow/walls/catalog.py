@@ -9,6 +9,7 @@ from granflow.walls.revolved import REVOLVED
 from granflow.walls.shape import Shape, ShapeKind
 
 SHAPE_KINDS: tuple[ShapeKind, ...] = (HALF_SPACE, RECTANGLE, REVOLVED)
+"""Kinds of shapes other than meshes."""
 
 
 Surface = Shape | Mesh
@@ -21,7 +22,7 @@ def kind_code(kind: ShapeKind) -> int:
 
 
 def area_of(surface: Surface) -> float | None:
-    """Area [m2] of a surface; None if it is unbounded."""
+    """Area [m2] of one side of a surface; None if it is unbounded."""
     return surface.area if isinstance(surface, Mesh) else surface.kind.area(surface.parameters)
 
 
@@ -33,8 +34,12 @@ def surface_code(surface: Surface) -> int:
 def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (m, 3) [m] and triangles (k, 3) of a surface at rest, for visualization.
 
-    An unbounded shape is shown as a square of half width `extent` about the projection of `center` (use the center of
-    the domain and half its largest side); other shapes are shown completely.
+    surface:  shape or mesh in its rest pose
+    center:   (3,) [m], center of the domain
+    extent:   half width [m] of the square that shows an unbounded shape, half the largest side of the domain
+    Returns:  points (m, 3) float64 [m]; triangles (k, 3) as indices of the points
+
+    An unbounded shape is shown as a square about the projection of `center`; other shapes are shown completely.
     """
     if isinstance(surface, Mesh):
         return surface.points, surface.corners
@@ -42,7 +47,12 @@ def triangles(surface: Surface, center: np.ndarray, extent: float) -> tuple[np.n
 
 
 def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndarray:
-    """Distance (n,) [m] of points (n, 3) from a surface; for meshes limited to `reach`."""
+    """Distance of points from a surface at rest, without regard to shared edges of a mesh.
+
+    points:   (n, 3) float64 [m]
+    reach:    distance [m] up to which the result is exact for a mesh; farther points get a larger distance or FAR_AWAY
+    Returns:  distance (n,) [m]; FAR_AWAY at the edge of a surface of revolution that another wall owns
+    """
     if isinstance(surface, Mesh):
         vertex = surface.adjacency.vertex
         return distances(grid_over(vertex, reach), vertex, points)
@@ -52,8 +62,11 @@ def distance_from(surface: Surface, points: np.ndarray, reach: float) -> np.ndar
 def reach_about(surface: Surface, point: np.ndarray, axis: np.ndarray, farthest: float) -> float:
     """Largest distance [m] from an axis of geometry that moves when the wall rotates, for `motion.speed_bound`.
 
-    At most `farthest`, the largest distance of a particle from the axis. 0 for a surface of revolution that rotates
-    about its own axis, and for a half space that rotates about its normal.
+    point:     (3,) [m], a point on the axis
+    axis:      (3,), unit vector along the axis
+    farthest:  largest distance [m] of a particle from the axis; the result is at most this value
+    Returns:   0 for a surface of revolution that rotates about its own axis, and for a half space that rotates about
+               its normal
     """
     point, axis = np.asarray(point), np.asarray(axis)
     if isinstance(surface, Mesh):

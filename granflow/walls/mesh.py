@@ -8,22 +8,35 @@ import numpy as np
 
 from granflow.walls.mesh_adjacency import MeshAdjacency, adjacency_of
 from granflow.walls.mesh_file import RawTriangles
-from granflow.walls.mesh_split import divided
+from granflow.walls.mesh_split import split_at_hanging_points
 from granflow.walls.shape import distance_from_axis
 
-WELD = 1e-6
+WELD_TOLERANCE = 1e-6
 """Points closer than this fraction of the mesh size are merged: ten times the rounding error of float32 files."""
 
 
 def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Areas (t,) [m2] of triangles: points (n, 3) [m], corners (t, 3)."""
+    """Area of triangles.
+
+    points:   (n, 3) [m]
+    corners:  (t, 3) as indices of the points
+    Returns:  (t,) [m2]
+    """
     sides = points[corners[:, 1:]] - points[corners[:, :1]]
     return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one wall: points (n, 3) [m], corners (t, 3) as point indices, and counts of removed triangles."""
+    """Triangles of one wall at rest, and counts of the triangles that `mesh_of` removed or split.
+
+    points:            (n, 3) float64 [m], each used by at least one triangle
+    corners:           (t, 3) as indices of the points; triangles are two-sided, their winding does not matter
+    degenerate_count:  number of removed triangles without area
+    duplicate_count:   number of removed triangles with the corners of another triangle
+    quad_count:        number of quadrilaterals that were split into two triangles
+    divided_count:     number of triangles that were split at hanging points
+    """
 
     points: np.ndarray
     corners: np.ndarray
@@ -63,11 +76,17 @@ class Mesh:
         return float(np.sqrt(2.0 * np.median(self.areas)))
 
     def reach_about(self, point: np.ndarray, axis: np.ndarray) -> float:
-        """Largest distance [m] of a point from an axis."""
+        """Largest distance [m] of a point of the mesh from an axis: `point` (3,) [m] on it, unit vector `axis` (3,)."""
         return float(distance_from_axis(self.points, point, axis).max())
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
-        """Transformed mesh: scaled, then rotated by a matrix (3, 3), then translated [m]."""
+        """Transformed mesh.
+
+        scale:     factor, applied first
+        rotation:  (3, 3) rotation matrix, applied second
+        offset:    (3,) [m] translation, applied last
+        Returns:   a new mesh with the same triangles; adjacency and areas are computed again at first use
+        """
         points = self.points * scale
         if not np.array_equal(rotation, np.eye(3)):
             points = points @ rotation.T
@@ -77,27 +96,32 @@ class Mesh:
 def mesh_of(triangles_read: RawTriangles) -> Mesh:
     """Merge points, remove triangles without area and duplicates, and split triangles at hanging points.
 
-    Raises ValueError if no triangle remains.
+    triangles_read:  triangles of a file; coordinates in the unit of the file
+    Returns:         mesh in the same unit, with contiguous point indices
+    Raises:          ValueError if no triangle remains
+
+    The tolerance is WELD_TOLERANCE times the diagonal of the bounding box: points within it are one point (see
+    `welded`), and a triangle whose smallest height is not above it has no area.
     """
     used, corners = np.unique(triangles_read.corners, return_inverse=True)
     points = triangles_read.points[used]
-    tolerance = WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    tolerance = WELD_TOLERANCE * float(np.linalg.norm(np.ptp(points, axis=0)))
     label = welded(points, tolerance)
     corners = label[corners.reshape(-1, 3)]
     is_valid = heights(points[corners]) > tolerance
     corners, degenerate = corners[is_valid], int((~is_valid).sum())
-    first = first_of_each(np.sort(corners, axis=1))
+    first = first_occurrences(np.sort(corners, axis=1))
     duplicate = len(corners) - len(first)
     corners = corners[first]
     if not len(corners):
         raise ValueError("has no triangle with nonzero area")
-    corners, split = divided(points, corners, tolerance)
+    corners, split = split_at_hanging_points(points, corners, tolerance)
     kept, corners = np.unique(corners, return_inverse=True)
     return Mesh(points[kept], corners.reshape(-1, 3), degenerate, duplicate, triangles_read.quad_count, split)
 
 
-def first_of_each(rows: np.ndarray) -> np.ndarray:
-    """Indices, in order, of the rows (n, 3) that do not repeat a previous row."""
+def first_occurrences(rows: np.ndarray) -> np.ndarray:
+    """Indices (k,), in ascending order, of the rows (n, 3) that do not repeat a previous row."""
     order = np.lexsort(rows.T[::-1])
     new = np.ones(len(rows), bool)
     new[1:] = np.any(rows[order][1:] != rows[order][:-1], axis=1)
@@ -105,10 +129,14 @@ def first_of_each(rows: np.ndarray) -> np.ndarray:
 
 
 def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """For each point (n, 3) the index of the representative of all points within `tolerance` [m].
+    """Merge points that are nearer than a tolerance; chains of such points become one point.
 
-    Such points share a cell of at least one of eight grids of cell size 2 `tolerance`, shifted by half a cell along
-    each axis.
+    points:     (n, 3) [m]
+    tolerance:  largest distance [m] of merged points
+    Returns:    (n,), index of the representative point, the lowest index of the merged points
+
+    All points that share a cell of at least one of eight grids are merged: cell size 2 `tolerance`, shifted by half a
+    cell along each axis. This includes all pairs of points within `tolerance` of each other.
     """
     label = np.arange(len(points))
     if tolerance == 0.0:
@@ -125,7 +153,13 @@ def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
-    """Label (n,) of the cubic cell of each point; points in the same cell have the same label."""
+    """Label of the cubic cell of each point; points in the same cell have the same label.
+
+    points:   (n, 3) [m]
+    side:     cell size [m]
+    shift:    (3,) [m], offset of the grid
+    Returns:  (n,), integers from 0
+    """
     cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]

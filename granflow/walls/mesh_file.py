@@ -18,10 +18,13 @@ LARGEST_FILE = 256 * 2**20
 """Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
 
 MAX_TRIANGLES = 1_000_000
+"""Maximum number of triangles of a mesh."""
 
 FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
+"""Supported formats by the suffix of the file name."""
 
 STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""Bytes before the first triangle of a binary STL file, and layout of a triangle (50 bytes, little-endian)."""
 
 MAX_REASON_LENGTH = 200
 """Maximum length of a message of meshio, in characters."""
@@ -36,7 +39,12 @@ class MeshFileError(Exception):
 
 @dataclass(frozen=True)
 class RawTriangles:
-    """Triangles as read: points (n, 3), corners (t, 3), and the number of quadrilaterals split into two triangles."""
+    """Triangles as read from a file, in the unit of the file.
+
+    points:      (n, 3) float64 coordinates
+    corners:     (t, 3) as indices of the points, from 0
+    quad_count:  number of quadrilaterals that were split into two triangles each
+    """
 
     points: np.ndarray
     corners: np.ndarray
@@ -44,28 +52,36 @@ class RawTriangles:
 
 
 def read_triangles(path: Path) -> RawTriangles:
-    """Triangles in a file, in the units of the file. Raises MeshFileError if they cannot form a wall."""
-    raw = _bytes(path)
+    """Read the triangles in a file, in the unit of the file. The suffix of the name determines the format.
+
+    path:     STL, OBJ, PLY, VTK or VTU file of at most LARGEST_FILE bytes
+    Returns:  1 to MAX_TRIANGLES triangles with finite coordinates; they may be degenerate or duplicate
+    Raises:   MeshFileError if the file is missing, damaged, too large or of another format, or contains cells other
+              than triangles, quadrilaterals, lines and vertices
+    """
+    raw = _read_bytes(path)
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise MeshFileError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
-    return _validated(_soup(path, kind, raw))
+    return _validated(_read_format(path, kind, raw))
 
 
-def _soup(path: Path, kind: str, raw: bytes) -> RawTriangles:
+def _read_format(path: Path, kind: str, raw: bytes) -> RawTriangles:
+    """Triangles of a file of the format `kind`, one of FORMATS. Raises MeshFileError."""
     try:
         if kind == "obj":
             return RawTriangles(*read_obj(raw))
         if kind == "vtu":
-            return _soup_of(read_vtu(path, LARGEST_FILE))
+            return _raw_triangles(read_vtu(path, LARGEST_FILE))
     except (ObjError, VtuError) as error:
         raise MeshFileError(str(error)) from None
     if kind == "stl" and not _is_text_stl(raw):
         return _binary_stl(raw)
-    return _soup_of(_by_meshio(path, kind))
+    return _raw_triangles(_by_meshio(path, kind))
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
+    """All bytes of the file. Raises MeshFileError if it is missing, empty, too large or not a regular file."""
     try:
         raw = read_regular(path, LARGEST_FILE)
     except FileNotFoundError:
@@ -85,10 +101,12 @@ def _is_text_stl(raw: bytes) -> bool:
 
 
 def _stl_count(raw: bytes) -> int:
+    """Number of triangles that the header of a binary STL file declares; -1 if the header is truncated."""
     return int(np.frombuffer(raw, "<u4", 1, STL_HEADER - 4)[0]) if len(raw) >= STL_HEADER else -1
 
 
 def _binary_stl(raw: bytes) -> RawTriangles:
+    """Triangles of a binary STL file, three points each. Raises MeshFileError if the file is truncated."""
     count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
         raise MeshFileError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
@@ -112,7 +130,8 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
         raise MeshFileError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
-def _soup_of(mesh: meshio.Mesh) -> RawTriangles:
+def _raw_triangles(mesh: meshio.Mesh) -> RawTriangles:
+    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises MeshFileError for other cells."""
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
@@ -128,12 +147,16 @@ def _soup_of(mesh: meshio.Mesh) -> RawTriangles:
 
 
 def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
+    """Corners (c, corner_count) of all cells of one type of meshio, int64."""
     blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == kind]
     return np.concatenate([np.empty((0, corner_count), dtype=np.int64), *blocks])
 
 
 def _validated(triangles_read: RawTriangles) -> RawTriangles:
-    """Check the number of triangles, the point indices and the coordinates; return the triangles unchanged."""
+    """Check the number of triangles, the point indices and the coordinates; return the triangles unchanged.
+
+    Raises MeshFileError for no or too many triangles, invalid indices, or coordinates that are not finite.
+    """
     count = len(triangles_read.corners)
     if not count:
         raise MeshFileError("contains no triangles")
@@ -147,7 +170,7 @@ def _validated(triangles_read: RawTriangles) -> RawTriangles:
         raise MeshFileError("refers to vertices that it does not contain: it is damaged")
     if triangles_read.corners.min() < 0:
         raise MeshFileError("refers to vertices that it does not contain: it is damaged")
-    wrong = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
-    if wrong.any():
-        raise MeshFileError(f"has {int(wrong.sum())} triangles with coordinates that are not finite")
+    not_finite = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
+    if not_finite.any():
+        raise MeshFileError(f"has {int(not_finite.sum())} triangles with coordinates that are not finite")
     return triangles_read

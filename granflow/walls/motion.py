@@ -19,6 +19,12 @@ class Vibration:
 
     The displacement is continuous at `start`; the center of the vibration is at -A sin(phase). The initial velocity is
     A w cos(phase), zero for a phase of pi/2 or -pi/2.
+
+    direction:          unit vector
+    amplitude:          A [m]
+    angular_frequency:  w [rad/s]
+    phase:              [rad]
+    start, end:         [s]
     """
 
     direction: tuple[float, float, float]
@@ -31,7 +37,7 @@ class Vibration:
 
 @dataclass(frozen=True)
 class Translation:
-    """Constant velocity [m/s] from `start` to `end`."""
+    """Translation with a constant `velocity` [m/s] from `start` to `end` [s]."""
 
     velocity: tuple[float, float, float]
     start: float = 0.0
@@ -40,7 +46,12 @@ class Translation:
 
 @dataclass(frozen=True)
 class Rotation:
-    """Rotation about the axis through `point` [m] along the unit vector `axis` at a constant rate [rad/s]."""
+    """Rotation about an axis at a constant rate, active from `start` to `end` [s].
+
+    point:             [m], point on the axis in the rest pose
+    axis:              unit vector; the rotation is right-handed
+    angular_velocity:  [rad/s]
+    """
 
     point: tuple[float, float, float]
     axis: tuple[float, float, float]
@@ -58,11 +69,18 @@ class ForceControlled:
 
 
 Motion = Vibration | Translation | Rotation | ForceControlled
+"""Motion of a wall; a wall can have several, of which at most one is a rotation."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses and velocities of a wall at k times.
+    """Poses and velocities of a wall at k times, float64.
+
+    offset:            (k, 3) [m], displacement of the pivot
+    rotation:          (k, 3, 3)
+    velocity:          (k, 3) [m/s] of the pivot
+    angular_velocity:  (k, 3) [rad/s]
+    pivot:             (3,) [m] in the rest pose; the point of the rotation, or the origin without rotation
 
     A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`. A point of the wall at x has the
     velocity `velocity + angular_velocity x (x - pivot - offset)`.
@@ -76,9 +94,11 @@ class Poses:
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
-    """Pose of a wall at each time (k,) [s]; the rest pose without motions. Raises ValueError for two rotations.
+    """Pose of a wall at given times; the rest pose without motions.
 
-    Excludes the displacement of a force-controlled wall.
+    motions:  all motions of the wall; force-controlled motions are ignored, the device integrates them
+    times:    (k,) [s], or one time
+    Raises:   ValueError for two rotations
     """
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
@@ -93,20 +113,28 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
 
 
 def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion without rotation."""
-    clock, running = elapsed(motion, times), is_running(motion, times)
+    """Displacement and velocity of one motion without rotation.
+
+    times:    (k,) [s]
+    Returns:  displacement (k, 3) [m]; velocity (k, 3) [m/s], zero outside start <= t < end
+    """
+    time_active, running = elapsed(motion, times), is_running(motion, times)
     if isinstance(motion, Translation):
         velocity = np.asarray(motion.velocity, dtype=np.float64)
-        return np.outer(clock, velocity), np.outer(running, velocity)
+        return np.outer(time_active, velocity), np.outer(running, velocity)
     direction = np.asarray(motion.direction, dtype=np.float64)
-    angle = motion.angular_frequency * clock + motion.phase
+    angle = motion.angular_frequency * time_active + motion.phase
     displacement = motion.amplitude * (np.sin(angle) - np.sin(motion.phase))
     rate = motion.amplitude * motion.angular_frequency * np.cos(angle) * running
     return np.outer(displacement, direction), np.outer(rate, direction)
 
 
 def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m]."""
+    """Rotation of a wall; the identity and zero velocity without a rotation.
+
+    times:    (k,) [s]
+    Returns:  rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m]
+    """
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)
@@ -116,7 +144,14 @@ def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray,
 
 
 def rotation_matrices(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Rotations (k, 3, 3) by angles (k,) about a unit axis: I + sin(a) K + (1 - cos(a)) K K (Rodrigues)."""
+    """Rotation matrices about an axis (Rodrigues).
+
+        I + sin(a) K + (1 - cos(a)) K K        K the cross product matrix of the axis
+
+    axis:     (3,) unit vector
+    angles:   (k,) [rad]
+    Returns:  (k, 3, 3); 1 - cos(a) is evaluated as 2 sin^2(a/2), which is accurate for small angles
+    """
     cross = np.cross(axis, np.eye(3)).T
     half_sine = np.sin(angles / 2)[:, None, None]
     return np.eye(3) + np.sin(angles)[:, None, None] * cross + 2 * half_sine**2 * (cross @ cross)
@@ -128,12 +163,12 @@ def elapsed(motion: Motion, times: np.ndarray) -> np.ndarray:
 
 
 def is_running(motion: Motion, times: np.ndarray) -> np.ndarray:
-    """Whether the motion is active at each time: start <= t < end."""
+    """Whether (k,) the motion is active at each time (k,) [s]: start <= t < end."""
     return (motion.start <= times) & (times < motion.end)
 
 
 def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
-    """The rotation among the motions, or None. Raises ValueError if there are several."""
+    """The rotation among the motions, or None. Raises ValueError for more than one."""
     rotations = [motion for motion in motions if isinstance(motion, Rotation)]
     if len(rotations) > 1:
         raise ValueError("A wall can have at most one rotation.")
@@ -143,8 +178,11 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    Excludes force-controlled motion. `reach` is the largest distance [m] from the rotation axis of geometry that moves
-    (`catalog.reach_about`); it is unused without a rotation.
+    motions:  all motions of the wall; force-controlled motions are ignored
+    reach:    largest distance [m] from the rotation axis of geometry that moves (`catalog.reach_about`); unused without
+              a rotation
+
+    The sum of |velocity| of translations, A w of vibrations and |angular velocity| reach of the rotation.
     """
     bound = 0.0
     for motion in motions:

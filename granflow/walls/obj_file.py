@@ -3,7 +3,9 @@
 import numpy as np
 
 IGNORED = frozenset(("vn", "vt", "vp", "g", "o", "s", "usemtl", "mtllib", "l", "p", "cstype", "deg", "end", "parm"))
+"""Keywords of lines that do not affect the surface."""
 LONGEST_FACE = 4
+"""Maximum number of corners of a face."""
 
 
 class ObjError(Exception):
@@ -11,7 +13,13 @@ class ObjError(Exception):
 
 
 def read_obj(raw: bytes) -> tuple[np.ndarray, np.ndarray, int]:
-    """Points (n, 3), triangles (t, 3) as indices from 0, and the number of quadrilaterals split into two triangles."""
+    """Read vertices and faces; a face of four corners is split into two triangles.
+
+    raw:      content of the file
+    Returns:  points (n, 3) float64, triangles (t, 3) int64 as indices from 0, number of split quadrilaterals
+    Raises:   ObjError with the line number for invalid lines, faces of more than LONGEST_FACE corners, and unknown
+              vertices
+    """
     points: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     quads = 0
@@ -37,6 +45,7 @@ def read_obj(raw: bytes) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _numbers(words: list[str], number: int) -> list[float]:
+    """The three coordinates of a vertex line; further numbers are ignored. Raises ObjError."""
     try:
         x, y, z = (float(word) for word in words[1:4])
     except ValueError:
@@ -45,7 +54,12 @@ def _numbers(words: list[str], number: int) -> list[float]:
 
 
 def _corners(words: list[str], count: int, number: int) -> list[int]:
-    """Indices from 0 of a face: in the file, 1 is the first vertex, -1 the last vertex before the line."""
+    """Indices from 0 of a face: in the file, 1 is the first vertex, -1 the last vertex before the line.
+
+    count:   number of vertices before the line
+    number:  line number, for messages
+    Raises:  ObjError
+    """
     if not 3 <= len(words) <= LONGEST_FACE:
         raise ObjError(f"contains a face of {len(words)} corners in line {number}; export the surface as triangles")
     found = []

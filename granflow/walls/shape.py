@@ -17,21 +17,23 @@ and small enough for its square to be finite in float32."""
 class ShapeKind:
     """A kind of surface: device functions, reference implementation and triangles.
 
-    closest            ti.func (point: 3-vector, parameters: 16-vector) -> (distance, normal)
-                       Distance [m] from the surface to the point and unit normal from the surface to the
-                       point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is on
-                       an edge that another wall owns.
-    bare_distance      ti.func (point, parameters) -> distance [m] without regard to shared edges. Wall
-                       neighbor lists use it, because a point beyond an edge can be above the face in the
-                       next step.
-    reference_closest  reference implementation of `closest` for points (n, 3):
-                       -> (distance (n,), normal (n, 3))
-    triangles          (parameters, center (3,), extent) -> (points (m, 3), triangles (k, 3)) for
-                       visualization; an unbounded kind is a square of half width `extent` about the
-                       projection of `center`.
-    reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] of a point of the
-                       surface from the axis, 0 if rotation about the axis maps the surface onto itself.
-    area               (parameters) -> area [m2] of the surface, None if it is unbounded.
+        closest            ti.func (point: 3-vector, parameters: 16-vector) -> (distance, normal)
+                           Distance [m] from the surface to the point and unit normal from the surface to the
+                           point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is on
+                           an edge that another wall owns.
+        surface_distance   ti.func (point, parameters) -> distance [m] without regard to shared edges. Wall
+                           neighbor lists use it, because a point beyond an edge can be above the face in the
+                           next step.
+        reference_closest  reference implementation of `closest` for points (n, 3) [m]:
+                           -> (distance (n,), normal (n, 3))
+        triangles          (parameters, center (3,), extent) -> (points (m, 3), triangles (k, 3)) for
+                           visualization; an unbounded kind is a square of half width `extent` about the
+                           projection of `center`.
+        reach_about        (parameters, point (3,), unit axis (3,)) -> largest distance [m] of a point of the
+                           surface from the axis, 0 if rotation about the axis maps the surface onto itself.
+        area               (parameters) -> area [m2] of the surface, None if it is unbounded.
+
+    Points are in the frame of the wall at rest.
     """
 
     name: str
@@ -46,17 +48,20 @@ class ShapeKind:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One surface at rest: kind and parameters (16,), float64, read-only, unused ones 0."""
+    """One surface at rest: kind and parameters (16,), float64, read-only, unused ones 0.
+
+    `parameters` are in the order of `kind.parameter_names`; lengths in m, directions are unit vectors.
+    """
 
     kind: ShapeKind
     parameters: np.ndarray
 
     def __getitem__(self, name: str) -> float:
-        """Parameter with a name of `kind.parameter_names`."""
+        """Parameter with a name of `kind.parameter_names`. Raises ValueError for another name."""
         return float(self.parameters[self.kind.parameter_names.index(name)])
 
     def with_parameters(self, **values: float) -> "Shape":
-        """Copy with new values of the named parameters."""
+        """Copy with new values of the named parameters. Raises ValueError for an unknown name."""
         parameters = self.parameters.copy()
         for name, value in values.items():
             parameters[self.kind.parameter_names.index(name)] = value
@@ -64,7 +69,10 @@ class Shape:
 
 
 def make_shape(kind: ShapeKind, *values: object) -> Shape:
-    """Build a shape from scalars and 3-vectors in the order of `kind.parameter_names`."""
+    """Build a shape from scalars and 3-vectors in the order of `kind.parameter_names`.
+
+    Raises ValueError for another count of numbers, or a number that is not finite.
+    """
     flat = np.concatenate([np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in values])
     if len(flat) != len(kind.parameter_names):
         raise ValueError(f"{kind.name} takes {len(kind.parameter_names)} numbers, got {len(flat)}.")
@@ -80,7 +88,7 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def unit(vector: object) -> np.ndarray:
-    """Vector (3,) scaled to length 1. Raises ValueError if it has no direction."""
+    """Vector (3,) scaled to length 1, float64. Raises ValueError for another shape or a vector of length 0."""
     array = np.asarray(vector, dtype=np.float64)
     length = np.linalg.norm(array)
     if array.shape != (3,) or not length > 0:
@@ -89,10 +97,16 @@ def unit(vector: object) -> np.ndarray:
 
 
 def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points (n, 3) from the line through `point` along the unit vector `axis`."""
+    """Distance of points from an axis.
+
+    points:   (n, 3) [m], or one point (3,)
+    point:    (3,) [m], a point on the axis
+    axis:     (3,) unit vector
+    Returns:  (n,) [m]
+    """
     return np.linalg.norm(np.cross(np.atleast_2d(points) - point, axis), axis=1)
 
 
 def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> bool:
-    """Whether two unit vectors are parallel or antiparallel."""
+    """Whether two unit vectors (3,) are parallel or antiparallel; `tolerance` limits the sine of their angle."""
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)

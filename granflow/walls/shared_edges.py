@@ -26,17 +26,22 @@ from granflow.walls.revolved import REVOLVED, profile
 from granflow.walls.shape import Shape, is_parallel
 
 TOLERANCE = 1e-9
+"""Largest distance of coincident points over the size of the segments, and sine of the angle of parallel axes."""
 
 EDGE_PARAMETERS = ("neighbor_r", "neighbor_z", "owned")
+"""Parameters of one end of a surface of revolution, without the prefix "start_" or "end_"."""
 
 Profile = tuple[np.ndarray, np.ndarray]
+"""Ends (2,) of a segment as (r, z) [m]."""
 
 
 @dataclass(frozen=True)
 class Ray:
     """Direction of a segment from an edge, in the (r, z) frame of the shape that has the edge.
 
-    `end` is "start" or "end" if the segment ends at the edge, None if it passes through.
+    index:      index of the shape of the segment
+    end:        "start" or "end" if the segment ends at the edge, None if it passes through
+    direction:  (2,) unit vector (r, z)
     """
 
     index: int
@@ -45,15 +50,17 @@ class Ray:
 
     @property
     def angle(self) -> float:
-        """Angle [rad] in [0, 2 pi) from the outward radial direction towards the axis direction."""
+        """Angle [rad] in [0, 2 pi) from the outward radial direction toward the axis direction."""
         return float(np.arctan2(self.direction[1], self.direction[0]) % (2 * np.pi))
 
 
 def join_shared_edges(shapes: Sequence[Shape], groups: Sequence[Hashable]) -> list[Shape]:
     """The same shapes with each shared edge of surfaces of revolution assigned to one owner.
 
-    `groups` identifies the wall motion of each shape: only shapes with the same motion share edges. Call the function
-    again with the active shapes when a wall is added or removed; repeated calls are idempotent.
+    shapes:  active shapes; shapes of other kinds are returned unchanged
+    groups:  wall motion of each shape: only shapes with the same motion share edges
+
+    Call the function again with the active shapes when a wall is added or removed; repeated calls are idempotent.
     """
     joined = list(shapes)
     for index, shape in enumerate(shapes):
@@ -70,9 +77,9 @@ def is_coaxial(shape: Shape, other: Shape) -> bool:
     """Whether the other shape is a surface of revolution about the same line, in either direction."""
     if other.kind is not REVOLVED:
         return False
-    between = other.parameters[0:3] - shape.parameters[0:3]
+    origin_offset = other.parameters[0:3] - shape.parameters[0:3]
     axis = shape.parameters[3:6]
-    off_axis = np.linalg.norm(np.cross(between, axis))
+    off_axis = np.linalg.norm(np.cross(origin_offset, axis))
     size = profile_size(shape) + profile_size(other)
     return is_parallel(axis, other.parameters[3:6], TOLERANCE) and bool(off_axis <= TOLERANCE * size)
 
@@ -83,7 +90,12 @@ def profile_size(shape: Shape) -> float:
 
 
 def rays_at_edge(shapes: Sequence[Shape], index: int, end: str, partners: Sequence[int]) -> list[Ray]:
-    """Directions of all partners (including the shape itself) from the given edge."""
+    """Directions of all partners (including the shape itself) from the given edge.
+
+    index:     index of the shape that has the edge
+    end:       "start" or "end"
+    partners:  indices of the coaxial shapes with the same motion
+    """
     shape = shapes[index]
     edge = profile(shape.parameters)[0 if end == "start" else 1]
     rays: list[Ray] = []
@@ -103,7 +115,12 @@ def profile_in_frame_of(shape: Shape, other: Shape) -> Profile:
 
 
 def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: float) -> list[Ray]:
-    """Directions of one segment from the edge: one at an end, two if it passes through, none otherwise."""
+    """Directions of one segment from the edge: one at an end, two if it passes through, none otherwise.
+
+    ends:       ends of the segment as (r, z) [m]
+    edge:       (2,), the edge as (r, z) [m]
+    tolerance:  largest distance [m] of coincident points
+    """
     start, end = ends
     length = np.linalg.norm(end - start)
     along = (end - start) / length
@@ -112,16 +129,19 @@ def rays_of_segment(index: int, ends: Profile, edge: np.ndarray, tolerance: floa
     if np.linalg.norm(end - edge) <= tolerance:
         return [Ray(index, "end", -along)]
     position = (edge - start) @ along
-    aside = np.linalg.norm(edge - start - position * along)
-    passes = aside <= tolerance and 0 < position < length
+    off_line = np.linalg.norm(edge - start - position * along)
+    passes = off_line <= tolerance and 0 < position < length
     return [Ray(index, None, along), Ray(index, None, -along)] if passes else []
 
 
 def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, float]:
-    """The three edge parameters of one end of a shape, from all rays at that edge."""
+    """The three edge parameters of one end of a shape, from all rays at that edge.
+
+    The owner is the surface with the lowest index among the bounds of the wedge, if both bounds are ends of segments.
+    """
     bounds = wedge_bounds(rays)
-    own_rays = [ray for ray in bounds if ray.index == index and ray.end == end]
-    neighbors = [ray for ray in bounds if ray not in own_rays]
+    rays_of_end = [ray for ray in bounds if ray.index == index and ray.end == end]
+    neighbors = [ray for ray in bounds if ray not in rays_of_end]
     neighbor = neighbors[0].direction if neighbors else np.zeros(2)
     ends = [(ray.index, ray.end) for ray in bounds if ray.end is not None]
     owned = 0 < len(ends) == len(bounds) and min(ends) == (index, end)
@@ -130,11 +150,14 @@ def edge_parameters(rays: Sequence[Ray], index: int, end: str) -> dict[str, floa
 
 
 def wedge_bounds(rays: Sequence[Ray]) -> list[Ray]:
-    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray itself."""
+    """The two rays on either side of the widest free angle if it is at least 180 degrees; a single ray itself.
+
+    Empty if no free angle is that wide.
+    """
     if len(rays) == 1:
         return list(rays)
     ordered = sorted(rays, key=lambda ray: ray.angle)
-    following = ordered[1:] + ordered[:1]
-    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, following, strict=True)]
+    successors = ordered[1:] + ordered[:1]
+    gaps = [(after.angle - before.angle) % (2 * np.pi) for before, after in zip(ordered, successors, strict=True)]
     widest = int(np.argmax(gaps))
-    return [ordered[widest], following[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []
+    return [ordered[widest], successors[widest]] if gaps[widest] >= np.pi * (1 - TOLERANCE) else []

@@ -17,7 +17,7 @@ from granflow.device.state import State
 from granflow.observe import read_checkpoint
 from granflow.plan import plan_for
 from granflow.simulation import Simulation
-from granflow.walls.mesh_contact import bare_distance, reference_contact
+from granflow.walls.mesh_contact import reference_contact, triangle_distances
 from granflow.walls.shape import FAR_AWAY
 
 
@@ -79,7 +79,7 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         triangles = np.tile(np.arange(mesh.triangle_count), len(points))
         repeated = np.repeat(points, mesh.triangle_count, axis=0)
         expected, direction = reference_contact(mesh.adjacency, triangles, repeated)
-        distance = bare_distance(mesh.adjacency.vertex[triangles], repeated)
+        distance = triangle_distances(mesh.adjacency.vertex[triangles], repeated)
         np.testing.assert_allclose(gap[:, own].reshape(-1), expected, rtol=0.0, atol=2e-15)
         owned = expected < FAR_AWAY
         found = normal[:, own].reshape(-1, 3)[owned & (expected > 0.0)]

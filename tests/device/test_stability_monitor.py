@@ -5,7 +5,7 @@ import pytest
 from scene_builders import box, build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.device.accounting import Accounting, put_in
+from granflow.device.accounting import Accounting, energy_input
 from granflow.device.stability_monitor import StabilityMonitor
 from granflow.observe import every
 from granflow.plan import plan_for
@@ -80,9 +80,9 @@ def test_supplied_energy_does_not_depend_on_the_origin(height, put):
     """A particle of 2 kg in a field of 1 m/s2 starts with 5 J: a fall of 1.5 m adds 3 J, a rise adds none."""
     for origin in (0.0, 1e3):
         accounting = Accounting(inserted_energy=5.0 + 2.0 * origin)
-        largest = max(put_in(accounting, 2.0 * origin), put_in(accounting, 2.0 * origin + height))
+        largest = max(energy_input(accounting, 2.0 * origin), energy_input(accounting, 2.0 * origin + height))
         assert largest == pytest.approx(put)
-        assert put_in(accounting, 2.0 * origin + 5.0, (2.0, -7.0)) == pytest.approx(2.0)
+        assert energy_input(accounting, 2.0 * origin + 5.0, (2.0, -7.0)) == pytest.approx(2.0)
 
 
 def test_velocity_too_high_for_the_step_causes_a_warning_with_the_required_step(taichi_f64):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from walls.meshes import cube, mesh, sheet, tube
 
-from granflow.walls.mesh_contact import bare_distance, reference_contact
+from granflow.walls.mesh_contact import reference_contact, triangle_distances
 from granflow.walls.mesh_grid import grid_over
 from granflow.walls.motion import rotation_matrices
 from granflow.walls.shape import FAR_AWAY
@@ -15,7 +15,7 @@ def contacts(surface, points):
     count = surface.triangle_count
     triangles, repeated = np.tile(np.arange(count), len(points)), np.repeat(points, count, axis=0)
     gap, normal = reference_contact(surface.adjacency, triangles, repeated)
-    bare = bare_distance(surface.adjacency.vertex[triangles], repeated)
+    bare = triangle_distances(surface.adjacency.vertex[triangles], repeated)
     return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
 
 
