@@ -15,7 +15,12 @@ GROWTH_FACTOR = 1.3
 
 
 def check_neighbors(neighbors: Part, count: int, plan: Plan) -> None:
-    """Check the neighbor lists of `count` particles. Raises CheckpointError."""
+    """Check the neighbor lists of `count` particles. Raises CheckpointError.
+
+    `list_length` and `list_walls` (count,): entries per particle, and how many of these are walls or triangles, which
+    precede particles. `partner` (entries,): index of a particle, or a negative number for a wall or triangle.
+    `in_contact` (entries,) and the history fields (entries, components) exist if the contact model has a history.
+    """
     history = plan.history
     neighbors.mapping(("list_length", "list_walls", "partner", *(["in_contact"] if history else []), *history))
     entries = len(neighbors["partner"].value) if isinstance(neighbors["partner"].value, np.ndarray) else 0
@@ -40,7 +45,11 @@ def check_neighbors(neighbors: Part, count: int, plan: Plan) -> None:
 
 
 def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, count: int, surfaces: int, chunk: int) -> None:
-    """Check that each wall or triangle is listed once, a pair within a chunk in one list, across chunks in both."""
+    """Check that each wall or triangle is listed once, a pair within a chunk in one list, across chunks in both.
+
+    `owner`, `partner` (entries,): indices; `surfaces`: number of walls and triangles; `chunk`: particles per chunk.
+    Raises CheckpointError.
+    """
     if np.any(owner == partner):
         raise part.wrong("lists a particle as its own neighbor")
     if _repeats(owner * (count + surfaces) + partner + surfaces):
@@ -56,11 +65,15 @@ def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, count: int,
 
 
 def _repeats(numbers: np.ndarray) -> bool:
+    """Return whether a value occurs more than once in an array (n,)."""
     return len(np.unique(numbers)) < len(numbers)
 
 
 def _check_memory(part: Part, length: np.ndarray, plan: Plan) -> None:
-    """Check the memory: all chunks get the capacity of the longest one."""
+    """Check the memory: all chunks get the capacity of the longest one. Raises CheckpointError if it does not fit.
+
+    `length` (n,): list entries of each particle.
+    """
     chunk = np.arange(len(length)) // plan.chunk_size
     largest = int(np.bincount(chunk, weights=length, minlength=1).max())
     if largest <= plan.list_capacity_per_chunk:

@@ -18,7 +18,11 @@ SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "part")
 
 
 def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]) -> None:
-    """Check the state of each saved observer; `fresh`: states of new ones by name. Raises CheckpointError."""
+    """Check the state of each saved observer against that of a new one.
+
+    `fresh`: state of each new observer by name, which defines the keys and types; saved observers that are not in
+    `fresh` are ignored. Raises CheckpointError.
+    """
     observers = Part.of(checkpoint)["observers"]
     for name, template in fresh.items():
         if name in observers.mapping():
@@ -26,7 +30,11 @@ def check_observers(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any
 
 
 def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> None:
-    """Check the state of each inserter by group; `counts`: particles of each group. Raises CheckpointError."""
+    """Check the state of each inserter by group.
+
+    `fresh`: states of new inserters by group; `counts`: number of particles of each group, an upper bound of the
+    particles due. Raises CheckpointError.
+    """
     insertion = Part.of(checkpoint)["insertion"]
     insertion.mapping(fresh)
     for name, template in fresh.items():
@@ -40,7 +48,11 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
 
 
 def _check_like(part: Part, template: Any) -> None:
-    """Check for the keys and types of `template`; values that are empty or None there may have grown."""
+    """Check for the keys and types of `template`; values that are empty or None there may have grown.
+
+    Lists, the previous sample of a flow meter and accumulated fields grow during a run and have separate checks.
+    Raises CheckpointError.
+    """
     key = part.key.rsplit("/", 1)[-1]
     if key == "last" and isinstance(part.value, dict) and any(name in part.value for name in SAMPLE_ARRAYS):
         _check_sample(part)
@@ -64,6 +76,7 @@ def _check_like(part: Part, template: Any) -> None:
 
 
 def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
+    """Check one entry of a list: a value, or a list with one value for each of `kinds` ("number" or "text")."""
     cells = [row] if len(kinds) == 1 else row.items(len(kinds))
     for cell, kind in zip(cells, kinds, strict=True):
         check: Callable[[], object] = cell.number if kind == "number" else cell.text
@@ -71,6 +84,7 @@ def _check_row(row: Part, kinds: tuple[str, ...]) -> None:
 
 
 def _check_plain(part: Part, template: Any) -> None:
+    """Check a value that is not a container; `count` may be negative: the net number of particles of a flow meter."""
     if isinstance(template, bool):
         part.flag()
     elif isinstance(template, int):
@@ -82,6 +96,7 @@ def _check_plain(part: Part, template: Any) -> None:
 
 
 def _check_sample(part: Part) -> None:
+    """Check the previous sample of a flow meter: `id`, `mass`, `distance`, `part` (n,), `position` (n, 3)."""
     part.mapping(SAMPLE_ARRAYS)
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0

@@ -37,6 +37,7 @@ class Part:
         return cls(checkpoint.path, "", checkpoint.saved)
 
     def __getitem__(self, name: str) -> "Part":
+        """Return the entry `name` of a mapping. Raises CheckpointError if the value is not a mapping or lacks it."""
         values = self.mapping()
         if name not in values:
             raise self.wrong(f"lacks {name}")
@@ -56,7 +57,7 @@ class Part:
         return self.wrong(f"is {shown}, but must be {expected}")
 
     def mapping(self, names: Collection[str] | None = None) -> dict[str, Any]:
-        """Return the value, a dictionary; if `names` is given, with exactly these keys."""
+        """Return the value, a dictionary; if `names` is given, with exactly these keys. Raises CheckpointError."""
         if not isinstance(self.value, dict):
             raise self.unlike("a mapping")
         if names is not None and set(self.value) != set(names):
@@ -65,61 +66,71 @@ class Part:
         return self.value
 
     def parts(self, names: Collection[str] | None = None) -> Iterator["Part"]:
-        """Yield the values of a mapping, checked for `names` as in `mapping`."""
+        """Yield the values of a mapping, checked for `names` as in `mapping`. Raises CheckpointError."""
         yield from (self._within(name, value) for name, value in self.mapping(names).items())
 
     def items(self, length: int | None = None) -> list["Part"]:
-        """Return the values of a list, of the given length if not None."""
+        """Return the values of a list, of the given length if not None. Raises CheckpointError."""
         if not isinstance(self.value, list) or length not in (None, len(self.value)):
             raise self.unlike("a list" if length is None else f"a list of {length}")
         return [self._within(str(index), value) for index, value in enumerate(self.value)]
 
     def number(self, low: float = -inf, high: float = inf) -> float:
-        """Return the value, a number in [low, high], possibly infinite; never NaN."""
+        """Return the value, a number in [low, high], possibly infinite; never NaN. Raises CheckpointError."""
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float) or isnan(value) or not low <= value <= high:
             raise self.unlike(f"a number in [{low:.10g}, {high:.10g}]")
         return value
 
     def whole(self, low: int = 0, high: int = MOST_STEPS) -> int:
-        """Return the value, a whole number in [low, high]."""
+        """Return the value, a whole number in [low, high]; true and false are not numbers. Raises CheckpointError."""
         if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
             raise self.unlike(f"a whole number in [{low}, {high}]")
         return self.value
 
     def flag(self) -> bool:
-        """Return the value, true or false."""
+        """Return the value, true or false. Raises CheckpointError."""
         if not isinstance(self.value, bool):
             raise self.unlike("true or false")
         return self.value
 
     def text(self, among: Collection[str] | None = None) -> str:
-        """Return the value, a text; if `among` is given, one of these."""
+        """Return the value, a text; if `among` is given, one of these. Raises CheckpointError."""
         if not isinstance(self.value, str) or not (among is None or self.value in among):
             raise self.unlike("a text" if among is None else f"one of {', '.join(among)[:200] or 'none'}")
         return self.value
 
     def plain(self) -> None:
-        """Check that the value is a number, possibly NaN, or None."""
+        """Check that the value is a number, possibly NaN, or None. Raises CheckpointError."""
         if isinstance(self.value, bool) or not (self.value is None or isinstance(self.value, int | float)):
             raise self.unlike("a number")
 
     def reals(self, *shape: int, low: float = -LARGEST_REAL, high: float = LARGEST_REAL) -> np.ndarray:
-        """Return the value, an array of floating-point numbers of the given shape in [low, high]."""
+        """Return the value, an array of floating-point numbers of the given shape in [low, high], without NaN.
+
+        The default bounds are those of single precision. Raises CheckpointError.
+        """
         return self._array("f", shape, low, high)
 
     def wholes(self, *shape: int, low: int = 0, high: int = 2**31 - 1) -> np.ndarray:
-        """Return the value, an array of whole numbers of the given shape in [low, high]."""
+        """Return the value, an array of signed integers of the given shape in [low, high].
+
+        The default bounds are those of indices on the device (int32, not negative). Raises CheckpointError.
+        """
         return self._array("i", shape, low, high)
 
     def distinct(self, *shape: int, low: int = 0, high: int = 2**31 - 1) -> np.ndarray:
-        """Return the value, an array of distinct whole numbers of the given shape in [low, high]."""
+        """Return the value, an array of distinct signed integers of the given shape in [low, high].
+
+        Raises CheckpointError.
+        """
         found = self.wholes(*shape, low=low, high=high)
         if len(np.unique(found)) < found.size:
             raise self.wrong("holds a number twice")
         return found
 
     def _array(self, kind: str, shape: Sequence[int], low: float, high: float) -> np.ndarray:
+        """Return the value, an array of the type kind ("f" or "i") and shape with all entries in [low, high]."""
         value, noun = self.value, "floating-point" if kind == "f" else "whole"
         if not isinstance(value, np.ndarray) or value.dtype.kind != kind or value.shape != tuple(shape):
             raise self.unlike(f"an array {tuple(shape)} of {noun} numbers")

@@ -27,7 +27,8 @@ KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observe
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
     """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan fingerprint.
 
-    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan. Raises CheckpointError.
+    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan, see `resume.plan_fingerprint`; only
+    its keys are compared here. Raises CheckpointError.
     """
     part = Part.of(checkpoint)
     part.mapping(KEYS)
@@ -46,7 +47,11 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
 
 
 def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
-    """Check all values for the device: counts, types, shapes, ranges, indices. Raises CheckpointError."""
+    """Check all values for the device: counts, types, shapes, ranges, indices.
+
+    `plan`: of the scene that continues the run; `before`: scene of the checkpoint, whose densities and materials
+    determine the masses. The ranges exclude indices that would be out of range on the device. Raises CheckpointError.
+    """
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].whole()
@@ -63,7 +68,11 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
 
 
 def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
-    """Check the state that `start_from` reads: particles and their groups. Raises CheckpointError."""
+    """Check the state that `start_from` reads: particles and their groups.
+
+    Independent of any plan, because the new run may have other groups and features; `before`: scene of the checkpoint.
+    Raises CheckpointError.
+    """
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].whole(0, 2**31 - 1)
     inserted = len(group) if isinstance(group := engine["accounting"]["group"].value, np.ndarray) else 0
@@ -86,6 +95,7 @@ def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
 
 
 def _check_stage_progress(progress: Part, stages: list[str]) -> None:
+    """Check the present stage and the start and end [s] of each stage up to it, in the order `stages`."""
     progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes"))
     present = progress["stage"].text(stages)
     times = progress["stage_times"]
@@ -103,6 +113,7 @@ def _check_stage_progress(progress: Part, stages: list[str]) -> None:
 
 
 def _check_clock(clock: Part, time: float) -> None:
+    """Check that the step count and the time step [s] result in the `time` [s] of the header, within half a step."""
     clock.mapping(("time_step", "step_count", "since_step", "since_time"))
     step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
     count = clock["step_count"].whole()
@@ -113,6 +124,10 @@ def _check_clock(clock: Part, time: float) -> None:
 
 
 def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
+    """Check counts, masses [kg] and energies [J] of inserted and deleted particles, and material and group by id.
+
+    `count`: particles present, which is the inserted minus the deleted number.
+    """
     accounting.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
     inserted = accounting["inserted_count"].whole(count, plan.particle_capacity)
     accounting["deleted_count"].whole(inserted - count, inserted - count)
@@ -126,6 +141,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
 
 
 def _check_timing(clocks: Part) -> None:
+    """Check the wall clock by phase [s] and the numbers of steps, rebuilds and particle-steps."""
     clocks.mapping((*SECONDS, *TALLIES))
     for name in SECONDS:
         clocks[name].number(0.0, LARGEST_REAL)
@@ -134,7 +150,10 @@ def _check_timing(clocks: Part) -> None:
 
 
 def particle_arrays(plan: Plan) -> dict[str, int]:
-    """Return the names of the particle arrays in a checkpoint of this plan, with the components per particle."""
+    """Return the names of the particle arrays in a checkpoint of this plan, with the components per particle.
+
+    Vectors have 3 components, shape (n, 3); others 1, shape (n,). Which arrays exist depends on `plan.features`.
+    """
     features = plan.features
     vectors = ["position", "velocity", "force", "position_at_rebuild"]
     vectors += ["angular_velocity", "torque"] * features.rotation + ["velocity_synchronized"] * features.rate_dependent
@@ -143,6 +162,10 @@ def particle_arrays(plan: Plan) -> dict[str, int]:
 
 
 def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scene) -> None:
+    """Check shape and range of each particle array, and radius, mass and material against the scene.
+
+    The mass must be density times 4/3 pi R^3, within the rounding of single precision.
+    """
     inserted = accounting["inserted_count"].whole()
     count = inserted - accounting["deleted_count"].whole()
     arrays = particle_arrays(plan)
@@ -168,7 +191,10 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
 
 
 def _check_positions(particles: Part, count: int, plan: Plan) -> None:
-    """Check that particles were inside the domain at the last rebuild and have moved less than the skin since."""
+    """Check that particles were inside the domain at the last rebuild and have moved less than the skin since.
+
+    Displacements up to 2 skins and positions up to one skin outside the domain are accepted, plus rounding [m].
+    """
     position = particles["position"].reals(count, 3).astype(float)
     at_rebuild = particles["position_at_rebuild"].reals(count, 3).astype(float)
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
@@ -196,6 +222,7 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 
 def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
+    """Check the sums per chunk: `losses` (chunks, 5), `boundary_work` (chunks,), `impulses` (chunks, walls, 7)."""
     features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
     shapes: dict[str, tuple[int, ...]] = {}
     if features.energy_budget:

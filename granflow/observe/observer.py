@@ -19,7 +19,10 @@ class Observer(Protocol):
         """Return the simulated time of the next snapshot [s]; infinity: only at the end."""
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Process a snapshot. A second snapshot of the same time has no effect."""
+        """Process a snapshot. A second snapshot of the same time has no effect.
+
+        Snapshots arrive in order of time. The last one of a run may be earlier than `next_time`.
+        """
 
     def finish(self) -> None:
         """Close files; called once, after the last snapshot."""
@@ -33,7 +36,7 @@ class Checkpointable(Protocol):
         """Return the state: nested dictionaries of numbers, texts and numpy arrays."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state; files are not modified yet."""
+        """Restore the state of `state_dict`, which may come from another process; files are not modified yet."""
 
     def truncate(self) -> None:
         """Restore the files to their content at the time of the restored state."""
