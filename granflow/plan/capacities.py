@@ -30,21 +30,36 @@ SHARE_AT_MESHES = 0.1
 
 
 def near_triangles(edge: float, skin: float) -> float:
-    """Candidate triangles of a sphere at a mesh with this edge length [m]: those within the skin of the contact."""
+    """Candidate triangles of a sphere at a mesh with this edge length [m]: those within the skin of the contact.
+
+        n = 2 (1 + 2 skin / edge)^2
+
+    `skin` [m]. A real number, which enters the mean of all particles.
+    """
     return 2.0 * (1.0 + 2.0 * skin / edge) ** 2
 
 
 def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> float:
-    """List entries per particle."""
+    """List entries per particle, as a real number.
+
+    Linear in `skin_over_radius`, at least GENEROUS_NEIGHBORS for fewer than GENEROUS_BELOW particles. Each pair within
+    a chunk has one entry, each pair across two chunks has two.
+    """
     neighbors = IN_CONTACT_NEIGHBORS + NEIGHBORS_PER_SKIN * skin_over_radius
     return max(neighbors, GENEROUS_NEIGHBORS) if particle_count < GENEROUS_BELOW else neighbors
 
 
 def history_capacity(list_entries: int) -> int:
-    """History entries saved at a rebuild for a chunk with this number of list entries."""
+    """History entries saved at a rebuild for a chunk with this number of list entries.
+
+    Fewer than list entries, because only pairs in contact have a history; HISTORY_SHARE is the share that fits.
+    """
     return int(HISTORY_SHARE * list_entries) + SPARE
 
 
 def list_capacity_for(saved: int) -> int:
-    """List entries per chunk for which a rebuild can save this number of history entries."""
+    """List entries per chunk for which a rebuild can save this number of history entries.
+
+    `history_capacity` of the result is at least `saved`.
+    """
     return ceil((saved - SPARE + 1) / HISTORY_SHARE)

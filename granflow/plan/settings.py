@@ -17,7 +17,7 @@ _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
 
 @dataclass(frozen=True)
 class OptionalSetting:
-    """One optional value of the scene."""
+    """One optional value of the scene: key path with dots, value with its unit, origin (line, preset or default)."""
 
     key: str
     value: str
@@ -28,7 +28,8 @@ class OptionalSetting:
 def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
     """All optional settings in the order of the schema, including values of presets.
 
-    Optional parts that are absent (a motion, the radius of a meter) are not listed.
+    Optional parts that are absent (a motion, the radius of a meter) are not listed. Units are those in the
+    descriptions of the schema.
     """
     return tuple(_in_model(scene, scene, ()))
 
@@ -84,7 +85,7 @@ _MANY_ROWS = 3
 
 
 def as_written(value: Any) -> str:
-    """A value in the notation of scenes."""
+    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their length."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple) and len(value) > _MANY_ROWS:
