@@ -55,6 +55,7 @@ def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) 
 
 
 def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> ExpectationResult:
+    """Evaluate one expectation; numbers in the sentence have six digits."""
     name = expectation.quantity
     if name not in numbers:
         return ExpectationResult(_unknown(name, numbers), False)

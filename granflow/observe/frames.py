@@ -63,6 +63,7 @@ class FrameSeries:
         self.frames.append(frame)
 
     def _write_listing(self, frames: list[tuple[float, str]]) -> None:
+        """Write the PVD file with these frames atomically."""
         listing = HEAD + b"".join(_entry(*frame) for frame in frames) + TAIL
         with replacing(self.listing) as temporary:
             temporary.write_bytes(listing)

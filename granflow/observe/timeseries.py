@@ -153,6 +153,7 @@ class TimeSeries:
         self._write_row(["time [s]", "stage", *map(_column_label, self._names), *self._meter_labels()])
 
     def _write_row(self, row: list[Any]) -> None:
+        """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
         line = StringIO()
         csv.writer(line, lineterminator="\n").writerow(row)
         self._unwritten += line.getvalue().encode()

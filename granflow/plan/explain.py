@@ -104,6 +104,7 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the force-controlled walls with their parameters."""
     for controlled in plan.controlled_motions:
         where = plan.scene.where("walls", controlled.name, "motion", controlled.motion)
         yield ExplainRow(

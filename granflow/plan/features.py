@@ -151,6 +151,7 @@ def _cohesion_reason(scene: Scene, features: Features) -> str:
 
 
 def _rate_reason(scene: Scene, features: Features) -> str:
+    """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous term"
@@ -221,6 +222,7 @@ def _lees_edwards_reason(scene: Scene) -> str:
 
 
 def _sizes_reason(scene: Scene) -> str:
+    """The ratio of the largest to the smallest diameter."""
     spans = [diameter_range(group) for group in scene.particles.values()]
     ratio = max(high for _, high in spans) / min(low for low, _ in spans)
     if ratio < CLASSES_FROM_RATIO:

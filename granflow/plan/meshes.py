@@ -76,6 +76,7 @@ def mesh_path(scene: Scene, wall: MeshWall) -> Path:
 
 
 def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
+    """The mesh of a wall at rest, in m. Raises MeshFileError or ValueError."""
     path = mesh_path(scene, wall)
     try:
         modified = path.stat()

@@ -35,6 +35,7 @@ def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
 
 
 def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings of one part of the scene and of its parts; `path`: key path of the part."""
     for name, field in type(model).model_fields.items():
         key, value = (*path, field.alias or name), getattr(model, name)
         if not _is_leaf(value):
@@ -48,6 +49,7 @@ def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Optiona
 
 
 def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings in a value: a part, or a mapping or list of parts."""
     if isinstance(value, BaseModel):
         yield from _in_model(scene, value, path)
     elif isinstance(value, dict):
@@ -73,6 +75,7 @@ def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
 
 
 def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
+    """Origin of a value that the file does not give."""
     if _is_preset(scene, model, path):
         return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
     if isinstance(model, LawSettings) and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1])):

@@ -77,6 +77,7 @@ def is_force_controlled(wall: scene_schema.AnyWall) -> bool:
 
 
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
+    """One motion in numeric form: unit vectors, SI units, start and end [s]."""
     start, end = _span(given, stage_times)
     if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
         return motion.ForceControlled(start, end)

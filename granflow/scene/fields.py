@@ -35,7 +35,7 @@ class Model(BaseModel):
 class Fault:
     """An invalid value at `path` (relative to the model); the message is "X is Y, but {reason}".
 
-    With `whole`, the message is "X {reason}".
+    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period.
     """
 
     path: KeyPath
@@ -44,24 +44,28 @@ class Fault:
 
 
 def _check_vector(value: Any) -> Any:
+    """Require a list of three values. Raises PydanticCustomError."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         raise value_error("a vector of three numbers is expected, [x, y, z]")
     return value
 
 
 def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Require a vector that is not zero. Raises PydanticCustomError."""
     if not any(value):
         raise value_error("a direction must have a length above 0, such as [0, 0, 1]")
     return value
 
 
 def _check_text(value: Any) -> Any:
+    """Require text; numbers and flags without quotes are errors. Raises PydanticCustomError."""
     if not isinstance(value, str):
         raise value_error("text is expected; put it in quotes")
     return value
 
 
 def _file_name(value: Any) -> Any:
+    """Require text without invisible characters, which would make a message ambiguous. Raises PydanticCustomError."""
     text = _check_text(value)
     if "\n" in text or "\t" in text or visible(text) != text:
         raise value_error(
@@ -71,18 +75,21 @@ def _file_name(value: Any) -> Any:
 
 
 def _check_flag(value: Any) -> Any:
+    """Require true or false. Raises PydanticCustomError."""
     if not isinstance(value, bool):
         raise value_error("true or false is expected")
     return value
 
 
 def _check_name(value: Any) -> Any:
+    """Require a name of lowercase letters, digits and _. Raises PydanticCustomError."""
     if not re.fullmatch(_NAME, str(value)):
         raise value_error("a name begins with a lowercase letter and contains only lowercase letters, digits and _")
     return value
 
 
 def _check_pair_name(value: Any) -> Any:
+    """Require two names joined by a hyphen. Raises PydanticCustomError."""
     if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
         raise value_error("a pair is two material names joined by a hyphen, such as glass-steel")
     return value
@@ -149,7 +156,10 @@ def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_ta
 
 
 def choose_by(tag_of: Tagger, reason: str) -> Discriminator:
-    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON."."""
+    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON.".
+
+    The tag is a name in angle brackets.
+    """
     return _discriminator(tag_of, reason=reason)
 
 
@@ -169,7 +179,10 @@ def shorthand(key: str) -> BeforeValidator:
 
 
 def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
-    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list."""
+    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list.
+
+    `some`: example for the message. The validator raises PydanticCustomError.
+    """
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple):
@@ -184,7 +197,7 @@ def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
 
 
 def pair_list(meaning: str) -> BeforeValidator:
-    """Require a list of exactly two items."""
+    """Require a list of exactly two items; `meaning` describes them in the message. Raises PydanticCustomError."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple) or len(value) != 2:
@@ -195,6 +208,7 @@ def pair_list(meaning: str) -> BeforeValidator:
 
 
 def _flag_or_names(value: Any) -> Any:
+    """Require true, false, or a list of at least one name. Raises PydanticCustomError."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
         return value if isinstance(value, bool) else names

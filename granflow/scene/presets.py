@@ -12,7 +12,11 @@ _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ra
 
 @dataclass(frozen=True)
 class Preset:
-    """A material in SI units. `restitution_fit`: (sigma, psi) of Eq. 12 for contacts within the material, if known."""
+    """A material in SI units.
+
+    Moduli and strength [Pa], density [kg/m3]. `restitution_fit`: (sigma, psi) of Zhou (2011), Eq. 12, for contacts
+    within the material, if known. `source`: reference.
+    """
 
     young_modulus: float
     poisson_ratio: float

@@ -11,13 +11,19 @@ SLACK = 1e-9
 
 
 class RegionSampler(Protocol):
-    """An insertion region; arguments are points (n, 3) [m] and radii (n,) [m]."""
+    """An insertion region; arguments are points (n, 3) [m] and radii (n,) [m].
+
+    `volume` [m3]; `radius_max` [m]: radius of the largest sphere that fits.
+    """
 
     volume: float
     radius_max: float  # of the largest sphere that fits
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside."""
+        """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside.
+
+        `radius` (n,) [m]: each at most `radius_max`. Spheres may overlap each other.
+        """
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false negatives."""
@@ -27,7 +33,7 @@ class PackingRegion(RegionSampler, Protocol):
     """A region that a lattice or a random packing fills."""
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) [m] with the spheres entirely inside."""
+        """The nearest centers (n, 3) [m] with the spheres of radii (n,) [m] entirely inside."""
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
         """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
@@ -38,7 +44,7 @@ class PackingRegion(RegionSampler, Protocol):
 
 
 class BoxSampler:
-    """A box with edges along the coordinate axes."""
+    """A box with edges along the coordinate axes from `low` to `high` (3,) [m]."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         self.low = np.asarray(low, dtype=np.float64)
@@ -71,7 +77,10 @@ class BoxSampler:
 
 
 class CylinderSampler:
-    """A solid cylinder between the two ends of its axis."""
+    """A solid cylinder of `radius` [m] between the two ends (3,) [m] of its axis.
+
+    `frame` (3, 3): rows are the local axes; the last is the axis of the cylinder.
+    """
 
     def __init__(self, start: np.ndarray, end: np.ndarray, radius: float) -> None:
         self.start = np.asarray(start, dtype=np.float64)
@@ -87,11 +96,11 @@ class CylinderSampler:
         return (points - self.start) @ self.frame.T
 
     def from_local(self, local: np.ndarray) -> np.ndarray:
-        """The inverse of `to_local`."""
+        """Points (n, 3) [m] from local coordinates (n, 3) [m]: the inverse of `to_local`."""
         return self.start + local @ self.frame
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See `PackingRegion`."""
+        """See `PackingRegion`; the distance from the axis is (R - r) sqrt(u), with u uniform in [0, 1]."""
         share, turn, height = random.random((3, len(radius)))
         r = (self.radius - radius) * np.sqrt(share)
         angle = 2 * np.pi * turn
@@ -128,7 +137,10 @@ class CylinderSampler:
 
 
 class SlabSampler:
-    """A box on a rectangle of any orientation: `depth` [m] along the cross product of the two sides."""
+    """A box on a rectangle of any orientation: `depth` [m] along the cross product of the two sides.
+
+    `corner` (3,) [m]; `first`, `second` (3,) [m]: perpendicular edge vectors.
+    """
 
     def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
         lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
@@ -147,14 +159,17 @@ class SlabSampler:
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis."""
+    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis, a unit vector (3,).
+
+    `frame @ v` gives the components of a vector v in the frame.
+    """
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(axis, first), axis])
 
 
 def sampler_of(region: BoxRegion | CylinderRegion) -> BoxSampler | CylinderSampler:
-    """The sampler of a region in the scene."""
+    """The sampler of a region in the scene, in SI units."""
     if isinstance(region, BoxRegion):
         return BoxSampler(np.array(region.box.min), np.array(region.box.max))
     tube = region.cylinder

@@ -1,4 +1,7 @@
-"""Results of the consistency checks between the parts of a scene."""
+"""Results of the consistency checks between the parts of a scene.
+
+A violation is a key path with a fault; `messages.problem_at` converts it to a message with a source position.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 

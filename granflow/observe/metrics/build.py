@@ -35,6 +35,7 @@ def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
 def _metric_meter(
     scene: Scene, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
 ) -> MetricMeter:
+    """Return the meter of one metric of the scene; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
         return _lacey_metric_meter(scene, spec)
     if isinstance(spec, ReposeMetric):
