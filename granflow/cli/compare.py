@@ -10,7 +10,11 @@ from granflow.cli.scenes import prepare_output
 
 
 def compare(options: argparse.Namespace) -> int:
-    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs."""
+    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
+
+    One subdirectory of the output directory per run, one page for all. Raises GranflowError if the directory contains
+    earlier runs, unless --overwrite is given.
+    """
     from granflow.study.compare import law_names
     from granflow.study.compare.variants import variant_keys
 

@@ -13,7 +13,10 @@ from granflow.errors import GranflowError
 
 
 def explain(options: argparse.Namespace) -> int:
-    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature."""
+    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature.
+
+    Raises GranflowError for options that require --measure.
+    """
     scene = load(options)
     if options.measure:
         return measure(options, scene)
@@ -29,7 +32,10 @@ def explain(options: argparse.Namespace) -> int:
 
 
 def measure(options: argparse.Namespace, scene: Any) -> int:
-    """Time the scene with each feature on and off, and print the table."""
+    """Time the scene with each feature on and off, and print the table of times per step.
+
+    `scene`: resolved scene. With --out, the table is also written as CSV and Markdown.
+    """
     use_fresh_kernel_cache()
     from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
 
@@ -45,7 +51,10 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
 
 
 def use_fresh_kernel_cache() -> None:
-    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time."""
+    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time.
+
+    Sets the environment variable of the cache; must be called before Taichi is initialized.
+    """
     from granflow.device.kernel_cache import VARIABLE
 
     folder = TemporaryDirectory()

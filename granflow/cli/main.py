@@ -43,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _verb(options: argparse.Namespace) -> int:
+    """Run the verb with signal handling and return its exit code; known errors are printed without a traceback."""
     try:
         with stop_signals():
             return options.verb(options)
@@ -55,6 +56,7 @@ def _verb(options: argparse.Namespace) -> int:
 
 
 def _print_file_error(error: OSError) -> int:
+    """Print an error of the operating system that concerns a file, and return exit code 2; raise it again otherwise."""
     if error.filename is None:
         raise error
     return print_error(f"{error.filename}: {_reason_of(error)}.")

@@ -36,7 +36,10 @@ def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool 
 
 
 def print_refusal(error: GranflowError) -> int:
-    """Print an error without a traceback and return its exit code; the problems of a file are counted."""
+    """Print an error without a traceback and return its exit code.
+
+    The problems of a file are printed one per line, followed by their number.
+    """
     problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return print_error(str(error), error.exit_code)
@@ -59,12 +62,15 @@ def warn(sentences: Iterable[str]) -> None:
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:
-    """Return the exit code that shells report for a process ended by that signal."""
+    """Return the exit code that shells report for a process ended by that signal: 128 plus the signal number."""
     return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
 
 
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
-    """Write the files of a study; without matplotlib, write only those that do not need it, with a message."""
+    """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
+
+    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other files.
+    """
     try:
         write(out, *numbers)
     except GranflowError as error:
@@ -73,7 +79,10 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
 
 
 def show_result(title: str, result: "Result", out: Path) -> None:
-    """Print the table of results, the expectations, and the files to open."""
+    """Print the table of results, the expectations, and the files to open.
+
+    `out`: output directory of the run. Particles that were not inserted are reported with their number.
+    """
     from rich.console import Console
 
     from granflow.observe import closing_table
@@ -91,7 +100,10 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:
-    """Print the simulated numbers of a collision beside the requested or closed-form ones."""
+    """Print the simulated numbers of a collision beside the requested or closed-form ones.
+
+    `numbers`: as from `granflow.study.collide.collide`; units are those of COLLIDE_UNITS.
+    """
     references = ("_asked", "_theory")
     rows = []
     for name in (name for name in numbers if not name.endswith(references)):
@@ -109,7 +121,10 @@ def show_comparison(numbers: Mapping[str, Any]) -> None:
 
 
 def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table with right-aligned numbers to the terminal, or as plain text to a file."""
+    """Print a table with right-aligned numbers to the terminal, or as plain text to a file.
+
+    `heads` and each row have one text per column; the first column is left-aligned.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

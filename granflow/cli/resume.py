@@ -34,7 +34,11 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
 
 
 def resume(options: argparse.Namespace) -> int:
-    """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run."""
+    """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run.
+
+    Raises GranflowError if the directory does not exist, is locked by another run, contains no usable checkpoint, or if
+    the scene has changes that are not permitted.
+    """
     out: Path = options.directory
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
@@ -45,7 +49,10 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def _resume(options: argparse.Namespace, out: Path) -> int:
-    """Resume in a locked directory: no other process can continue or replace the run at the same time."""
+    """Resume in a locked directory: no other process can continue or replace the run at the same time.
+
+    Raises GranflowError if rows of the time series are missing, unless --allow-changes is given.
+    """
     from granflow.simulation import Simulation
 
     checkpoint = checkpoint_to_resume(out, options.from_start)
@@ -89,7 +96,10 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
 
 
 def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
-    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied."""
+    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied.
+
+    Raises GranflowError if neither exists.
+    """
     from granflow.scene import load
     from granflow.scene.reader import scene_of
 
@@ -103,7 +113,11 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
 
 
 def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
-    """Run with signal handling, print the numbers and return the exit code."""
+    """Run with signal handling, print the numbers and return the exit code.
+
+    `until`: simulated time at which the run ends [s], or None. Returns 1 if an expectation is not satisfied, 130 or 143
+    after a stop signal.
+    """
     try:
         with deferred_to(simulation.request_stop), warnings_shown():
             result = simulation.run(until=until)
@@ -116,7 +130,7 @@ def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float
 
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
-    """Return the time at which a run stopped and that of the checkpoint from which it can be resumed."""
+    """Return a sentence with the time [s] at which a run stopped and that of its last checkpoint."""
     at, saved = f"stopped at {simulation.time:.6g} s", simulation.checkpoint_time
     if saved == simulation.time:
         return f"{at}; granflow resume {out} continues. {out} contains the run up to this time."

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations."""
+    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations.
+
+    Returns the exit code of `run_to_end`. Raises GranflowError if the directory contains an earlier run, unless
+    --overwrite is given.
+    """
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
     prepare_output(out, scene, options.overwrite)
@@ -55,7 +59,11 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
 
 
 def check(options: argparse.Namespace) -> int:
-    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run."""
+    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
+
+    Warnings go to stderr. Returns 0; raises SceneError with the problems. If the particles do not fit into the memory,
+    their packing is not checked.
+    """
     scene = load(options)
     from granflow.observe import particles_from_run
     from granflow.plan import plan_for
@@ -88,7 +96,7 @@ def schema(options: argparse.Namespace) -> int:
 
 
 def cache(options: argparse.Namespace) -> int:
-    """`granflow cache`: print the directory of compiled kernels and their number; --clear deletes them."""
+    """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes them."""
     from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
     cached = clear_cache() if options.clear else cache_contents()

@@ -27,7 +27,10 @@ AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
 
 
 class StopSignals:
-    """Handles stop signals while a verb runs. `request`: requests that a run stops; without it the handler raises."""
+    """Handles stop signals while a verb runs.
+
+    `request`: function (exception) that requests that a run stops; without it the handler raises the exception.
+    """
 
     def __init__(self) -> None:
         self.request: Callable[[BaseException], None] | None = None
@@ -64,6 +67,10 @@ class StopSignals:
                 signal.signal(each, self._handle)
 
     def _handle(self, number: int, *_: Any) -> None:
+        """Handler of a signal: request a stop or raise KeyboardInterrupt, and start the timer of `_overdue`.
+
+        A second signal always raises.
+        """
         first = self._stop is None
         self._stop = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
         self._cancel_timer()
@@ -92,7 +99,10 @@ _current: StopSignals | None = None
 
 @contextmanager
 def stop_signals() -> Iterator[None]:
-    """Handle stop signals in the block, if called in the main thread."""
+    """Handle stop signals in the block, if called in the main thread; Python permits handlers only there.
+
+    Nested calls have no effect. The previous handlers are restored at the end.
+    """
     global _current
     if threading.current_thread() is not threading.main_thread() or _current is not None:
         yield

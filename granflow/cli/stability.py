@@ -8,7 +8,10 @@ from granflow.cli.messages import say, show_table
 
 
 def stability(options: argparse.Namespace) -> int:
-    """`granflow stability`: run all cases; return 1 if any of them is a defect."""
+    """`granflow stability`: run all cases; return 1 if any of them is a defect.
+
+    Writes a page, `stability.csv` and a heat map to the output directory.
+    """
     from granflow.study.stability.report import HEADS, PAGE, defects, headline, summary_rows
     from granflow.study.stability.report import stability as study
 

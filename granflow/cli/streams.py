@@ -21,7 +21,10 @@ class Output:
     needed = True
 
     def failed(self, error: OSError, name: str) -> None:
-        """Handle the first failed write to the stream `name`."""
+        """Handle the first failed write to the stream `name`.
+
+        If `needed`, raises SystemExit(EXIT_PIPE) for a closed pipe, and OSError with the name of the stream otherwise.
+        """
         if not self.needed:
             return
         if error.errno == errno.EPIPE:
@@ -50,7 +53,11 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def standard_streams() -> Iterator[Output]:
-    """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`."""
+    """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`.
+
+    Both streams are replaced in the block and restored at the end. Streams of notebooks, tests and the Windows console
+    are not replaced.
+    """
     output = Output()
     names = [name for name in ("stdout", "stderr") if _is_process_stream(name)]
     before = {name: getattr(sys, name) for name in names}
@@ -77,6 +84,7 @@ def _is_process_stream(name: str) -> bool:
 
 
 def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
+    """Return a text stream with the encoding and buffering of `stream`, on top of a `_Stream`."""
     stream.flush()
     buffer = io.BufferedWriter(_Stream(stream, output))
     return io.TextIOWrapper(

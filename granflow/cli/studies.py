@@ -11,7 +11,10 @@ from granflow.errors import GranflowError
 
 
 def collide(options: argparse.Namespace) -> int:
-    """`granflow collide`: simulate one head-on collision and compare it with closed-form results."""
+    """`granflow collide`: simulate one head-on collision and compare it with closed-form results.
+
+    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or option.
+    """
     from granflow.study.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
@@ -25,7 +28,10 @@ def collide(options: argparse.Namespace) -> int:
 
 
 def restitution(options: argparse.Namespace) -> int:
-    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step."""
+    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step.
+
+    The impact velocities [m/s] are below the maximum expected one. Writes CSV and PNG files.
+    """
     from granflow.study.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
@@ -38,7 +44,11 @@ def restitution(options: argparse.Namespace) -> int:
 
 
 def fit(options: argparse.Namespace) -> int:
-    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions."""
+    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions.
+
+    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the result would
+    overwrite the data, or if the data are invalid.
+    """
     from granflow.study.fit import fit as fitted
     from granflow.study.fit import fit_rows, limit_from_materials, write_fit
     from granflow.study.measurements import read_measurements
@@ -56,7 +66,10 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def paper(options: argparse.Namespace) -> int:
-    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models."""
+    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models.
+
+    Writes one page with its figures (PNG) and their data (CSV).
+    """
     from granflow.study.paper import write_paper
 
     page = write_paper(options.out, lambda words: say(f"{words} ...", flush=True))
