@@ -34,7 +34,7 @@ def compare(options: argparse.Namespace) -> int:
     for words in (stage_note(found), size_note(found), *stop_notes(found)):
         say(words)
     for assessment in found.assessments:
-        say(f"{assessment.part}: {assessment.verdict}. {assessment.why}")
+        say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 

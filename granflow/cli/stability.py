@@ -16,7 +16,7 @@ def stability(options: argparse.Namespace) -> int:
     from granflow.study.stability.report import stability as study
 
     outcomes, missing = study(
-        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.verdict}", flush=True)
+        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
     )
     show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
     say(headline(outcomes))

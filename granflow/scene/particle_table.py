@@ -61,18 +61,18 @@ class ParticleTable:
     def __len__(self) -> int:
         return len(self.radius)
 
-    def subset(self, choose_by: np.ndarray) -> "ParticleTable":
+    def subset(self, selection: np.ndarray) -> "ParticleTable":
         """The rows selected by indices (k,) or by a mask (n,) bool, as a new table."""
         optional = (self.velocity, self.angular_velocity, self.material)
-        velocity, angular_velocity, material = (None if each is None else each[choose_by] for each in optional)
+        velocity, angular_velocity, material = (None if each is None else each[selection] for each in optional)
         return ParticleTable(
             self.path,
-            self.position[choose_by],
-            self.radius[choose_by],
+            self.position[selection],
+            self.radius[selection],
             velocity,
             angular_velocity,
             material,
-            self.line[choose_by],
+            self.line[selection],
         )
 
 

@@ -126,8 +126,8 @@ class CylinderSampler:
         step = (np.arange(axes) - (axes - 1) / 2) * spacing
         z, y, x = np.meshgrid((np.arange(layers) + 0.5) * height, step, step, indexing="ij")
         farthest = np.hypot(np.abs(x) + shift[0], np.abs(y) + shift[1])
-        box = farthest + margin <= self.radius * (1 + SLACK)
-        return self.from_local(np.stack([x, y, z], axis=-1)[box]), shift[:, None] * self.frame
+        fits = farthest + margin <= self.radius * (1 + SLACK)
+        return self.from_local(np.stack([x, y, z], axis=-1)[fits]), shift[:, None] * self.frame
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """See `PackingRegion`."""

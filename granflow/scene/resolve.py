@@ -112,8 +112,8 @@ def _scaled_value(value: Any, power: int, factor: float) -> Any:
         return tuple(_scaled_value(each, power, factor) for each in value)
     if not power or isinstance(value, bool | str) or value is None:
         return value
-    scaled_scene = value * factor**power
-    return max(round(scaled_scene), 1) if isinstance(value, int) else scaled_scene
+    scaled_number = value * factor**power
+    return max(round(scaled_number), 1) if isinstance(value, int) else scaled_number
 
 
 def _power(field: FieldInfo) -> int:

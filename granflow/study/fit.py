@@ -124,11 +124,11 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
         step[:free] = np.linalg.lstsq(
             normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual, rcond=None
         )[0].clip(-1.0, 1.0)  # fmt: skip
-        build_scene = floor + (point - floor) * np.exp(step)
-        new_residual, new_slopes = _linearized(data, build_scene)
+        proposed = floor + (point - floor) * np.exp(step)
+        new_residual, new_slopes = _linearized(data, proposed)
         new_cost = float(new_residual @ new_residual)
         if new_cost <= cost:
-            point, residual, slopes, cost, damping = build_scene, new_residual, new_slopes, new_cost, 0.3 * damping
+            point, residual, slopes, cost, damping = proposed, new_residual, new_slopes, new_cost, 0.3 * damping
         else:
             damping *= 4.0
         if np.abs(step).max() < SMALLEST_STEP:

@@ -81,10 +81,10 @@ def default_sentence(lines: Sequence[StudyLine], target: float) -> str:
     if line is None:
         return ""
     worst = max(_error_at(points, default) for points in line.kinds())
-    verdict = "finer than" if worst <= target else "coarser than"
+    relation = "finer than" if worst <= target else "coarser than"
     return (
         f"The default, time_step_fraction {default:g}, limits the restitution error of {FOR_LAW} in f64 to "
-        f"{100.0 * worst:.2g} %: it is {verdict} the target requires."
+        f"{100.0 * worst:.2g} %: it is {relation} the target requires."
     )
 
 

@@ -148,11 +148,11 @@ def measure_scene(
     runs: list[_Runs] = []
     for precision in precisions:
         wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
-        plain = [(family, share) for family in STEP_FAMILIES for share in wanted]
+        settings = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
-            plain = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *plain]
+            settings = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *settings]
         with worker_process() as process:
-            for family, share in plain:
+            for family, share in settings:
                 report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
                 runs.append(_run(process, task, family, share, phase, precision, seeds))
                 if runs[0].stopped:

@@ -166,9 +166,9 @@ def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: st
     return Page(f"{found.scene.title}: contact models side by side", lead, sections)
 
 
-def _picture(out: Path, name: str, figures: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
-    """The figure `name` if it was drawn, with links to the files `beside`."""
-    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in figures else []
+def _picture(out: Path, name: str, figures: Sequence[str], caption: str, linked_files: tuple[str, ...]) -> list[Any]:
+    """The figure `name` if it was drawn, with links to the files `linked_files`."""
+    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *linked_files))] if name in figures else []
 
 
 def size_note(found: SceneComparison) -> str:
@@ -253,8 +253,8 @@ def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) 
 
 def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
     """Section with the assessment of the linear springs."""
-    assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
-    tables = [PageTable("Assessment.", ("statement", "verdict", "numbers"), assessed)] if assessed else []
+    assessed = [(each.part, each.conclusion, each.why) for each in found.assessments]
+    tables = [PageTable("Assessment.", ("statement", "conclusion", "numbers"), assessed)] if assessed else []
     if found.subject is None:
         return Section("Is one spring constant sufficient?", tables)
     subject = found.subject

@@ -28,8 +28,8 @@ class Assessment:
     why: str
 
     @property
-    def verdict(self) -> str:
-        """Verdict as text."""
+    def conclusion(self) -> str:
+        """Whether the statement holds, as text."""
         return {True: "holds", False: "does not hold", None: "not measured"}[self.holds]
 
 

@@ -152,8 +152,8 @@ def _nanoseconds(engine: Engine, variant: FeatureVariant, start: StartState) -> 
     engine.advance(STEPS_BEFORE)
     rebuild_seconds, began = engine.timing.neighbor_list, perf_counter()
     engine.advance(STEPS)
-    times_of_variant = perf_counter() - began - (engine.timing.neighbor_list - rebuild_seconds)
+    seconds = perf_counter() - began - (engine.timing.neighbor_list - rebuild_seconds)
     diagnosis = engine.diagnosis
     if diagnosis is not None:
         raise RunError(abort_message(diagnosis, engine.plan, engine.time))
-    return 1e9 * times_of_variant / (STEPS * max(engine.state.count, 1))
+    return 1e9 * seconds / (STEPS * max(engine.state.count, 1))

@@ -148,8 +148,8 @@ def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
     found = []
     for case, e, strength in zip(PAPER_CASES, model.restitutions, model.yield_strengths, strict=True):
         material = case.material if strength is None else {**case.material, "yield_strength": strength}
-        made = replace(case, material=material)
-        found += [made.head_on(e, float(v)) for v in velocities]
+        modified = replace(case, material=material)
+        found += [modified.head_on(e, float(v)) for v in velocities]
     return found
 
 

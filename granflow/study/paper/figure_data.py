@@ -26,7 +26,9 @@ class FigureDeviation:
         """Sentence with the deviation, its target and a remark."""
         text_parts = f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}"
         if self.target is not None:
-            text_parts += f" (target {percent(self.target)}, {'met' if self.is_within_target else 'not met'})"
+            text_parts += (
+                f" (target {percent(self.target)}, {'satisfied' if self.is_within_target else 'not satisfied'})"
+            )
         return f"{text_parts}. {self.remark}".strip()
 
 

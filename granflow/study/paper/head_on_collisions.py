@@ -81,8 +81,8 @@ def collide_all(normal: Any, collisions: Sequence[HeadOnCollision], time_step: f
     histories = zip(overlap.T, rate.T, force.T, velocity, first_contact_times, strict=True)
     columns = np.array([_measured(*history, time_step) for history in histories]).T
     names = ("restitution", "duration", "overlap_max", "overlap_residual", "force_max", "stored_energy")
-    restitution_error = dict(zip(names, columns, strict=True))
-    return Outcomes(**restitution_error, time_step=time_step, overlap=overlap, force=force)
+    results = dict(zip(names, columns, strict=True))
+    return Outcomes(**results, time_step=time_step, overlap=overlap, force=force)
 
 
 def side_by_side(

@@ -37,7 +37,7 @@ def _diameter(outcomes: Outcomes, index: int) -> float:
     return CASE.diameter_lasting(duration, float(RESTITUTIONS[index]), VELOCITY)
 
 
-def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
+def attainable_restitutions(outcomes: Outcomes) -> np.ndarray:
     """Given restitutions, or the smallest one that the time step allows if that is larger."""
     least = []
     for index in range(len(RESTITUTIONS)):
@@ -80,13 +80,15 @@ def enclosed_share(rows: np.ndarray) -> float:
 
 def loop_figure(outcomes: Outcomes) -> FigureData:
     """Figure of the loops; the rows are all steps with a force."""
-    carried = restitutions_carried(outcomes)
-    loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(carried)]
+    attainable = attainable_restitutions(outcomes)
+    loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(attainable)]
     force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
-    energy_error = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
+    energy_error = [
+        abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, attainable, strict=True)
+    ]
     remark = (
         f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps allow at least "
-        f"e = {carried[0]:.3f}, which the theoretical curve uses as well."
+        f"e = {attainable[0]:.3f}, which the theoretical curve uses as well."
     )
     deviations = (
         FigureDeviation(

@@ -110,17 +110,17 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
 def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
     count, partner = len(gap), setup.partner_radius
     spacing = 3.0 * (partner or setup.radius)
-    places = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
+    centers = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
     zeros = np.zeros(count)
     groups: dict[str, Any] = {"spheres": {
         "material": "sphere", "diameter": 2.0 * setup.radius,
         "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
         "angular_velocity": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
-        "insert": {"kind": "positions", "positions": places.tolist()},
+        "insert": {"kind": "positions", "positions": centers.tolist()},
     }}  # fmt: skip
     walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
     if partner is not None:
-        below = np.stack([zeros, places[:, 1], zeros - partner], axis=1)
+        below = np.stack([zeros, centers[:, 1], zeros - partner], axis=1)
         partner_insertion = {"kind": "positions", "positions": below.tolist()}
         groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
@@ -171,10 +171,10 @@ def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
     overlap = mean_overlap_share(setup.restitution) * theory.overlap_max(k, mass, speed)
     other = setup.partner_radius
     share = 1.0 if other is None else other / (other + setup.radius)
-    kick = direction * setup.friction * (1.0 + setup.restitution) * speed
+    change = direction * setup.friction * (1.0 + setup.restitution) * speed
     arm = 1.0 - share * overlap / setup.radius
     return ImpactMotion(
-        setup.restitution * speed, before.along - kick, before.spin + 2.5 * kick * arm / setup.radius
+        setup.restitution * speed, before.along - change, before.spin + 2.5 * change * arm / setup.radius
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from granflow.errors import GranflowError
 
 VIEWS = ("iso", "front", "side", "top")
 ISO = (0.6, -1.0, 0.45)
-"""Direction towards the viewer of the view `iso`, in the axes right, into and up."""
+"""Direction toward the viewer of the view `iso`, in the axes right, into and up."""
 
 OPENING = np.radians(24.0)
 """Vertical field of view of a perspective picture; small, so that near and far particles have similar sizes."""
@@ -34,7 +34,7 @@ class View:
         return np.cross(self.up, self.toward)
 
     def projected(self, points: np.ndarray) -> np.ndarray:
-        """Coordinates (n, 3) [m] of points to the right, up and towards the viewer."""
+        """Coordinates (n, 3) [m] of points to the right, up and toward the viewer."""
         return points @ np.stack([self.right, self.up, self.toward], axis=1)
 
 

@@ -156,7 +156,7 @@ class Renderer:
 
     @staticmethod
     def _clipped(surface: Any, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None) -> Any:
-        """Part of a surface in the box and behind the plane (point, normal towards the viewer)."""
+        """Part of a surface in the box and behind the plane (point, normal toward the viewer)."""
         planes = [] if cut is None else [cut]
         if box is not None:
             margin = 1e-3 * np.ptp(box, axis=0)

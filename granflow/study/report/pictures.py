@@ -49,8 +49,8 @@ def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tup
     large = [path for path in films if path not in small]
     shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
-    beside = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
-    return shown, (problem or HOW_TO_ADD) + beside
+    omitted_films = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
+    return shown, (problem or HOW_TO_ADD) + omitted_films
 
 
 def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
@@ -65,23 +65,23 @@ def render(directory: Path, frames: Sequence[Frame]) -> str:
     if find_spec("pyvista") is None:
         return "No pictures, because pyvista is not installed: pip install granflow[plot]"
     filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
-    places = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
-    chosen = [filled[place] for place in places]
+    indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
+    chosen = [filled[index] for index in indices]
     numbers = ",".join(str(frame.number) for frame in chosen)
     commands = [["--frame", numbers]]
-    touching = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
-    if touching:
-        most = max(touching, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
+    with_contacts = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
+    if with_contacts:
+        most = max(with_contacts, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
         commands.append(["--frame", str(most.number), "--chains"])
     for text in commands:
         command = [sys.executable, "-m", "granflow", "render", str(directory), *text]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
+            completed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
             return f"No pictures: rendering took longer than {TIMEOUT:.0f} s."
-        if done.returncode:
-            statement = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return f"Rendering failed (granflow render, exit code {done.returncode}): {statement}"
+        if completed.returncode:
+            statement = (completed.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"Rendering failed (granflow render, exit code {completed.returncode}): {statement}"
     return ""
 
 
@@ -93,9 +93,9 @@ def reduced(path: Path, scratch: Path) -> Path:
         return path
     with Image.open(path) as image:
         size = (max(1, round(image.width * HEIGHT / image.height)), HEIGHT)
-        made = scratch / f"{path.stem}.jpg"
-        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(made, quality=QUALITY, optimize=True)
-    return made
+        jpeg = scratch / f"{path.stem}.jpg"
+        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(jpeg, quality=QUALITY, optimize=True)
+    return jpeg
 
 
 def _caption(path: Path, frames: Sequence[Frame]) -> str:

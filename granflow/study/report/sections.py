@@ -44,7 +44,7 @@ def summary(record: RunRecord) -> Section:
     parts: list[PagePart] = [state_of(record)]
     is_met = [entry.get("met") for entry in record.result.get("expect", ())]
     if is_met:
-        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are met.")
+        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are satisfied.")
     elif record.result and record.scene is not None and record.scene.expect:
         parts.append("The run ended early because of --until; the expectations of the scene are not evaluated.")
     return Section("Summary", [*parts, *([PageTable("Progress and performance.", ("", "", ""), rows)] if rows else [])])
@@ -70,7 +70,10 @@ def _row(name: str, number: Any) -> tuple[str, str, str]:
 def expectations(record: RunRecord) -> Section | None:
     """Expectations of the scene and their results."""
     found = record.result.get("expect", ())
-    rows = [("\N{CHECK MARK} met" if entry["met"] else "\N{BALLOT X} not met", entry["sentence"]) for entry in found]
+    rows = [
+        ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
+        for entry in found
+    ]
     if not rows:
         return None
     return Section("Expectations", [PageTable("Expectations of the scene (expect).", ("", "result"), rows)])

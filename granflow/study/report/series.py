@@ -100,11 +100,11 @@ def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
 def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
     """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
     quantity = column.name.partition(".")[0]
-    remaining_numbers = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
     text = quantity.split("_")
-    if any(other.split("_")[-1] == text[-1] for other in remaining_numbers):
+    if any(other.split("_")[-1] == text[-1] for other in other_quantities):
         return text[-1]
-    if any(other.split("_")[0] == text[0] for other in remaining_numbers):
+    if any(other.split("_")[0] == text[0] for other in other_quantities):
         return text[0]
     return quantity
 

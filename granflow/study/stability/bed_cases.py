@@ -121,9 +121,9 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 
     touching = RADIUS * (1.0 + 2.0 * np.arange(len(densities)))
     plan = plan_for(scene(touching))
-    loads_carried = np.cumsum(weights[::-1])[::-1]
+    supported_weights = np.cumsum(weights[::-1])[::-1]
     masses = np.append(np.inf, weights / GRAVITY)
-    overlaps = [_overlap_for_load(plan, index, loads_carried[index], masses) for index in range(len(densities))]
+    overlaps = [_overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))]
     simulation = Simulation(scene(touching - np.cumsum(overlaps)))
     simulation.run(until=REST_STEPS * simulation.plan.time_step)
     contacts = simulation.snapshot(contacts=True).contacts

@@ -1,4 +1,4 @@
-"""Heat map: one grid per family, one cell per case, colored by verdict and error. Requires the extra `plot`."""
+"""Heat map: one grid per family, one cell per case, colored by assessment and error. Requires the extra `plot`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -76,14 +76,14 @@ def _split(label: str) -> str:
 
 
 def _cell_text(each: CaseOutcome) -> str:
-    """Text of a cell: ratio of stability limits, error, or kind of verdict."""
+    """Text of a cell: ratio of stability limits, error, or kind of assessment."""
     if each.kind == "refused" or not np.isfinite(each.error):
         return each.kind
     return f"{each.reached:.2f}" if each.family == BOUNDS else percent(each.error)
 
 
 def _color(kind: str, error: float) -> Any:
-    """Color of a cell by kind of verdict and error."""
+    """Color of a cell by kind of assessment and error."""
     from matplotlib import colormaps
 
     if kind in ("refused", "defect"):
