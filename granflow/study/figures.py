@@ -58,7 +58,7 @@ def require_plotting() -> None:
 def draw_to(path: Path, draw: Any, height: float) -> None:
     """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
 
-    Raises GranflowError if matplotlib is not installed.
+    The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     import matplotlib
@@ -73,7 +73,10 @@ def draw_to(path: Path, draw: Any, height: float) -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV with a header line, numbers in full precision."""
+    """Write columns of equal length as CSV with a header line, numbers in full precision.
+
+    `columns`: name -> array (rows,). Raises ValueError for columns of different length.
+    """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

@@ -29,9 +29,9 @@ SEPARATORS = (";", "\t", ",")
 
 @dataclass(frozen=True)
 class Measurements:
-    """Rows of a file: approach velocity [m/s], restitution, and uncertainty of the restitution.
+    """Rows of a file: approach velocity (n,) [m/s], restitution (n,), and uncertainty of the restitution (n,).
 
-    `uncertainty` (n,) is the standard deviation; if `absolute` is False, only its ratios are meaningful.
+    `uncertainty` is the standard deviation; if `absolute` is False, only its ratios are meaningful.
     """
 
     velocity: np.ndarray
@@ -47,7 +47,9 @@ def read_measurements(path: Path) -> Measurements:
     """Read a table with the columns `velocity` and `restitution`, and optionally `deviation` or `weight`.
 
     Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored; a value
-    may have a unit. Raises FileError with all invalid rows as `file:line: sentence`.
+    may have a unit. Velocities are converted to m/s.
+
+    Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not UTF-8 text.
     """
     rows = list(_rows(path, _text(path)))
     if not rows:
@@ -67,12 +69,14 @@ def read_measurements(path: Path) -> Measurements:
 
 
 def _spread(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Uncertainty (n,) of each row: the given deviation, 1 / sqrt(weight), or 1."""
     if "deviation" in table:
         return table["deviation"]
     return 1.0 / np.sqrt(table["weight"]) if "weight" in table else np.ones(len(table["velocity"]))
 
 
 def _text(path: Path) -> str:
+    """Text of a UTF-8 file, without a byte order mark. Raises GranflowError for another encoding."""
     try:
         return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -148,6 +152,7 @@ def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dic
 
 
 def _number(name: str, text: str) -> float:
+    """Number of a cell in SI units. Raises UnitError if it is missing, not finite or out of range."""
     value = to_si(text, DIMENSION[name]) if text else float("nan")
     if not isfinite(value):
         raise UnitError("a number is required; remove the row if nothing was measured")

@@ -47,7 +47,10 @@ def _plot(
 
 
 def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
-    """Draw the restitution error against wall time, and against the time step with fitted slopes."""
+    """Draw the restitution error against wall time, and against the time step with fitted slopes.
+
+    `target`: relative error, drawn as a dotted line. The result is the argument of `figures.draw_to`.
+    """
 
     def draw(figure: Any) -> None:
         work, steps = figure.subplots(1, 2, sharey=True)

@@ -32,7 +32,7 @@ class Requirement:
 def requirement_of(line: StudyLine, target: float) -> Requirement | None:
     """Longest time step of a line with a restitution error within the target for every kind of collision.
 
-    None if no time step of the line suffices.
+    `target`: relative error. None if no time step of the line suffices.
     """
     index = first_within(line.error("restitution"), target)
     if index is None:
@@ -43,7 +43,10 @@ def requirement_of(line: StudyLine, target: float) -> Requirement | None:
 
 
 def first_within(error: np.ndarray, target: float) -> int | None:
-    """First index with this error and the next within the target; a single one may be accidental."""
+    """First index with this error and the next within the target; a single one may be accidental.
+
+    `error` (n,) in the order of decreasing time steps. None without such an index.
+    """
     good = error <= target
     good = good & np.append(good[1:], True)
     return int(np.argmax(good)) if good.any() else None
@@ -62,7 +65,7 @@ def cheapest(requirements: Iterable[Requirement | None]) -> Requirement | None:
 
 
 def recommendation(lines: Sequence[StudyLine], target: float) -> str:
-    """Concluding sentence of the study."""
+    """Concluding sentence of the study: the cheapest time step and precision with errors within the target."""
     best = cheapest(requirement_of(line, target) for line in lines)
     if best is None:
         return f"No time step of this study limits the restitution error to {target:.3g} with {FOR_LAW}."
@@ -75,7 +78,10 @@ def recommendation(lines: Sequence[StudyLine], target: float) -> str:
 
 
 def default_sentence(lines: Sequence[StudyLine], target: float) -> str:
-    """Restitution error with the default of `numerics.time_step_fraction`."""
+    """Sentence on the restitution error with the default of `numerics.time_step_fraction`.
+
+    For FOR_LAW in double precision; empty without such a line.
+    """
     default = float(Numerics().time_step_fraction)
     line = next((line for line in lines if line.law == FOR_LAW and line.precision == "f64"), None)
     if line is None:
@@ -89,7 +95,10 @@ def default_sentence(lines: Sequence[StudyLine], target: float) -> str:
 
 
 def _error_at(points: Sequence[StudyPoint], share: float) -> float:
-    """Restitution error at a share, by linear interpolation of the logarithms of the measured values."""
+    """Restitution error at a share, by linear interpolation of the logarithms of the measured values.
+
+    `share`: time step over the shortest phase; outside the measured range, the nearest value.
+    """
     shares = np.array([point.share for point in points])[::-1]
     errors = np.array([point.restitution_error for point in points])[::-1]
     return float(np.exp(np.interp(np.log(share), np.log(shares), np.log(np.maximum(errors, 1e-300)))))
@@ -105,7 +114,7 @@ def table_heads(target: float) -> tuple[str, ...]:
 
 
 def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...]]:
-    """Table rows, one per line."""
+    """Table rows, one per line: order of convergence, smallest error, and the requirement for the target."""
     rows: list[tuple[str, ...]] = []
     for line in lines:
         error, requirement = line.error("restitution"), requirement_of(line, target)

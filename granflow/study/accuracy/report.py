@@ -75,7 +75,8 @@ def measure_two_bodies(
     """Measure every combination, each precision in a separate process.
 
     `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages.
+    messages. `steps`: numbers of steps per collision instead of the default ones. Raises GranflowError if a process
+    dies.
     """
     counts = steps or (FULL_STEPS if full else STEPS)
     repeats = 3 * REPEATS if full else REPEATS

@@ -42,8 +42,9 @@ ENERGY_ERROR = "energy_error"
 class ScenePoint:
     """Results of a scene with one time step and precision.
 
-    `time_step` [s]; `values` and relative `errors` by quantity; `seconds` (seeds,): wall time of each run [s];
-    `simulated` time [s]; `stopped`: reason of an abort, otherwise empty.
+    `share`: time step over the shortest phase; `time_step` [s]; `values` and relative `errors` by quantity, empty after
+    an abort; `seconds` (seeds,): wall time of each run [s]; `simulated` time [s]; `stopped`: reason of an abort,
+    otherwise empty.
     """
 
     family: str
@@ -137,8 +138,10 @@ def measure_scene(
 ) -> SceneStudy:
     """Run the scene with every time step and precision, the finest first.
 
-    `full`: more seeds and a finer reference. `precisions` begin with f64. Raises SceneError for an invalid scene,
-    GranflowError if the run with the finest time step aborts.
+    `target`: relative error; `full`: more seeds and a finer reference; `shares`: time steps over the shortest phase.
+    `precisions` begin with f64. `report` receives progress messages.
+
+    Raises SceneError for an invalid scene, GranflowError if the run with the finest time step aborts.
     """
     task = task.with_overrides("output.energy_budget=true")
     scene = task.scene()
@@ -195,7 +198,10 @@ def _study(
 
 
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
-    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps."""
+    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps.
+
+    Absolute, in the unit of the quantity `name`; 0 if no other run is complete.
+    """
     scatter = []
     for each in runs:
         if not each.stopped and each is not reference:

@@ -25,7 +25,11 @@ ENERGIES = {
 def draw_all(
     out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """Write all PNG files; returns their names without suffix. Raises GranflowError without matplotlib."""
+    """Write all PNG files; returns their names without suffix.
+
+    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted. Raises
+    GranflowError without matplotlib.
+    """
     figures: dict[str, tuple[Callable[[Any], None], float]] = {
         "course": (lambda figure: draw_course(figure, runs), 5.2),
         "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),

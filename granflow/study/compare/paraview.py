@@ -85,7 +85,10 @@ if picture:
 
 
 def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> Path:
-    """Write the script into `out`; `speed` [m/s] is the upper end of the color scale."""
+    """Write the script into `out` and return its path; `speed` [m/s] is the upper end of the color scale.
+
+    The variants are shifted along the horizontal axis by the width of the domain plus a gap.
+    """
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     up = -np.array(scene.gravity, dtype=float)
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2

@@ -80,10 +80,11 @@ def compare(
 ) -> SceneComparison:
     """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
-    `reference_velocity` [m/s]: impact velocity for the constant linear spring, by default a tenth of the largest
-    impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with more than MOST_PARTICLES
-    particles are reduced. `report` receives progress messages. Raises GranflowError if no contact model can run the
-    scene.
+    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear spring, by
+    default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with
+    more than MOST_PARTICLES particles are reduced. `report` receives progress messages.
+
+    Raises GranflowError if no contact model can run the scene.
     """
     velocity = reference_velocity or reference_velocity_of(scene)
     most = None if all_particles else MOST_PARTICLES
@@ -167,7 +168,7 @@ def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: st
 
 
 def _picture(out: Path, name: str, figures: Sequence[str], caption: str, linked_files: tuple[str, ...]) -> list[Any]:
-    """The figure `name` if it was drawn, with links to the files `linked_files`."""
+    """The figure `name` if it was drawn, with links to the files `linked_files`; otherwise an empty list."""
     return [Picture(out / f"{name}.png", caption, (f"{name}.png", *linked_files))] if name in figures else []
 
 

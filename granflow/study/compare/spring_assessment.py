@@ -34,7 +34,12 @@ class Assessment:
 
 
 def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) -> CollisionDeviation | None:
-    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of it."""
+    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of it.
+
+        (s / s_exact at over_reference * v) / (s / s_exact at v) - 1
+
+    None if the columns lack these collisions.
+    """
     at_multiple, at_reference = (deviation(dict(columns), law, "fine", multiple) for multiple in (over_reference, 1.0))
     if at_multiple is None or at_reference is None:
         return None
@@ -58,7 +63,7 @@ def assess_collisions(columns: Mapping[str, np.ndarray]) -> list[Assessment]:
 
 
 def _worst(*drifts: CollisionDeviation) -> float:
-    """Largest magnitude of the changes of contact duration and maximum overlap."""
+    """Largest magnitude of the relative changes of contact duration and maximum overlap."""
     return max(abs(number) for per_contact in drifts for number in (per_contact.duration, per_contact.overlap_max))
 
 

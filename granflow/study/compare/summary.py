@@ -54,7 +54,7 @@ def densest_stage(runs: Sequence[VariantRun]) -> str:
 
 
 def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows with a finite value of at least one run."""
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies."""
     stage = densest_stage(runs)
     rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
     return [row for row in rows if np.isfinite(row.values).any()]
@@ -63,7 +63,10 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 def _row(
     runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
 ) -> SummaryRow:
-    """One row; `display` is a key of DISPLAY_UNITS or empty."""
+    """One row with the value of `number` for each run; `display` is a key of DISPLAY_UNITS or empty.
+
+    `unit`: SI unit of the value.
+    """
     values = tuple(float(number(run)) for run in runs)
     return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
 
@@ -167,7 +170,7 @@ def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
 
 
 def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
-    """Columns of compare.csv: one row per quantity and contact model."""
+    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their ratios."""
     laws = [run.variant.key for run in runs]
     return {
         "quantity": np.repeat([row.name for row in rows], len(laws)),

@@ -56,7 +56,7 @@ def variant_keys(laws: Sequence[str]) -> list[str]:
 
 
 def reference_velocity_of(scene: Scene) -> float:
-    """Typical impact velocity [m/s]: an order of magnitude below the largest that the plan assumes."""
+    """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
     return TYPICAL_SHARE * max_impact_velocity(scene).value
 
 
@@ -115,7 +115,8 @@ def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: i
 def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     """Restitution of a pair for a contact model: that of the scene, or the value of Eq. 12 at the velocity [m/s].
 
-    None if the contact model derives it from the materials, or if the scene does not define it.
+    `pair`: key in `pairs`. The result is a number or a mapping as in a scene; None if the contact model derives it from
+    the materials, or if the scene does not define it.
     """
     kind, given = NORMAL_LAWS[law].restitution, scene.pairs[pair].restitution
     if kind == "nothing" or given is None or isinstance(given, float):
@@ -126,7 +127,10 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
 
 
 def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
-    """Reduced counts of the groups without explicit positions, for at most `most` particles if possible."""
+    """Reduced counts of the groups without explicit positions, for at most `most` particles if possible.
+
+    In proportion, at least 1 per group. Empty without a limit, or if the scene is below it.
+    """
     explicit_kinds = ("positions", "file")
     scalable = {name: group.count for name, group in scene.particles.items() if group.insert.kind not in explicit_kinds}
     explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())

@@ -27,7 +27,10 @@ STEPS_BEFORE, STEPS = 10, 40
 
 @dataclass(frozen=True)
 class StartState:
-    """State at the start of the timing: particles in the order of their ids, and walls in plan order."""
+    """State at the start of the timing: particles in the order of their ids, and walls in plan order.
+
+    `present`: of each wall; `motions`: of each wall; `clock`: state of the simulated clock.
+    """
 
     particles: ParticleData
     present: tuple[bool, ...]
@@ -62,8 +65,11 @@ def feature_costs(
 ) -> list[FeatureCost]:
     """Run a scene to the time `until` [s], then time the baseline, first in the list, and every variant.
 
-    `only`: names of the requested variants. `report` receives progress messages. Raises GranflowError without
-    particles at that time, RunError if a variant aborts.
+    `until` is by default SHARE_BEFORE of the longest run time. `threads`: CPU threads, None for all available.
+    `rounds`: timings of each variant, alternating between the variants after one round of warm-up. `only`: names of the
+    requested variants. `report` receives progress messages.
+
+    Raises GranflowError without particles at that time, RunError if a variant aborts.
     """
     end = SHARE_BEFORE * _longest(scene) if until is None else until
     report(f"Running to {end:.3g} s")
@@ -114,7 +120,10 @@ def engine_for(variant: FeatureVariant, base: Plan, start: StartState, backend: 
 
 
 def restore(engine: Engine, variant: FeatureVariant, start: StartState) -> None:
-    """Restore the particles of the start state, with forces and an empty contact history."""
+    """Restore the particles of the start state, with forces and an empty contact history.
+
+    The particles have the materials of the scene of the variant.
+    """
     engine.state.count = 0
     for row in (engine.state.neighbors.list_begin, engine.state.neighbors.list_end):
         row.fill(0)
@@ -147,7 +156,10 @@ def _feature_cost(
 
 
 def _nanoseconds(engine: Engine, variant: FeatureVariant, start: StartState) -> float:
-    """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds."""
+    """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds.
+
+    STEPS_BEFORE steps precede the timing of STEPS steps. Raises RunError if the variant aborts.
+    """
     restore(engine, variant, start)
     engine.advance(STEPS_BEFORE)
     rebuild_seconds, began = engine.timing.neighbor_list, perf_counter()

@@ -39,7 +39,10 @@ class Cost:
 
 
 def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
-    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times."""
+    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times.
+
+    The result is relative to BASE, which must be among the models; median and quartiles over the repeats.
+    """
     engines = {name: _engine(model, backend) for name, model in candidate_models.items()}
     for engine in engines.values():
         engine.advance(STEPS)
@@ -57,6 +60,7 @@ def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repe
 
 
 def _timed(engine: Engine) -> float:
+    """Wall time [s] of STEPS steps, until the device has finished."""
     start = perf_counter()
     engine.advance(STEPS)
     engine.synchronized(("mass", "velocity", "force"))
@@ -64,6 +68,7 @@ def _timed(engine: Engine) -> float:
 
 
 def _engine(model: CandidateModel, backend: Backend) -> Engine:
+    """Engine with the lattice for a model, ready to run."""
     scene = Scene.model_validate(_lattice(model, backend.precision))
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     engine = Engine(plan, backend)

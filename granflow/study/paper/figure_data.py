@@ -9,7 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FigureDeviation:
-    """Largest relative deviation: `quantity` names simulated and reference value, `where` the point."""
+    """Largest relative deviation: `quantity` names simulated and reference value, `where` the point.
+
+    `largest`, `target`: fractions, not percentages; `target` is None without one.
+    """
 
     quantity: str
     largest: float
@@ -60,7 +63,10 @@ def relative_deviation(
     target: float | None = None,
     remark: str = "",
 ) -> FigureDeviation:
-    """Largest value of |simulated / theory - 1|; `where` describes the point of an index."""
+    """Largest value of |simulated / theory - 1|; `where` describes the point of an index.
+
+    `simulated`, `theory` (n,): values in the same unit.
+    """
     shares = np.abs(np.asarray(simulated) / np.asarray(theory) - 1.0)
     worst = int(np.argmax(shares))
     return FigureDeviation(quantity, float(shares[worst]), where(worst), target, remark)

@@ -33,12 +33,13 @@ def loop_run(backend: Backend) -> Outcomes:
 
 
 def _diameter(outcomes: Outcomes, index: int) -> float:
+    """Diameter [m] of the spheres of collision `index`."""
     duration = STEPS_PER_CONTACT * outcomes.time_step
     return CASE.diameter_lasting(duration, float(RESTITUTIONS[index]), VELOCITY)
 
 
 def attainable_restitutions(outcomes: Outcomes) -> np.ndarray:
-    """Given restitutions, or the smallest one that the time step allows if that is larger."""
+    """Given restitutions (n,), or the smallest one that the time step allows if that is larger."""
     least = []
     for index in range(len(RESTITUTIONS)):
         k, mass = CASE.stiffness(_diameter(outcomes, index)), CASE.mass_eff(_diameter(outcomes, index))
@@ -48,7 +49,12 @@ def attainable_restitutions(outcomes: Outcomes) -> np.ndarray:
 
 
 def loop_force(share: np.ndarray, e: float) -> np.ndarray:
-    """Unloading force over the maximum force, at an overlap over the maximum overlap (Zhou 2011, Eq. 4)."""
+    """Unloading force over the maximum force, at an overlap over the maximum overlap (Zhou 2011, Eq. 4).
+
+        F / Fmax = Lambda(e) (u - x) + e^3 (u - x)^1.5,      u > x
+
+    `share`: u, an array of any shape; x: residual over maximum overlap.
+    """
     above = np.maximum(share - 1.0 + float(theory.recovery(e)), 0.0)
     return float(theory.unloading_slope(e)) * above + e**3 * above**1.5
 
@@ -71,7 +77,10 @@ def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
 
 
 def enclosed_share(rows: np.ndarray) -> float:
-    """Area of a loop over the area under its loading branch: the fraction of energy lost, 1 - e^2."""
+    """Area of a loop over the area under its loading branch: the fraction of energy lost, 1 - e^2.
+
+    `rows` (m, 4): from `loop_rows`, in the order of the steps.
+    """
     share, force = np.pad(rows[:, 1], 1), np.pad(rows[:, 2], 1)
     share[-1] = rows[-1, 1]  # vertical line from the last force; the overlap changes by at most one step there
     work = 0.5 * (force[1:] + force[:-1]) * np.diff(share)

@@ -54,7 +54,7 @@ class ImpactSetup:
 
     @property
     def reduced(self) -> tuple[float, float]:
-        """Hertz stiffness [N/m^1.5] and effective mass [kg]."""
+        """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and radius."""
         solids = (self.sphere, self.plate)
         compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
         mass = 4.0 / 3.0 * np.pi * self.radius**3 * self.sphere["density"]
@@ -90,12 +90,15 @@ class ImpactMotion:
     spin: np.ndarray
 
     def slip(self, radius: float) -> np.ndarray:
-        """Tangential velocity of the lowest point of the sphere [m/s]."""
+        """Tangential velocity (n,) [m/s] of the lowest point of a sphere of the given radius [m]: v_t - R w."""
         return self.along - radius * self.spin
 
 
 def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
-    """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative."""
+    """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative.
+
+    `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of the plate.
+    """
     elastic = theory.duration(1.0, *setup.reduced, -before.normal)
     scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
     simulation = Simulation(scene)
@@ -108,6 +111,7 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
 
 
 def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
+    """Scene of all impacts: spheres at a distance `gap` (n,) [m] above the plate, or above partner spheres."""
     count, partner = len(gap), setup.partner_radius
     spacing = 3.0 * (partner or setup.radius)
     centers = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
@@ -179,7 +183,7 @@ def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
 
 
 def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
-    """Whether the contact slides throughout: |slip| > 3.5 mu (1 + e) v, with a margin."""
+    """Whether the contact slides throughout (n,): |slip| > 3.5 mu (1 + e) v, with a margin."""
     limit = 3.5 * setup.friction * (1.0 + setup.restitution) * -before.normal
     return np.abs(before.slip(setup.radius)) > SLIDING * limit
 
@@ -188,14 +192,14 @@ def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
 
 
 def published(source: str) -> dict[str, np.ndarray]:
-    """Curves of `published/<source>.csv` by quantity, each (n, 2)."""
+    """Curves of `published/<source>.csv` by quantity, each (n, 2): abscissa and ordinate as published."""
     text = (files("granflow.study.paper") / "published" / f"{source}.csv").read_text(encoding="utf-8")
     rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))[1:]
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 
 def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
-    """Motion without spin at an angle from the normal [deg] and a speed [m/s]."""
+    """Motion without spin at angles (n,) from the normal [deg] and a speed [m/s]."""
     turned = np.radians(angle)
     return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
 
@@ -223,7 +227,11 @@ class ImpactSweep:
 
 
 def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
-    """Simulate all impacts of the figure; fewer points take less time."""
+    """Simulate all impacts of the figure; fewer points take less time.
+
+    `angles`, `ratios`: number of points of each curve. The keys consist of the plate or test and the contact model,
+    such as test5_zhou.
+    """
     angle = np.linspace(2.0, 88.0, angles)
     slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
     cases: dict[str, tuple[ImpactSetup, str, np.ndarray, ImpactMotion]] = {

@@ -24,7 +24,10 @@ TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
 
 
 def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
-    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps."""
+    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps.
+
+    `restitutions` (n,); the duration is that of Zhou (2011), Eq. 13.
+    """
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
@@ -33,7 +36,10 @@ def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> O
 
 
 def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureData:
-    """Fig. 1: x(e) from Eq. 8 (exact root), Eq. 9 and simulation, with the deviations of T and e."""
+    """Fig. 1: x(e) from Eq. 8 (exact root), Eq. 9 and simulation, with the deviations of T and e.
+
+    `e` (n,): restitutions of the outcomes.
+    """
     exact = 1.0 - theory.recovery(e)
     simulated = outcomes.overlap_residual / outcomes.overlap_max
     whole = np.full_like(e, STEPS_PER_CONTACT * outcomes.time_step)
@@ -96,7 +102,7 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def error_figure(e: np.ndarray | None = None) -> FigureData:
-    """Fig. 2: relative error of Eq. 9, without simulation."""
+    """Fig. 2: relative error of Eq. 9 with respect to the exact root of Eq. 8, without simulation."""
     e = np.linspace(0.0, 0.9999, 1000) if e is None else e
     exact = 1.0 - theory.recovery(e)
     closed_form = theory.residual_closed_form(e)

@@ -23,24 +23,31 @@ Columns = Mapping[str, np.ndarray]
 
 
 def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:
-    """Simulate both materials at all velocities in one scene; the shortest collision takes 200 steps."""
+    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200 steps."""
     pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
     return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT, backend)
 
 
 def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
+    """Shortest collision duration [s] of all cases and velocities."""
     return min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in cases)
 
 
 def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
-    """Given restitution (Zhou 2011, Eq. 12)."""
+    """Given restitution (Zhou 2011, Eq. 12) at velocities [m/s] of any shape.
+
+    Raises ValueError for a case without Eq. 12.
+    """
     if case.fit is None:
         raise ValueError(f"{case.name} has no restitution that depends on velocity")
     return case.fit(velocity)
 
 
 def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) -> dict[str, np.ndarray]:
-    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19."""
+    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19.
+
+    Columns (materials * n,) in SI units; theory: Zhou (2011), Eqs. 12, 13 and 19, and Thornton (1997).
+    """
     e = [restitution_of(case, velocities) for case in PAPER_CASES]
     yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
     durations = np.concatenate([case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)])

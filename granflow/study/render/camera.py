@@ -22,7 +22,10 @@ CENTERINGS = 6
 
 @dataclass(frozen=True)
 class View:
-    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel."""
+    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel.
+
+    The vectors `right`, `up` and `toward` form a right-handed frame.
+    """
 
     toward: np.ndarray
     up: np.ndarray
@@ -69,6 +72,7 @@ def view_of(text: str, gravity: np.ndarray | None = None) -> View:
 
 
 def _upward(gravity: np.ndarray | None) -> np.ndarray:
+    """Unit vector (3,) along the axis that is most nearly opposite to gravity."""
     up = np.zeros(3)
     if gravity is None or not np.any(gravity):
         up[2] = 1.0
@@ -79,6 +83,7 @@ def _upward(gravity: np.ndarray | None) -> np.ndarray:
 
 
 def _direction(text: str) -> np.ndarray:
+    """Direction (3,) from text with three numbers. Raises GranflowError for other text."""
     try:
         numbers = np.array([float(word) for word in text.split(",")])
     except ValueError:
@@ -105,7 +110,10 @@ def aspect_of(view: View, points: np.ndarray) -> float:
 
 
 def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0) -> Camera:
-    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height."""
+    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height.
+
+    `zoom`: magnification; above 1, outer points are outside the picture.
+    """
     seen = view.projected(points)
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
@@ -120,7 +128,10 @@ def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0)
 
 
 def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
-    """Smallest distance [m] of the eye from the origin at which all points are in the field of view."""
+    """Smallest distance [m] of the eye from the origin at which all points are in the field of view.
+
+    `seen` (n, 3) [m]: points in the frame of the view; `tangent` (2,): of half the field of view.
+    """
     return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
 
 

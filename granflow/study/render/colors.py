@@ -69,7 +69,8 @@ def scale_for(
 ) -> Scale:
     """Color scale of an array from all shown values, or from given `limits` [SI].
 
-    `names`: names of the materials and groups of the scene, by array name.
+    `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the materials and
+    groups of the scene, by array name.
     """
     finite = np.concatenate([np.zeros(0), *values])
     finite = finite[np.isfinite(finite)]
@@ -85,6 +86,7 @@ def scale_for(
 
 
 def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]]) -> dict[int, str]:
+    """Names of the materials or groups that occur in the values, by number."""
     known = names.get(name, ())
     numbers = sorted({int(value) for value in values})
     return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
@@ -106,7 +108,10 @@ def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
 
 
 def prefixed(unit: str, largest: float) -> tuple[float, str]:
-    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix."""
+    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix.
+
+    For example, 1e-3 and "mN" for "N" and 0.02.
+    """
     if not largest > 0.0 or not unit or any(sign in unit for sign in "^0123456789"):
         return 1.0, unit
     grams = unit.startswith("kg")

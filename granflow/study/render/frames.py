@@ -46,7 +46,10 @@ class FrameParticles:
 
 @dataclass(frozen=True)
 class FrameWalls:
-    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,)."""
+    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,).
+
+    Corners are indices of points; wall numbers are those of the scene.
+    """
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
@@ -74,9 +77,9 @@ class ForceChains:
 
 
 def frames_of(directory: Path) -> list[Frame]:
-    """Particle frames of a run in order, each with its walls and contacts.
+    """Particle frames of a run in order, each with its walls and contacts at the same time.
 
-    Raises GranflowError if the directory contains no frames.
+    Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
     """
     if not directory.is_dir():
         raise GranflowError(
@@ -130,6 +133,7 @@ def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
 
 
 def _one(frames: Sequence[Frame], word: str) -> Frame:
+    """Frame for one word of a selection. Raises GranflowError."""
     if word in ("last", "first"):
         return frames[-1 if word == "last" else 0]
     if word.isdecimal():
@@ -148,7 +152,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
 
 
 def read_particles(frame: Frame) -> FrameParticles:
-    """Particles of a frame. Raises GranflowError if the file cannot be read."""
+    """Particles of a frame; positions are float64. Raises GranflowError if the file cannot be read."""
     mesh = read_mesh(frame.particles)
     arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     radius = arrays.get("radius", np.zeros(len(mesh.points)))

@@ -23,7 +23,7 @@ NO_VALUE = (0.6, 0.6, 0.6)
 
 
 def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
-    """Colors (n, 3), 0 to 255, of values (n,) [SI]; gray for nan."""
+    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the limit."""
     from matplotlib import colormaps, colors
 
     if scale.names is not None:
@@ -37,7 +37,10 @@ def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
 
 
 def legend_strip(scale: Scale, time: str, height: int) -> np.ndarray:
-    """The strip as an image (height, width, 3), 0 to 255."""
+    """The strip as an image (height, width, 3), 0 to 255.
+
+    `time`: text at the top; `height` [pixels]; the width is WIDTH times the height.
+    """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -88,6 +88,8 @@ def write_pictures(
 ) -> list[Path]:
     """Write a PNG of each frame to `pictures/` of the run, or a single one to `out`; return the paths.
 
+    Files are written atomically and replace earlier ones of the same name.
+
     Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style requires data
     that the run did not write.
     """
@@ -121,7 +123,7 @@ def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> I
 
 
 def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
-    """Camera, color scale and size for all frames."""
+    """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
     scene = scene_as_run(directory)
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
@@ -159,6 +161,7 @@ def _cut(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> Scale:
+    """Color scale of a style. Raises GranflowError for force chains if the run has no contacts."""
     if style.chains:
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
@@ -186,6 +189,7 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
 
 
 def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarray:
+    """Picture (height, width, 3), 0 to 255, of one frame with its legend strip."""
     particles = _behind(read_particles(frame), setup.cut)
     renderer.set_walls(read_walls(frame), setup.domain, setup.cut)
     if setup.style.chains:
@@ -201,6 +205,7 @@ def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarra
 def _draw_chains(
     renderer: Renderer, setup: PictureSetup, chains: ForceChains | None, particles: FrameParticles
 ) -> None:
+    """Add the contacts as tubes with a radius proportional to the normal force, and the particles faintly."""
     renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
     chains = chains or ForceChains(np.zeros((0, 2, 3)), np.zeros(0))
     share = np.clip(chains.normal_force / setup.scale.limits[1], 0.0, 1.0)

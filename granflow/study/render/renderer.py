@@ -31,7 +31,7 @@ FACETS = 80
 
 
 def require_pyvista() -> Any:
-    """Import pyvista. Raises GranflowError if the extra `plot` is not installed."""
+    """Import pyvista and return the module. Raises GranflowError if the extra `plot` is not installed."""
     try:
         import matplotlib  # noqa: F401
         import pyvista
@@ -45,7 +45,10 @@ def require_pyvista() -> Any:
 
 
 class Renderer:
-    """Renders frames with a fixed camera; spheres are exact to the pixel."""
+    """Renders frames with a fixed camera; spheres are exact to the pixel.
+
+    `size`: width and height [pixels]. Raises GranflowError if pyvista is not installed. Call `close` after use.
+    """
 
     def __init__(self, size: tuple[int, int], camera: Camera) -> None:
         self._pyvista = require_pyvista()
@@ -69,7 +72,7 @@ class Renderer:
         self._plotter.close()
 
     def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
-        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray."""
+        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray; replaces those shown before."""
         colors = np.full_like(colors, GRAY) if faint else colors
         distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
         is_near = particles.radius > NEAR * distance
@@ -149,6 +152,7 @@ class Renderer:
         vtk_camera.parallel_projection = not camera.view.perspective
 
     def _surface(self, walls: FrameWalls) -> Any:
+        """Surface of the walls with merged points, so that edges between polygons are found."""
         faces = [np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons]
         return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
             lines_to_points=False, polys_to_lines=False

@@ -66,6 +66,7 @@ def sessions(entries: list[LogEntry]) -> list[RunSession]:
 
 
 def _session(entries: list[LogEntry]) -> RunSession:
+    """Session from its entries; texts are empty if the log lacks them."""
     compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
     resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
     arch, precision, seconds = compiled.groups() if compiled else ("", "", "")

@@ -35,7 +35,11 @@ HOW_TO_ADD = "The files are in pictures/. To add pictures, run granflow render, 
 
 
 def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
-    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them."""
+    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
+
+    Renders a few frames if the run has no pictures since its last frame. At most MOST_PICTURES pictures and one film of
+    at most FILM_BYTES.
+    """
     if not frames:
         return [], "The run has no frames to render."
     found = recent_pictures(directory, frames)
@@ -61,7 +65,10 @@ def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
 
 
 def render(directory: Path, frames: Sequence[Frame]) -> str:
-    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or ""."""
+    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or "".
+
+    The pictures are in `pictures/` of the run. The time limit is TIMEOUT for each command.
+    """
     if find_spec("pyvista") is None:
         return "No pictures, because pyvista is not installed: pip install granflow[plot]"
     filled = [frame for frame in frames if not is_empty(frame.particles)] or frames

@@ -50,6 +50,7 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
 
 
 def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points."""
     time, values = thinned(series.time, column.values)
     rounds = number // len(COLORS)
     return {
@@ -64,6 +65,7 @@ def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[s
 
 
 def _plain(values: np.ndarray) -> list[float]:
+    """Numbers with DIGITS digits, as Python floats for JSON."""
     return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
 
 

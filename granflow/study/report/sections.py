@@ -138,6 +138,7 @@ def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
 
 
 def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dict[str, float]]:
+    """Last value of each column of a topic: part -> quantity -> value."""
     found: dict[str, dict[str, float]] = {}
     for column in columns:
         quantity, _, part = column.name.partition(".")
@@ -164,7 +165,7 @@ def _energy_budget(record: RunRecord) -> list[PagePart]:
 
 
 def profile(record: RunRecord) -> Section | None:
-    """Wall-clock time by phase."""
+    """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
     seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
     total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:

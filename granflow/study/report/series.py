@@ -18,7 +18,7 @@ MOST_POINTS = 800
 
 @dataclass(frozen=True)
 class SeriesColumn:
-    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values."""
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
 
     name: str
     unit: str
@@ -50,7 +50,10 @@ class PlotGroup:
 
 
 def read_series(path: Path) -> TimeSeriesTable | None:
-    """Columns of a time series without an incomplete last line; None if it has no rows."""
+    """Columns of a time series without an incomplete last line; None if it has no rows.
+
+    Cells that are not numbers become nan. Raises GranflowError if the file is not CSV.
+    """
     if not path.exists():
         return None
     try:
@@ -126,7 +129,10 @@ def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval."""
+    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval.
+
+    `time`, `values` (n,); values that are not finite are dropped.
+    """
     finite = np.flatnonzero(np.isfinite(values))
     if len(finite) > MOST_POINTS:
         parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)

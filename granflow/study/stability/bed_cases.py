@@ -83,7 +83,10 @@ def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
 
 
 def energy_budget_result(scene: Scene) -> CaseResult:
-    """Run the scene; the error is the magnitude of `energy_error` at the end of the run."""
+    """Run the scene; the error is the magnitude of `energy_error` at the end of the run.
+
+    Raises RunError after an abort.
+    """
     simulation = Simulation(scene)
     try:
         result = simulation.run()
@@ -104,7 +107,8 @@ def energy_budget_result_of(
 def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
     """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
 
-    `densities` [kg/m^3] from bottom to top; `young_modulus` [Pa].
+    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the equilibrium; the
+    error is that of the force on the floor after REST_STEPS steps, relative to the weight.
     """
     weights = GRAVITY * 4.0 / 3.0 * np.pi * RADIUS**3 * np.array(densities)
     heavy = max(densities)

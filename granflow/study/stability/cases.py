@@ -49,7 +49,10 @@ class StabilityCase:
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """A case with its assessment; numbers are nan for refused cases. `time_step` and wall time `seconds` in s."""
+    """A case with its assessment; numbers are nan for refused cases.
+
+    `error` is relative; `time_step` and wall time `seconds` [s].
+    """
 
     family: str
     row: str
@@ -67,7 +70,10 @@ class CaseOutcome:
 
 
 def run_case(case: StabilityCase) -> CaseOutcome:
-    """Run a case and return its outcome. Every exception becomes an assessment."""
+    """Run a case and return its outcome with the wall time.
+
+    No exception is raised: GranflowError means refused, every other exception a defect.
+    """
     began = clock.perf_counter()
     case_result = CaseResult("", math.nan, math.nan, math.nan, math.nan)
     try:
@@ -91,7 +97,10 @@ def case_outcome(
 
 
 def assess(case_result: CaseResult) -> tuple[Kind, str]:
-    """Kind of assessment and its text for a result."""
+    """Kind of assessment and its text for a result.
+
+    Accurate up to ACCURATE; a larger error needs a warning above SILENT_LIMIT, otherwise it is a defect.
+    """
     if not (math.isfinite(case_result.reached) and math.isfinite(case_result.error)):
         return "defect", f"defect: {case_result.quantity} is not finite, and the run did not abort"
     if case_result.error <= ACCURATE:

@@ -33,7 +33,7 @@ class TestLattice:
 
 
 def _confined_particle(directions: np.ndarray) -> TestLattice:
-    """One free particle between anchors in the given directions (n, 3)."""
+    """One free particle between anchors at unit distance in the given directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
 

@@ -63,7 +63,10 @@ class ParticlePair:
 
 @dataclass(frozen=True)
 class Rebound:
-    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m."""
+    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m.
+
+    `time_step` [s]; `warnings`: of the plan.
+    """
 
     restitution: np.ndarray
     momentum: np.ndarray
@@ -75,7 +78,8 @@ class Rebound:
 def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
     """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
 
-    Raises SceneError if the time step is refused, RunError if the run aborts.
+    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError if the run
+    aborts.
     """
     step = None if share is None else share * _largest_step(pairs)
     simulation = Simulation(scene_of(pairs, precision, step))

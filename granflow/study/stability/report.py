@@ -49,7 +49,10 @@ def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome],
 
 
 def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
-    """Write CSV, heat map and page; without matplotlib, skip the heat map and return a sentence."""
+    """Write CSV, heat map and page; without matplotlib, skip the heat map and return a sentence.
+
+    The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column `verdict`.
+    """
     out.mkdir(parents=True, exist_ok=True)
     columns = {field.name: np.array([getattr(each, field.name) for each in outcomes]) for field in fields(CaseOutcome)}
     columns["verdict"] = columns.pop("assessment")  # the name of the column in earlier versions

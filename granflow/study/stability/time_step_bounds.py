@@ -103,7 +103,10 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
 
 
 def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
-    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check."""
+    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check.
+
+    Thornton's model with its yield overlap; Hertzian models with Zhou (2011), Eq. 5; linear springs with v sqrt(M/K).
+    """
     pair, radius, mass, speed = _pair_arguments(pair_case)
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
     if law.name == "thornton":
@@ -178,7 +181,10 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
 
 
 def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
-    """Time step [s] above which the perturbation grows, by bisection."""
+    """Time step [s] above which the perturbation grows, by bisection on a logarithmic scale.
+
+    `allowed` [s]: limit of the check; the search range is LOWEST to HIGHEST times it.
+    """
     low, high = LOWEST * allowed, HIGHEST * allowed
     while high > RESOLUTION * low:
         middle = float(np.sqrt(low * high))
@@ -187,7 +193,7 @@ def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> floa
 
 
 def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
-    """Whether the perturbation grows at this time step [s]."""
+    """Whether the perturbation grows at this time step [s], or the run aborts."""
     _restart(engine, particles, step)
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
     initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
