@@ -28,11 +28,11 @@ def compare(options: argparse.Namespace) -> int:
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        lambda words: say(f"{words} ...", flush=True),
+        lambda message: say(f"{message} ...", flush=True),
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
-    for words in (stage_note(found), size_note(found), *stop_notes(found)):
-        say(words)
+    for note in (stage_note(found), size_note(found), *stop_notes(found)):
+        say(note)
     for assessment in found.assessments:
         say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")

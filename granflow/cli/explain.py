@@ -40,7 +40,7 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
     from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
 
     found = feature_costs(
-        scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True)
+        scene, options.arch, options.threads, options.until, lambda message: say(f"{message} ...", flush=True)
     )
     show_table(f"{scene.title}: cost of a step, as in the scene and with one feature switched", HEADS, cost_rows(found))
     say(*remarks(found), sep="\n")

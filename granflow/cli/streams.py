@@ -15,7 +15,7 @@ class Output:
     """Reaction to a failed write to a standard stream.
 
     If `needed`, the command ends: silently with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
-    If not, the command continues and its output is dropped: a simulation is worth more than its progress lines.
+    If not, the command continues and its output is dropped: lost progress lines must not end a simulation.
     """
 
     needed = True

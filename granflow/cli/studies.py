@@ -72,7 +72,7 @@ def paper(options: argparse.Namespace) -> int:
     """
     from granflow.study.paper import write_paper
 
-    page = write_paper(options.out, lambda words: say(f"{words} ...", flush=True))
+    page = write_paper(options.out, lambda message: say(f"{message} ...", flush=True))
     say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
     return 0
 

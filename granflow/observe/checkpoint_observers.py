@@ -39,11 +39,11 @@ def check_streams(checkpoint: Checkpoint, fresh: Mapping[str, Mapping[str, Any]]
     insertion.mapping(fresh)
     for name, template in fresh.items():
         insertion[name].mapping(template)
-        due = insertion[name]["due_count"].whole(0, counts[name])
+        due = insertion[name]["due_count"].integer(0, counts[name])
         queued = insertion[name]["queued"]
         size = queued.value.size if isinstance(queued.value, np.ndarray) else 0
         queued.distinct(size, high=due - 1)
-        insertion[name]["batch_count"].whole()
+        insertion[name]["batch_count"].integer()
         insertion[name]["next_time"].number(0.0)
 
 
@@ -68,7 +68,7 @@ def _check_like(part: Part, template: Any) -> None:
         for row in part.items():
             _check_row(row, LIST_TYPES.get(key, ()))
     elif isinstance(template, np.ndarray):
-        part.reals(*template.shape)
+        part.floats(*template.shape)
     elif template is None:
         part.plain()
     else:
@@ -88,7 +88,7 @@ def _check_plain(part: Part, template: Any) -> None:
     if isinstance(template, bool):
         part.flag()
     elif isinstance(template, int):
-        part.whole(-(2**53) if part.key.endswith("/count") else 0)
+        part.integer(-(2**53) if part.key.endswith("/count") else 0)
     elif isinstance(template, float):
         part.plain()
     else:
@@ -101,10 +101,10 @@ def _check_sample(part: Part) -> None:
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
-    part["part"].wholes(count)
+    part["part"].integers(count)
     for name in ("mass", "distance"):
-        part[name].reals(count)
-    part["position"].reals(count, 3)
+        part[name].floats(count)
+    part["position"].floats(count, 3)
 
 
 def _check_sums(part: Part) -> None:
@@ -114,4 +114,4 @@ def _check_sums(part: Part) -> None:
     }
     for each in part.parts():
         width = each.value.shape[-1] if isinstance(each.value, np.ndarray) and each.value.ndim else 0
-        each.reals(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)
+        each.floats(*(lengths if len(lengths) == 1 else (0,)), width, high=LARGEST_REAL)

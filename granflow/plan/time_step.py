@@ -79,7 +79,9 @@ def choose_time_step(
     resolved, name = min(
         (fraction * shortest_phase(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
     )
-    rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in pair_cases)
+    rayleigh, rayleigh_name = min(
+        (rayleigh_fraction * rayleigh_time(case.solid, case.radius), case.name) for case in pair_cases
+    )
     stable, stable_name = min((stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases)
     travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)

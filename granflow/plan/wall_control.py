@@ -131,7 +131,7 @@ def _stiffness(
 
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
-    single = max(law.loading_stiffness(m.pair, m.radius_eff, m.mass_eff, velocity) for m in pair_cases)
+    single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or _section(scene, _unit(given))
     particle_count = sum(group.count for group in scene.particles.values())

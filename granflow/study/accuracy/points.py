@@ -194,6 +194,6 @@ def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
 
     The time of the pair case is scaled with the diameter, to which it is proportional.
     """
-    matching = [m for m in pair_cases_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
+    matching = [case for case in pair_cases_of(bench.plan.scene) if case.pair.restitution == kind.restitution]
     scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
     return scaled * kind.diameter
