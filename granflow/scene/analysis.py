@@ -26,7 +26,10 @@ from granflow.scene.insertion_schema import Box
 from granflow.scene.suggest import suggestion_or_list
 
 Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+"""Kernel width [m], or auto: the largest radius of the scene."""
+
 Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+"""Cutoff of the kernel, in kernel widths: 1 to 10."""
 
 
 class GridSpec(Model):
@@ -162,6 +165,8 @@ AnyMetric = Annotated[
     | Annotated[ContentMetric, Tag("<content>")],
     choose_by_key("kind"),
 ]
+"""Any kind of metric; the key `kind` selects it."""
+
 
 METRIC_QUANTITIES_BY_KIND = {
     "content": ("content_count", "content_mass", "content_volume"),

@@ -432,3 +432,4 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("output", "expect"), _wall_forces),
     (("run",), _force_controlled),
 )
+"""Sections that must be complete, and the check that needs them."""

@@ -9,6 +9,7 @@ from typing import Any
 _LONGEST_SHOWN = 60  # characters of a value shown in a message
 
 KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene, such as ("stages", 0, "duration")."""
 
 
 @dataclass(frozen=True, slots=True)

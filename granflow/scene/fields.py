@@ -129,6 +129,7 @@ def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
 
 
 Tagger = Callable[[Any], str | None]
+"""Function that returns the tag of a union member for a raw value, or None if no member fits."""
 
 
 def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_tag: str = "") -> Discriminator:
@@ -216,13 +217,23 @@ def _flag_or_names(value: Any) -> Any:
 
 
 Text = Annotated[str, BeforeValidator(_check_text)]
+"""Text as in the file; numbers and flags are not converted."""
+
 FileName = Annotated[str, BeforeValidator(_file_name)]
+"""Text without control, zero-width and bidirectional characters."""
+
 Flag = Annotated[bool, BeforeValidator(_check_flag)]
 FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
+"""All (true), none (false), or a list of names."""
+
 Name = Annotated[str, AfterValidator(_check_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
+"""Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
+
 PairName = Annotated[
     str, AfterValidator(_check_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
 ]
+"""Names of two materials joined by a hyphen, in either order."""
+
 
 # Lengths scale with `scale` of a scene, numbers of particles with its cube; sizes of one particle or contact do not.
 Plain = Annotated[float, Number()]
@@ -231,11 +242,17 @@ Positive = Annotated[float, Number(above=0)]
 Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
 Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_check_vector)]
 ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
+"""Number of particles, proportional to the cube of `scale`; at most LARGEST_COUNT."""
+
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 Length = Annotated[float, Number("length", scaling=1)]
+"""Length [m] of the equipment, proportional to `scale`."""
+
 PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
 NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
 UnscaledLength = Annotated[float, Number("length", above=0)]
+"""Length [m] of one particle or contact, independent of `scale`."""
+
 Time = Annotated[float, Number("time", at_least=0)]
 PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]
@@ -255,18 +272,28 @@ Density = Annotated[float, Number("density", above=0)]
 Energy = Annotated[float, Number("energy", above=0)]
 Stiffness = Annotated[float, Number("stiffness", above=0)]
 Rate = Annotated[float, Number("rate", above=0, scaling=3)]
+"""Insertion rate [1/s], proportional to the cube of `scale`."""
+
 ParticleMass = Annotated[float, Number("mass", above=0, scaling=3)]
 MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
 Share = Annotated[float, Number(noun="a fraction", at_least=0)]
 AnyQuantity = Annotated[float, Number("any")]
+"""Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""
+
 
 Vector3 = tuple[float, float, float]
+"""Three components along x, y and z."""
+
 Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_check_vector)]
+"""Position or edge vector (3,) [m], proportional to `scale`."""
+
 VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_check_vector)]
 AngularVelocityVector = Annotated[
     tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_check_vector)
 ]
 AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_check_vector)]
 Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_check_vector), AfterValidator(_check_direction)]
+"""Vector (3,) with a length above 0, which does not matter."""
+
 Names = Annotated[tuple[Text, ...], list_of(some="[fill, settle]")]
 Auto = Literal["auto"]

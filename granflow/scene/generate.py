@@ -59,8 +59,10 @@ def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) ->
 def insert_group(scene: Scene, name: str, existing: Spheres) -> ParticleData:
     """Initial particles of one group, without overlap with `existing`.
 
-    Given positions and files are not checked for overlap. Raises RegionFullError if a lattice or packing does not fit,
-    and SceneError for an invalid file.
+    Radii are drawn before positions, with the random number generator of the group. Given positions and files are not
+    checked for overlap.
+
+    Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
     """
     group, insertion = scene.particles[name], scene.particles[name].insert
     if isinstance(insertion, FileInsertion):

@@ -29,6 +29,7 @@ from granflow.scene.numbers import whole_error
 
 _ROUNDING = 1e-12  # tolerance of the sum of fractions
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
+"""Diameter [m] of a particle, independent of `scale`."""
 
 
 class TruncatedSizes(Model):
@@ -101,6 +102,7 @@ def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
 
 
 Classes = Annotated[tuple[SizeClass, ...], list_of(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)]
+"""List of diameters with fractions, which are normalized to the sum 1."""
 
 
 class ClassSizes(Model):
@@ -117,6 +119,8 @@ class ClassSizes(Model):
 
 
 SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+"""Diameters after reading: one, one per particle, or a distribution [m]."""
+
 Sizes = Annotated[
     Annotated[Diameter, Tag("<number>")]
     | Annotated[tuple[Diameter, ...], Tag("<list>")]
@@ -127,6 +131,7 @@ Sizes = Annotated[
     | Annotated[None, Tag("<none>")],
     choose_by_key("distribution", number_tag="number", list_tag="list", none_tag="none"),
 ]
+"""Diameters as in a scene; None if a file defines them."""
 
 
 def _many_tag(value: Any) -> str:
@@ -139,10 +144,13 @@ _one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors"
 VelocityOrMany = Annotated[
     Annotated[VelocityVector, Tag("<one>")] | Annotated[tuple[VelocityVector, ...], Tag("<list>")], _one_or_many
 ]
+"""One velocity (3,) [m/s] for all particles, or one for each."""
+
 AngularVelocityOrMany = Annotated[
     Annotated[AngularVelocityVector, Tag("<one>")] | Annotated[tuple[AngularVelocityVector, ...], Tag("<list>")],
     _one_or_many,
 ]
+"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
 class Group(Model):

@@ -32,6 +32,8 @@ MAX_RETRIED_BATCHES = 4
 region."""
 
 SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
+"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch [s]."""
+
 
 ATTEMPTS = (8, 56)
 """Positions tried for a particle: in the first round, and in the second round after a failure of the first."""

@@ -30,6 +30,7 @@ from granflow.scene.fields import (
 from granflow.scene.wall_schema import side_faults
 
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
+"""Random displacement over the free gap: 0 to 1."""
 
 
 class Box(Model):
@@ -93,6 +94,7 @@ Region = Annotated[
         "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}",
     ),
 ]
+"""A box or a cylinder, in which particles lie entirely inside."""
 
 
 class LatticeInsertion(Model):
@@ -180,6 +182,7 @@ Face = Annotated[
         "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]
+"""A rectangle or a disc through which particles enter along its normal."""
 
 
 class InletInsertion(TimedInsertion):
@@ -236,3 +239,4 @@ Insertion = Annotated[
     | Annotated[FileInsertion, Tag("<file>")],
     choose_by_key("kind"),
 ]
+"""Any kind of insertion; the key `kind` selects it."""

@@ -22,11 +22,22 @@ from granflow.scene.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
 
 YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+"""Young's modulus [Pa], above 0."""
+
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
+"""Yield strength [Pa], above 0."""
+
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
+"""Poisson ratio, above -1 and at most 0.5."""
+
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+"""Restitution coefficient in [0, 1]."""
+
 CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
+"""Cohesion energy density [J/m3], at least 0."""
+
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
+"""Friction coefficient, at least 0."""
 
 
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
@@ -119,6 +130,7 @@ Restitution = Annotated[
     | Annotated[None, Tag("<none>")],
     choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
 ]
+"""A number, a fit (Zhou 2011, Eq. 12), or None if the contact model derives it from the materials."""
 
 
 class MaterialPair(Model):

@@ -100,6 +100,8 @@ def _camel(name: str) -> str:
 
 
 MODELS: dict[str, type[LawSettings]] = {name: _model(kind) for name, kind in NORMAL_LAWS.items()}
+"""Schema class of each normal contact model, by name."""
+
 
 if TYPE_CHECKING:
     Normal = LawSettings

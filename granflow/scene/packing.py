@@ -15,12 +15,15 @@ SWELLING = 0.02
 """Relative increase of the radii during separation, so that no overlap remains."""
 
 MAX_SWEEPS = 2000
+"""Number of sweeps after which overlapping spheres are reported as not fitting."""
+
 
 OVERSHOOT = 1.4
 """Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2, 1.4)."""
 
 
 Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function of the spacing [m] that returns the sites (n, 3) [m] of a lattice and displacement vectors (3, 3) [m]."""
 
 
 class RegionFullError(Exception):

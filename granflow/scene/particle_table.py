@@ -29,8 +29,14 @@ COLUMN_NAMES = {
     "velocity": ("v", "vel", "velocity"),
     "angular_velocity": ("w", "omega", "spin", "angular_velocity", "angvel", "angularvelocity"),
 }
+"""Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis alone."""
+
 SIZE_NAMES = {"radius": ("r", "rad", "radius"), "diameter": ("d", "dia", "diam", "diameter")}
+"""Names of the column with the size of the particles."""
+
 MATERIAL_NAMES = ("material", "mat", "materialname", "materialid")
+"""Names of the column with the material: its name, or its number in the scene."""
+
 DIMENSIONS = {
     "position": "length",
     "radius": "length",
@@ -38,6 +44,8 @@ DIMENSIONS = {
     "velocity": "velocity",
     "angular_velocity": "angular_velocity",
 }
+"""Dimension of each quantity, in which the unit of its columns is converted to SI."""
+
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from granflow.scene.schema import Domain
 
 AXES = "xyz"
+"""Names of the axes 0, 1 and 2."""
 
 
 @dataclass(frozen=True)

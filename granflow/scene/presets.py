@@ -33,3 +33,4 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "glass": Preset(70e9, 0.20, 2500.0, None, None, _GLASS),
     }
 )
+"""Materials by the name that `preset` of a material accepts."""

@@ -144,10 +144,20 @@ LARGEST_OVERLAP = 0.8
 """Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.travel`)."""
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
+"""Fraction above 0 and at most 1."""
+
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
+"""Overlap over radius, above 0 and at most LARGEST_OVERLAP."""
+
 AdaptiveOrFixedTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+"""Time step [s], above 0, or auto or adaptive."""
+
 ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
+"""Shear rate [1/s] of either sign."""
+
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+"""Length [m], above 0, or auto."""
+
 LARGEST_CHUNK = 1_000_000
 """Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
 
@@ -155,9 +165,12 @@ LARGEST_ANGLE = 0.9
 """Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
 
 UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
+"""Unloading angle, above 0 and at most LARGEST_ANGLE."""
+
 ChunkSize = Annotated[
     int | Auto, Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",))
 ]
+"""Number of particles per chunk, at most LARGEST_CHUNK, or auto."""
 
 
 class LeesEdwards(Model):

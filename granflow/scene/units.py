@@ -70,6 +70,8 @@ DIMENSIONS: dict[str, Dimension] = {
     "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
 }
+"""Dimensions by name; the first unit of each is the SI unit."""
+
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})
 
 

@@ -33,7 +33,10 @@ class PartialScene:
         return cls(document, scene, frozenset(Scene.model_fields), sections)
 
     def names(self, section: str) -> tuple[str, ...]:
-        """All names in a section of the file, including invalid entries, and names in lowercase."""
+        """All names in a section of the file, including invalid entries, and names in lowercase.
+
+        Checks of references use them, so that an invalid entry does not cause an error wherever it is named.
+        """
         node = self.document.root.child(section)
         names = tuple(node.entries) if node is not None and node.entries else ()
         return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))

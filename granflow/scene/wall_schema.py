@@ -40,6 +40,8 @@ from granflow.scene.fields import (
 )
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
+"""Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
+
 _PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
 
 
@@ -198,6 +200,7 @@ MotionSpec = Annotated[
     | Annotated[FreeWallSpec, Tag("<free>")],
     choose_by_key("kind"),
 ]
+"""Any kind of motion; the key `kind` selects it."""
 
 
 class Wall(Model):
@@ -342,3 +345,4 @@ AnyWall = Annotated[
     | Annotated[MeshWall, Tag("<mesh>")],
     choose_by_key("shape"),
 ]
+"""A wall of any shape; the key `shape` selects it."""
