@@ -10,7 +10,10 @@ if TYPE_CHECKING:
     from granflow.scene import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
+"""Values of --arch; gpu selects the first available GPU backend."""
+
 PRECISIONS = ("f64", "f32", "mixed")
+"""Values of --precision: f64, f32, or mixed (positions in f64, all else in f32)."""
 
 
 def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:

@@ -20,10 +20,15 @@ COLLIDE_UNITS = {
     "time_step": "s",
     "velocity": "m/s",
 }
+"""Units of the numbers of `granflow collide`; all others are dimensionless."""
+
 WIDE = 160
 """Width of a table that is written to a file [characters]: wide enough for complete numbers."""
 EXIT_INTERRUPTED = 130
+"""128 + SIGINT: the exit code after Ctrl-C."""
+
 EXIT_TERMINATED = 143
+"""128 + SIGTERM: the exit code after a termination request."""
 
 
 class Terminated(KeyboardInterrupt):

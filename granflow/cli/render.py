@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from granflow.study.render import Frame, PictureStyle
 
 FITS = ("all", "particles", "domain")
+"""Values of --fit."""
 
 
 def render(options: argparse.Namespace) -> int:

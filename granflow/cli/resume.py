@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from granflow.simulation import Simulation
 
 EXIT_EXPECTATIONS_FAILED = 1
+"""Exit code of a complete run with an expectation that is not satisfied."""
+
 RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
 """File types of results that take computing time."""
 SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the output directory."""
+
 CHANGES = """\
 These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
   output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
@@ -31,6 +35,7 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
   friction and rolling_friction of pairs, if both the old and the new value are above 0
   numerics.max_overlap, title, description, expect
 """
+"""End of the help text; `granflow.scene.differences.ALLOWED_CHANGES` defines the keys."""
 
 
 def resume(options: argparse.Namespace) -> int:

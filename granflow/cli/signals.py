@@ -19,11 +19,16 @@ GRACE = 0.7
 """Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that stop a verb."""
+
 DEFERRED = (
     "granflow: stopping: the step or file in progress is completed and a checkpoint written; "
     "a second signal ends the run at once."
 )
+"""Message if the run needs longer than GRACE to stop."""
+
 AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
+"""Message if the process ends without a checkpoint."""
 
 
 class StopSignals:
@@ -95,6 +100,7 @@ class StopSignals:
 
 
 _current: StopSignals | None = None
+"""Handler of the verb in progress."""
 
 
 @contextmanager

@@ -27,7 +27,11 @@ FORMAT = 3
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"
+"""Names of checkpoint files; the number is the step, with leading zeros, so that names sort by time."""
+
 CHECKSUM_PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
+"""Comment of the archive while it is written; the hexadecimal SHA-256 of the same length replaces it."""
+
 READ_SIZE = 2**20
 """Bytes read at a time for the checksum."""
 

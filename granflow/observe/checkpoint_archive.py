@@ -15,12 +15,18 @@ from typing import Any, BinaryIO
 import numpy as np
 
 HEADER, ARRAYS = "header.json", ".npy"
+"""Name of the JSON entry, and suffix of the entries of arrays."""
+
 
 MOST_ENTRIES = 100_000
+"""Largest number of entries of an archive."""
+
 LARGEST_HEADER = 2**28
 """Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV row."""
 
 MOST_AXES = 3
+"""Largest number of axes of an array."""
+
 LARGEST_ITEM = 8
 """Largest size of one number [bytes]."""
 

@@ -17,11 +17,22 @@ LOSS_KINDS, IMPULSE_SIZE = 5, 7
 """Number of dissipated energies in the energy budget, and of impulse components per wall, as on the device."""
 
 COUNTS = ("inserted_count", "deleted_count")
+"""Keys of numbers of particles since the start."""
+
 MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
+"""Keys of masses [kg] and energies [J] of inserted and deleted particles."""
+
 SECONDS = ("neighbor_list", "advance", "sampled_forces", "sampled_integration")
+"""Keys of wall clock by phase [s]."""
+
 TALLIES = ("rebuild_count", "step_count", "particle_steps")
+"""Keys of numbers of rebuilds, steps and particle-steps."""
+
 WALL_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
+"""Keys of the arrays of force-controlled walls."""
+
 KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
+"""Keys of the state of a run."""
 
 
 def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PART = ".part"
+"""Suffix of temporary files."""
 
 
 @contextmanager

@@ -23,6 +23,7 @@ class _Sample:
 
 
 _SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
+"""Arrays of the previous sample in checkpoints."""
 
 
 class FlowCount:

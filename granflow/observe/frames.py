@@ -13,6 +13,7 @@ from granflow.observe.files import replacing, sync
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
+"""Closing tags of a PVD file; each new frame is written in their place."""
 
 
 class FrameSeries:

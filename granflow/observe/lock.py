@@ -10,6 +10,8 @@ from pathlib import Path
 from granflow.errors import GranflowError
 
 LOCK = ".lock"
+"""Name of the lock file in the output directory."""
+
 _HELD: ContextVar[frozenset[Path]] = ContextVar("_HELD", default=frozenset())
 """Directories that this thread has locked: a verb holds the lock while it calls functions that also lock."""
 if sys.platform == "win32":

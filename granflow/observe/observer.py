@@ -5,6 +5,7 @@ from typing import Any, Protocol, runtime_checkable
 from granflow.snapshot import Snapshot
 
 PARTICLES, CONTACTS, WALLS, TOTALS = "particles", "contacts", "walls", "totals"
+"""Parts of a snapshot that an observer can request."""
 
 
 class Observer(Protocol):

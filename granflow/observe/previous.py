@@ -28,6 +28,7 @@ RESULT_FILES = (
 """Patterns of the result files of a run, which distinguish an earlier run from other files."""
 
 PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
+"""Names of the directories for the three states in the module docstring."""
 
 
 def results_in(directory: Path) -> list[Path]:

@@ -17,6 +17,7 @@ _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", 
 _TOTAL = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
 _WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
+"""Totals and wall forces in the closing table; `result.json` contains all of them."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ _PARTICLE_ARRAYS = (
     "kinetic_energy",
 )
 _CONTACT_POINTS = ("position_i", "position_j")
+"""Arrays of contacts that become the points of the mesh."""
 
 
 class Frames:

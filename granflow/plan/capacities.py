@@ -6,6 +6,8 @@ GENEROUS_BELOW = 20_000
 """Number of particles below which memory does not matter and each gets `GENEROUS_NEIGHBORS` list entries."""
 
 GENEROUS_NEIGHBORS = 7.0
+"""List entries per particle in small scenes."""
+
 
 IN_CONTACT_NEIGHBORS, NEIGHBORS_PER_SKIN = 3.4, 10.0
 """Candidate pairs per particle in a settled bed: contacts, and an increase with skin over radius.
@@ -17,6 +19,8 @@ HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
 SPARE = 8
+"""History entries per chunk in addition to the share, for chunks with few list entries."""
+
 
 BOUNDS = 1024
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""

@@ -21,6 +21,7 @@ WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
 
 PROC, CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+"""Directories of the kernel with the memory of the machine and of control groups; tests replace them."""
 
 
 def required_memory(plan: Plan) -> int:

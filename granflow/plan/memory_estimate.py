@@ -10,6 +10,8 @@ INTEGER = 4
 """Size [bytes] of integers on the device."""
 
 VECTOR = 3
+"""Components of a vector."""
+
 LIST_INTEGERS, SAVED_LIST_INTEGERS = 3, 2
 """Integers per particle for its neighbor list: begin, end of the walls, end; and begin and end before a rebuild."""
 

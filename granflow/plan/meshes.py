@@ -25,6 +25,8 @@ FAR_TOO_SMALL = 1e-3
 """Ratio of mesh size to the smallest diameter below which a mesh is refused: wrong unit of length."""
 
 MILLIMETERS = 1000.0
+"""Millimeters per meter, the most frequent mistake in units of mesh files."""
+
 
 FILES_CACHED = 16
 """Number of meshes in the cache: a run builds several plans."""

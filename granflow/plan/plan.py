@@ -51,6 +51,8 @@ CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
 
 MIN_CELLS = 8192
+"""Smallest capacity of the cell grid."""
+
 
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""

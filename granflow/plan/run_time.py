@@ -15,6 +15,8 @@ WRITES_PER_SECOND = 1e4
 """Upper bound of frames, time-series rows and checkpoints per second of wall-clock time (measured: 1e3)."""
 
 YEAR = 365.25 * 86400.0
+"""Seconds per year."""
+
 
 LONGEST = YEAR
 """Lower bound of the run time [s] above which a scene is refused: probably a wrong unit or exponent."""

@@ -12,7 +12,10 @@ from granflow.scene import Scene
 from granflow.scene.normal import LawSettings
 
 KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene."""
+
 _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
+"""Unit in brackets in a description of the schema."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,10 @@ def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
 
 
 _REASONS: dict[str | int, str] = {"timeseries_interval": "default: output.interval"}
+"""Origin of values that are copied from other keys."""
+
 _MANY_ROWS = 3
+"""Lists with more entries are shown by their length."""
 
 
 def as_written(value: Any) -> str:

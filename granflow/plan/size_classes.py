@@ -10,6 +10,7 @@ CLASS_WIDTH = 2.5
 """Ratio of largest to smallest radius within a class."""
 
 Span = tuple[float, float]
+"""Smallest and largest value [m]."""
 
 
 def diameter_range(group: Group) -> Span:

@@ -20,6 +20,7 @@ from granflow.snapshot import Snapshot
 from granflow.study.render.frames import Frame, frames_of, is_empty, read_mesh, read_particles
 
 MetricRow = dict[str, float | str]
+"""Row of metrics.csv by column name."""
 
 
 def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:

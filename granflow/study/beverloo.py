@@ -20,6 +20,8 @@ from granflow.regular_files import read_regular_text
 from granflow.scene.units import UnitError, to_si
 
 EXPONENT = 2.5
+"""Exponent of Beverloo's law."""
+
 GRAVITY = 9.81
 """Default gravitational acceleration [m/s2]."""
 
@@ -27,10 +29,13 @@ K_LOWEST = -10.0
 """Smallest k of the search; published values lie between 1 and 3."""
 
 K_VALUES = 400
+"""Values of k per search round."""
+
 SEARCH_ROUNDS = 6
-"""Values of k per search round; each round covers the interval between the neighbors of the previous best value."""
+"""Number of search rounds; each covers the interval between the neighbors of the previous best value."""
 
 COLUMNS = {"orifice": "length", "mass_flow": "mass_flow"}
+"""Columns of a table of flows, with the dimension of their units."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
 WALL = "wall"
+"""Name of the wall in the scene."""
+
 HALVINGS = 60
 """Number of bisection steps; sufficient for float64 precision of the overlap."""
 SHORT = 1e-3

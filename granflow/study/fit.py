@@ -19,7 +19,11 @@ from granflow.study.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.study.measurements import Measurements
 
 NAMES = ("sigma", "psi", "limit_velocity")
+"""Parameters of Eq. 12, in the order of parameter vectors."""
+
 ITERATIONS = 500
+"""Maximum number of Levenberg-Marquardt iterations."""
+
 SMALLEST_STEP = 1e-10
 """Convergence tolerance of the parameters (relative)."""
 START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)

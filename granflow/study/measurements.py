@@ -21,10 +21,13 @@ HEADINGS = {
 """Accepted names of each column; the first one is preferred."""
 
 DIMENSION = {"velocity": "velocity", "restitution": "number", "deviation": "number", "weight": "number"}
+"""Dimension of each column, in which units of values are converted to SI."""
+
 LARGEST_FILE = 2**26
 """Maximum size of a file in bytes; sufficient for more than a million measurements."""
 
 SEPARATORS = (";", "\t", ",")
+"""Separators of cells, in the order of precedence."""
 
 
 @dataclass(frozen=True)

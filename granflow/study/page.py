@@ -11,6 +11,8 @@ from typing import Any
 from granflow.visible_text import visible
 
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
+"""Media type of each file type that a page can embed."""
+
 
 STYLE = """
 :root { color-scheme: light; }
@@ -85,6 +87,7 @@ class Code:
 
 
 PagePart = str | PageTable | Picture | Gallery | Plot | Code
+"""Content of a section."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ for (const plot of document.querySelectorAll("figure.plot")) {
   Plotly.newPlot(plot.querySelector("div"), data, layout, look);
 }
 """
+"""JavaScript that draws all plots of a page."""
 
 
 def write_page(page: Page, path: Path) -> None:

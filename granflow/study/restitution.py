@@ -24,8 +24,10 @@ from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
+"""Velocities of the collisions per decade."""
+
 DECADES = 3
-"""Velocities of the collisions relative to the largest expected velocity."""
+"""Decades of velocity below the largest expected one."""
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Phases of first touch within a time step."""
 SPACING = 2.5
@@ -41,6 +43,8 @@ TOLERANCE = 0.01
 QUICK_VELOCITIES = (1.0, 0.3, 0.1)
 """Velocities of the warning relative to the largest velocity, in the order of evaluation."""
 QUICK_PHASES = (0.25, 0.75)
+"""Phases of first touch within a time step for the warning."""
+
 QUICK_STEPS = 8000
 """Maximum number of steps of the reference implementation for the warning."""
 HALVINGS = 6

@@ -20,8 +20,10 @@ from granflow.observe.coarse_graining.kernel import GaussianKernel
 from granflow.observe.particle_selection import mobile_particles
 
 PARTICLE_FIELDS = {"mass": 1, "volume": 1, "number": 1, "touching": 1, "momentum": 3, "momentum_flux": 9}
+"""Quantities accumulated over particles, with their numbers of components."""
+
 CONTACT_ACCUMULATED = {"contact_stress": 9, "contact_number": 1, "fabric": 9}
-"""Accumulated quantities, with their numbers of components."""
+"""Quantities accumulated over contacts, with their numbers of components."""
 
 CONTACT_FIELDS = ("contact_stress", "pressure", "fabric")
 """Fields that require contacts."""

@@ -23,6 +23,7 @@ class Slope:
 
 
 NO_SLOPE = Slope(float("nan"), float("nan"))
+"""Result if the surface has too few points for a fit."""
 
 
 def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None) -> Slope:

@@ -13,6 +13,8 @@ from granflow.study.paper.cases import PaperCase
 from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
+"""Precisions of the study, the most accurate first."""
+
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
 """Steps per collision: duration of the collision over the time step."""
 FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))
@@ -75,12 +77,15 @@ class CollisionKind:
 
 
 RESTITUTIONS = (0.2, 0.5, 0.9)
+"""Target restitutions of the contact models with dissipation."""
+
 STUDIED_LAWS = (
     StudiedLaw("zhou", "zhou", RESTITUTIONS),
     StudiedLaw("hertz", "hertz", RESTITUTIONS),
     StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
     StudiedLaw("hertz, elastic", "hertz", (1.0,)),
 )
+"""Contact models of the study; an elastic contact separates errors of the integrator from those of damping."""
 
 
 INTEGRATORS = (Integrator("leapfrog"),)

@@ -18,12 +18,15 @@ from granflow.study.accuracy.axes import STEPS, CollisionKind, Integrator, Studi
 from granflow.study.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
+"""Quantities with an error relative to the exact solution."""
+
 QUANTITY_LABELS = {
     "restitution": "restitution",
     "duration": "duration",
     "overlap_max": "maximum overlap",
     "energy": "energy",
 }
+"""Titles of the quantities in figures and tables."""
 
 
 @dataclass(frozen=True)

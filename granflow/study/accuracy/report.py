@@ -42,12 +42,17 @@ from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE = "accuracy.html"
 POINTS = "accuracy.csv"
+"""CSV file with one row per point."""
+
 WORK, ERRORS = "accuracy.png", "accuracy_quantities.png"
+"""Figures of error against wall time, and of all errors."""
+
 
 LEAD = (
     "Accuracy against cost: collisions of two particles for every contact model, integrator and precision, with time "
     "steps over three decades, compared with the exact solution, and their wall time."
 )
+"""First paragraph of the page."""
 
 
 @dataclass(frozen=True)

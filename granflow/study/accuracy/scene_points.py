@@ -30,12 +30,17 @@ SINGLE_SHARES = (0.2,)
 REFERENCE = 0.05
 """Share of the reference run in double precision."""
 SEEDS = 3
+"""Number of seeds of each combination; the noise is estimated from their scatter."""
+
 FULL_SEEDS = 5
+"""Number of seeds with `full`."""
+
 FINER = 0.5
 """Factor on the time step of the reference with `full`."""
 SIGMAS = 2.0
 """Reported noise, in standard errors."""
 ENERGY_ERROR = "energy_error"
+"""Quantity with an absolute target instead of a comparison with the reference run."""
 
 
 @dataclass(frozen=True)

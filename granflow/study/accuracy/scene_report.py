@@ -13,8 +13,14 @@ from granflow.study.figures import COLORS, draw_to, require_plotting, write_colu
 from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
+"""Names of page, CSV file and figure."""
+
 HEIGHT = 3.9
+"""Height of the figure [inch]."""
+
 LOWEST = 1e-7
+"""Smaller errors are drawn at this value."""
+
 
 LEAD = (
     "Accuracy against cost in this scene: the same run with several time steps and seeds, compared with the "

@@ -20,11 +20,14 @@ from granflow.study.compare.variants import LawVariant, restitution_for
 from granflow.study.paper.head_on_collisions import HeadOnCollision, Outcomes, collide_all
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
+"""Range of velocities about the reference velocity in decades, and velocities per decade."""
+
 FINE_STEPS = 100
 """Steps in the shortest collision: the remaining error results from the contact model."""
 COARSE_STEPS = 10
 """Steps in an elastic Hertz collision at the reference velocity: the time step for one known velocity."""
 STEPS = {"fine": FINE_STEPS, "coarse": COARSE_STEPS}
+"""Time steps by name, in steps per collision."""
 
 
 @dataclass(frozen=True)

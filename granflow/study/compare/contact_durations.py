@@ -10,6 +10,7 @@ from granflow.snapshot import Snapshot
 KEY_BASE = 2**32
 """Exceeds every id, so that two ids combine into one integer key."""
 FIRST_WALL_KEY = 2**31
+"""Key of the first wall, above all ids."""
 
 
 @dataclass

@@ -13,6 +13,8 @@ from granflow.study.compare.summary import densest_stage
 from granflow.study.figures import COLORS, MARKERS, draw_to
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+"""Line styles by index of the run."""
+
 ENERGIES = {
     "kinetic": ("kinetic_energy", "rotational_energy"),
     "elastic": ("elastic_energy",),
@@ -20,6 +22,7 @@ ENERGIES = {
     "lost: friction": ("friction_dissipation", "rolling_dissipation"),
     "lost: damping": ("damping_dissipation",),
 }
+"""Columns of timeseries.csv that are summed to each curve [J]."""
 
 
 def draw_all(

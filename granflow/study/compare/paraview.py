@@ -9,6 +9,8 @@ from granflow.scene import Scene
 from granflow.study.compare.runs import VariantRun
 
 SCRIPT = "side_by_side.py"
+"""Name of the script."""
+
 GAP = 0.25
 """Gap between two variants, over the width of the domain."""
 
@@ -82,6 +84,7 @@ if picture:
     scene.AnimationTime = float(sys.argv[2]) if len(sys.argv) > 2 else times[len(times) // 2]
     SaveScreenshot(picture, view, ImageResolution=[1800, 900])
 '''
+"""Text of the script with placeholders for `str.format`."""
 
 
 def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> Path:

@@ -22,7 +22,11 @@ from granflow.study.compare.contact_durations import FollowedContacts, bursts, m
 from granflow.study.compare.variants import LawVariant
 
 BURSTS = 8
+"""Number of bursts of contact samples in a run."""
+
 SAMPLES = 48
+"""Samples of each burst."""
+
 SAMPLES_PER_CONTACT = 8
 """Samples per duration of an elastic Hertz contact at the reference velocity."""
 

@@ -16,7 +16,10 @@ from granflow.study.compare.summary import at_end, densest_stage
 TOLERANCE = 0.1
 """Threshold of the relative change over a decade of velocity."""
 ONE_SPRING, PER_CONTACT = "linear_reference", "linear_onset"
+"""Keys of the two variants of the linear contact model."""
+
 DECADE = 10.0
+"""Ratio of velocities at which the springs are assessed."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from granflow.study.compare.runs import VariantRun
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
 MISSING = "–"
+"""Cell without a value."""
 
 
 DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}

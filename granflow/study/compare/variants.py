@@ -15,6 +15,8 @@ from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
+"""Directories of the two variants of the linear contact model: spring per contact, and from the reference velocity."""
+
 TYPICAL_SHARE = 0.1
 """Default reference velocity over the largest expected impact velocity."""
 

@@ -21,6 +21,8 @@ from granflow.walls.motion import Motion
 SHARE_BEFORE = 1.0 / 3.0
 """Default simulated time before the timing, over the longest run time of the scene."""
 ROUNDS = 25
+"""Number of timings of each variant."""
+
 STEPS_BEFORE, STEPS = 10, 40
 """Steps of each timing: warm-up steps that build the contact history, and timed steps."""
 

@@ -9,6 +9,7 @@ from granflow.study.feature_cost.measure import STEPS, STEPS_BEFORE, FeatureCost
 from granflow.study.figures import write_columns
 
 HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
+"""Column headings of `cost_rows`."""
 
 
 def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:

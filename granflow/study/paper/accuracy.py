@@ -14,8 +14,14 @@ from granflow.study.paper.residual import RESOLVED, TARGET_DURATION, TARGET_REST
 
 CASE = PAPER_CASES[0]
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+"""Target restitutions."""
+
 STEPS = np.array([50, 100, 200, 400])
+"""Steps per collision."""
+
 PHASES = 8
 """Number of phases of first touch within a step; the largest deviation is shown."""
 

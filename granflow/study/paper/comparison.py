@@ -19,6 +19,8 @@ from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 from granflow.study.paper.velocity import restitution_of
 
 VELOCITIES = np.geomspace(0.01, 10.0, 19)
+"""Approach velocities [m/s]."""
+
 REFERENCE_VELOCITY = 1.0
 """Approach velocity [m/s] at which all contact models have the restitution of Eq. 12."""
 

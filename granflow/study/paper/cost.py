@@ -18,7 +18,11 @@ from granflow.study.paper.comparison import CandidateModel
 SIDE = 16
 """Particles along an edge of the lattice."""
 CONTACTS = 3 * SIDE**2 * (SIDE - 1)
+"""Number of contacts of the lattice."""
+
 REPEATS = 15
+"""Number of timings of each contact model."""
+
 STEPS = 60
 """Number of steps per timing."""
 TIME_STEP = 1e-12
@@ -26,6 +30,7 @@ TIME_STEP = 1e-12
 CLOSENESS = 0.9999
 """Distance of neighboring particles over the diameter."""
 BASE = "hertz"
+"""Contact model to which times are relative."""
 
 
 @dataclass(frozen=True)

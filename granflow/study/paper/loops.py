@@ -15,7 +15,11 @@ from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Target restitutions, from plastic to elastic."""
+
 UNLOADING_ANGLE = Numerics().unloading_angle
 """Default bound on sqrt(K/M) dt of the unloading tangent in scenes."""
 

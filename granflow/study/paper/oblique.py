@@ -31,14 +31,19 @@ TARGET = 1e-3
 """Target of the relative deviation for contacts that slide throughout."""
 
 Solid = Mapping[str, float]
+"""Young's modulus [Pa], Poisson ratio and density [kg/m3] by name."""
+
 ALUMINA = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
 GLASS = {"young_modulus": 70e9, "poisson_ratio": 0.25, "density": 2500.0}
 STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
 TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
+"""Titles of the tests in the deviations."""
+
 RIGIDITY = 1e10
 """Ratio of Young's modulus of a rigid plate to that of the sphere."""
 HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
+"""Partner sphere of test 8: 1000 times the modulus and density of the alloy."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,13 @@ KHARAZ = ImpactSetup(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
 TEST_5 = ImpactSetup(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
 TEST_6 = ImpactSetup(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
 TEST_8 = ImpactSetup(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
+"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi 2011, Kharaz et al.
+
+2001).
+"""
+
 SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
+"""Impact speeds of tests 4, 5 and 6 [m/s]."""
 
 
 @dataclass(frozen=True)

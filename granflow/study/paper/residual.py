@@ -16,11 +16,16 @@ CASE = PAPER_CASES[0]
 """Material of the collisions; x(e) and T/Ts depend on the restitution only, not on the material."""
 
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.linspace(0.025, 1.0, 40)
+"""Target restitutions of the simulated collisions."""
+
 RESOLVED = 0.1
 """Smallest restitution for which unloading takes enough of the 200 steps for the target accuracy."""
 
 TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
+"""Targets of the relative deviations of restitution and duration."""
 
 
 def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:

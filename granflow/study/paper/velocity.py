@@ -20,6 +20,7 @@ ESTIMATE_VELOCITIES = np.geomspace(1.0, 10.0, 9)
 """Approach velocities of the estimate below Eq. 19 [m/s]."""
 
 Columns = Mapping[str, np.ndarray]
+"""Columns of a CSV file by name, of equal length."""
 
 
 def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:

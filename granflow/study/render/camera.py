@@ -7,6 +7,8 @@ import numpy as np
 from granflow.errors import GranflowError
 
 VIEWS = ("iso", "front", "side", "top")
+"""Names of views."""
+
 ISO = (0.6, -1.0, 0.45)
 """Direction toward the viewer of the view `iso`, in the axes right, into and up."""
 

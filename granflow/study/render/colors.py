@@ -17,8 +17,13 @@ FROM_ZERO = 0.5
 """A range begins at 0 if its lower limit is below this fraction of the upper one."""
 
 PREFIXES = {-9: "n", -6: "\N{MICRO SIGN}", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+"""Prefixes of units by power of ten."""
+
 CATEGORIES = ("material", "group")
+"""Arrays with one color per number instead of a continuous scale."""
+
 SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
+"""Color maps of matplotlib: values of both signs, other values, contacts."""
 
 
 @dataclass(frozen=True)

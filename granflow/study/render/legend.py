@@ -9,10 +9,14 @@ from granflow.study.figures import COLORS, STYLE
 from granflow.study.render.colors import Scale
 
 DPI = 100
+"""Dots per inch; font sizes are proportional to the height of the picture."""
+
 WIDTH = 0.27
 """Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
 
 LETTERS = 0.03
+"""Font size over the height of the picture."""
+
 TITLE_LETTERS = 13
 """Maximum number of characters in a line of the title."""
 
@@ -20,6 +24,7 @@ BAR = (0.12, 0.16, 0.17, 0.52)
 """Left, bottom, width and height of the color bar, relative to the strip."""
 
 NO_VALUE = (0.6, 0.6, 0.6)
+"""Color of nan (red, green, blue; 0 to 1)."""
 
 
 def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:

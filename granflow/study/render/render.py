@@ -25,6 +25,8 @@ from granflow.study.render.legend import WIDTH, colors_of, legend_strip
 from granflow.study.render.renderer import Renderer, require_pyvista
 
 HEIGHT = 1200
+"""Height of a picture without a given size [pixels]."""
+
 ASPECTS = (0.5, 1.9)
 """Minimum and maximum width over height of a picture without a given size."""
 
@@ -35,6 +37,7 @@ THICKEST, THINNEST = 0.5, 0.04
 """Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
 
 CHAIN_COLOR = "normal_force"
+"""Array of contacts that determines color and thickness of force chains."""
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,26 @@ FINER = 2
 """Supersampling factor along each side, for antialiasing."""
 
 WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
+"""Style of walls in pyvista."""
+
 EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
+"""Style of edges of walls in pyvista."""
+
 EDGE_ANGLE = 25.0
 """Angle between two facets of a wall above which their edge is drawn [degrees]."""
 
 SHADE = {"ambient": 0.22, "diffuse": 0.85, "specular": 0.18, "specular_power": 25.0}
+"""Lighting coefficients of particles and force chains."""
+
 FAINT = 0.05
 """Opacity of particles in pictures of force chains."""
 
 TUBE_SIDES = 10
+"""Sides of the tubes of force chains."""
+
 GRAY = (205, 205, 205)
+"""Color of particles in pictures of force chains (red, green, blue; 0 to 255)."""
+
 
 NEAR = 0.02
 """Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the height)."""

@@ -13,9 +13,16 @@ ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*
 """Time, level, logger and text of an entry in the format of granflow.observe.log."""
 
 COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
+"""Entry with backend, precision and compilation time [s]."""
+
 RESUMED_FROM = "goes on from"
+"""Beginning of the entry of a resumed run."""
+
 EVENTS = ("stage ", "checkpoint at ", "done at ", RESUMED_FROM)
+"""Beginnings of the entries that follow the plan."""
+
 REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
+"""Levels of entries that the page shows."""
 
 
 @dataclass(frozen=True)

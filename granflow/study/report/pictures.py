@@ -15,6 +15,8 @@ from granflow.study.render.camera import VIEWS
 from granflow.study.render.frames import is_empty
 
 MOST_PICTURES = 6
+"""Maximum number of pictures in the page."""
+
 SHOWN_FRAMES = 4
 """Number of frames rendered for a run without pictures: evenly spaced, including the last one."""
 
@@ -22,6 +24,8 @@ HEIGHT = 800
 """Height of a picture in the page [pixels]: twice its displayed size."""
 
 QUALITY = 85
+"""JPEG quality of embedded pictures, 0 to 100."""
+
 FILM_BYTES = 700_000
 """Maximum size of an embedded film in bytes; larger films are referenced by name."""
 

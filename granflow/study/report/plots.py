@@ -11,11 +11,17 @@ from granflow.study.page import Plot
 from granflow.study.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
+"""Line styles: one for each repetition of the colors."""
+
 DIGITS = 6
 """Significant digits of a number in the page."""
 
 AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
+"""Style of axes in the format of plotly."""
+
 HEIGHT = 340
+"""Height of a plot [pixels]."""
+
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
 

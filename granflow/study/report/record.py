@@ -13,6 +13,8 @@ from granflow.study.report.log import LogEntry, RunSession, read_log, sessions
 from granflow.study.report.series import TimeSeriesTable, read_series
 
 SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the directory of a run."""
+
 RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json")
 """Files that identify the directory of a run; at least one must exist."""
 

@@ -17,6 +17,8 @@ from granflow.study.report.series import SeriesColumn, groups_of
 
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
 TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Wall forces": WALL_FORCE_QUANTITIES}
+"""Quantities of flow meters and walls by section of the page."""
+
 SECTIONS = {"Flow": "flow_meters", "Wall forces": "wall_forces"}
 """Keys of result.json by topic."""
 
@@ -28,6 +30,8 @@ ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
 PLAN = "Plan of the run"
+"""Title of the section with the plan."""
+
 BAR_STEPS = 30
 """Length of the bar of the total wall-clock time, in blocks."""
 

@@ -12,6 +12,8 @@ from granflow.errors import GranflowError
 from granflow.regular_files import read_regular_text
 
 TIME, STAGE = "time", "stage"
+"""Names of the first two columns of timeseries.csv."""
+
 MOST_POINTS = 800
 """Maximum number of points of a curve; more are not distinguishable on a screen."""
 

@@ -11,12 +11,18 @@ from granflow.simulation import Simulation
 from granflow.study.stability.cases import CaseResult
 
 RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio, gravity [m/s2]."""
+
 DIAMETER = 2.0 * RADIUS
+"""Diameter of the particles [m]."""
+
 LAWS: Mapping[str, Any] = {"zhou": "zhou", "hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}
 """Settings of `contact.normal` by name; every pair has restitution 0.5."""
 ROW = 4
 """Particles along each edge of a bed."""
 SIDE = ROW * DIAMETER
+"""Edge of a bed [m]."""
+
 REST_STEPS = 20_000
 """Number of steps of a static case."""
 

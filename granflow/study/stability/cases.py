@@ -15,6 +15,7 @@ SILENT_LIMIT = 0.1
 """Largest error without a warning; a larger silent error is a defect."""
 
 Kind = Literal["accurate", "error", "refused", "defect"]
+"""Assessment of a case: accurate, stable with an error, refused with a message, or a defect."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from itertools import product
 import numpy as np
 
 CHAIN_LENGTH = 10
+"""Number of free particles of the chain."""
+
 HALF_CELLS = 6
 """Edge length of the dense block, in halves of its cubic cell."""
 
@@ -51,7 +53,11 @@ def _block() -> TestLattice:
 
 
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
+"""Directions (6, 3) of a particle in a simple cubic packing to its neighbors."""
+
 _DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
+"""Directions (12, 3) of a particle in a face-centered cubic packing to its neighbors."""
+
 
 LATTICES: Mapping[str, TestLattice] = {
     "between 2": _confined_particle(_AXES[[2, 5]]),

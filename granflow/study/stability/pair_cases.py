@@ -16,6 +16,8 @@ from granflow.simulation import Simulation
 from granflow.study.stability.cases import CaseResult
 
 POISSON = 0.25
+"""Poisson ratio of all particles."""
+
 GAP = 1e-3
 """Initial gap over the smaller radius."""
 SPACING = 5.0

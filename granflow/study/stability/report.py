@@ -16,7 +16,11 @@ from granflow.study.stability.heatmap import write_heatmap
 from granflow.study.stability.worker_pool import Report, run_cases
 
 PAGE, CSV, HEATMAP = "stability.html", "stability.csv", "stability.png"
+"""Names of page, CSV file and heat map."""
+
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
+"""Column headings of `summary_rows`."""
+
 
 EXPLANATIONS = {
     STEPS: "Pairs of particles (E 100 MPa, diameter 2 mm, 1 m/s) collide head-on with Zhou's contact model for each "
@@ -40,6 +44,7 @@ EXPLANATIONS = {
     "of 10 free particles, and a densely packed block. The number is this measured limit over the limit of the check "
     "for the same particles. Below 1 the check accepts unstable time steps; above 2 it is too conservative.",
 }
+"""Paragraph of the page for each family."""
 
 
 def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome], str]:

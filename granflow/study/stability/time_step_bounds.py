@@ -26,6 +26,8 @@ from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the particles."""
+
 ANCHOR = 1e9
 """Density of an anchor over that of a free particle."""
 VELOCITY = 1e-3
@@ -40,6 +42,8 @@ GROWTH_LIMIT = 1e4
 A contact that reverses for the first time within a step releases up to a fiftieth of that, once.
 """
 CHECKS, STEPS_PER_CHECK = 30, 10
+"""Number of energy checks of a run, and time steps between two of them."""
+
 LOWEST, HIGHEST = 0.25, 4.0
 """Search range of the bisection, over the limit of the check."""
 RESOLUTION = 1.02

@@ -11,10 +11,13 @@ from granflow.device.backend import start
 from granflow.study.stability.cases import CaseOutcome, CaseResult, StabilityCase, case_outcome, run_case
 
 WORKER_COUNT = 2
+"""Number of processes."""
+
 TIMEOUT = 180.0
 """Time limit per case [s]."""
 
 Report = Callable[[CaseOutcome], None]
+"""Function that receives each outcome."""
 
 
 def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
