@@ -21,7 +21,10 @@ def accuracy(options: argparse.Namespace) -> int:
 
 
 def _binary_collisions(options: argparse.Namespace) -> int:
-    """Measure head-on collisions of two spheres with all contact models, precisions and time steps."""
+    """Measure head-on collisions of two spheres with all contact models, precisions and time steps.
+
+    Raises GranflowError for options that require a scene.
+    """
     for given, name in (
         (options.overrides, "--set"),
         (options.until, "--until"),

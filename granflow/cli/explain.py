@@ -1,4 +1,7 @@
-"""`granflow explain`: prints what is computed and why, and with --measure the cost of each feature."""
+"""`granflow explain`: prints the decisions of the plan with their reasons.
+
+With --measure, it prints the measured cost of each feature instead.
+"""
 
 import argparse
 import atexit

@@ -36,7 +36,10 @@ class Terminated(KeyboardInterrupt):
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
-    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI."""
+    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI.
+
+    `file`: stdout by default; `flush`: write at once.
+    """
     print(visible(sep.join(map(str, parts))), file=file, flush=flush)
 
 
@@ -61,7 +64,7 @@ def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
 
 
 def warn(sentences: Iterable[str]) -> None:
-    """Print warnings to stderr."""
+    """Print warnings to stderr, each with the prefix "granflow: warning:"."""
     for sentence in sentences:
         say(f"granflow: warning: {sentence}", file=sys.stderr)
 
@@ -86,7 +89,8 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
 def show_result(title: str, result: "Result", out: Path) -> None:
     """Print the table of results, the expectations, and the files to open.
 
-    `out`: output directory of the run. Particles that were not inserted are reported with their number.
+    `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED. Particles that
+    were not inserted are reported with their number.
     """
     from rich.console import Console
 

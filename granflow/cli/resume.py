@@ -80,7 +80,7 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
     """Return the newest intact checkpoint, or None to run from the start.
 
     Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
-    otherwise raises GranflowError.
+    otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr.
     """
     from granflow.observe import newest_checkpoint, restore_previous_run, results_in
 
@@ -146,7 +146,7 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
 
 @contextmanager
 def warnings_shown() -> Iterator[None]:
-    """Print the log records about checkpoints that could not be written to stderr."""
+    """In the block, print the log records about checkpoints that could not be written to stderr."""
     logger, handler = logging.getLogger("granflow.checkpoint"), logging.StreamHandler()
     handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
     logger.addHandler(handler)

@@ -88,7 +88,7 @@ def check(options: argparse.Namespace) -> int:
 
 
 def schema(options: argparse.Namespace) -> int:
-    """`granflow schema`: print the JSON Schema of scene files, for editors."""
+    """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors."""
     from granflow.scene import json_schema
 
     say(json.dumps(json_schema(), indent=2, ensure_ascii=False))

@@ -95,6 +95,7 @@ class StopSignals:
             os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)
 
     def _cancel_timer(self) -> None:
+        """Stop the timer of an earlier signal."""
         if self._timer is not None:
             self._timer.cancel()
 
@@ -127,7 +128,10 @@ def stop_signals() -> Iterator[None]:
 
 @contextmanager
 def deferred_to(request: Callable[[BaseException], None]) -> Iterator[None]:
-    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises."""
+    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises.
+
+    Without `stop_signals` around it, the block has no effect.
+    """
     if _current is not None:
         _current.request = request
     try:

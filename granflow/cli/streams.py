@@ -41,7 +41,10 @@ class _Stream(io.FileIO):
         self._shown_name, self._output, self._lost = stream.name, output, False
 
     def write(self, data: Any, /) -> int:
-        """Write `data` to the stream, or drop it after a failed write; return the number of bytes."""
+        """Write `data` to the stream, or drop it after a failed write; return the number of bytes.
+
+        Raises the exceptions of `Output.failed` at the first failure.
+        """
         if not self._lost:
             try:
                 return super().write(data)
@@ -100,5 +103,6 @@ def _replace(name: str, stream: TextIO) -> None:
 
 
 def _flush(names: list[str]) -> None:
+    """Flush the streams with these names."""
     for name in names:
         getattr(sys, name).flush()

@@ -108,7 +108,10 @@ def read_table(path: Path) -> ParticleTable:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int, size: int) -> ParticleTable:
-    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B]."""
+    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B].
+
+    Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
+    """
     table, problems = _frame(path) if path.suffix.lower() == ".vtu" else _text(path)
     problems = [*problems, *_value_problems(table)]
     if problems:

@@ -86,7 +86,7 @@ class _Composer:
         return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
-        """Reject characters that YAML does not allow."""
+        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first one."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
             position = self._position(len(lines), len(lines[-1]) + 1)

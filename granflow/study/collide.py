@@ -197,7 +197,10 @@ def _scene_of(
 
 
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
-    """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials."""
+    """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials.
+
+    Raises GranflowError if it is neither given nor known for the preset.
+    """
     if NORMAL_LAWS[law].restitution == "nothing":
         return {}
     if restitution is not None:
@@ -261,7 +264,10 @@ def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[s
 def _end_overlap(
     law: NormalLaw, impact: CollisionInput, time_step: float, overlap: float, history: np.ndarray
 ) -> float:
-    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive."""
+    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive.
+
+    `overlap` [m]: upper end of the search, with a repulsive force; `history`: fields of the contact model.
+    """
     constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
     for _ in range(HALVINGS if not law.attracts else 0):
         middle = 0.5 * (low + high)
@@ -352,7 +358,10 @@ def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: flo
 
 @dataclass(frozen=True)
 class _ContactSample:
-    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step."""
+    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step.
+
+    `history` (fields,): of the contact model; the overlap is negative before and after the contact.
+    """
 
     overlap: float
     rate: float

@@ -153,7 +153,10 @@ def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> i
 
 
 def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
-    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair."""
+    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair.
+
+    `velocities` (v,) [m/s]. Without friction and gravity; contacts are at the largest coordinate of the domain.
+    """
     radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
     spacing = SPACING * 2.0 * max(radii)
     contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
@@ -354,7 +357,7 @@ def _unreachable(plan: Plan, impact: _Impact) -> bool:
 
 
 def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
-    """Reference restitution that differs most from the given one, over a few phases of a time step."""
+    """Reference restitution that differs most from the given one, over QUICK_PHASES of a time step [s]."""
     found = [_reference_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
     return max(found, key=lambda e: abs(e - impact.requested))
 

@@ -93,7 +93,10 @@ class _Oscillator:
 def _contact_time(oscillator: _Oscillator, begin: float, end: float) -> float:
     """Contact time [s] for the oscillator time from `begin` to `end`, s = begin + (end - begin) q^5.
 
-    At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth.
+        t = (4/5) int z(s)^(-1/5) ds
+
+    At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth: Gauss-Legendre quadrature with NODES
+    nodes.
     """
     nodes, weights = leggauss(NODES)
     q = 0.5 * (nodes + 1.0)

@@ -63,7 +63,7 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class StudyLine:
-    """All points of one contact model, integrator and precision."""
+    """All points of one contact model, integrator and precision: each number of steps for each kind of collision."""
 
     law: str
     integrator: str
@@ -182,7 +182,10 @@ def _points(bench: CollisionBench, results: CollisionResults, precision: str) ->
 
 
 def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
-    """Errors in the order of QUANTITIES, each (phases,)."""
+    """Errors in the order of QUANTITIES, each (phases,): relative, except the energy.
+
+    energy error = e^2 - e_exact^2, over the initial kinetic energy
+    """
     exact, e = kind.exact, results.restitution[index]
     return (
         e / exact.restitution - 1.0,

@@ -99,7 +99,10 @@ def measure_two_bodies(
 
 
 def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
-    """Write CSV and page, with figures if matplotlib is installed; otherwise raise GranflowError at the end."""
+    """Write CSV and page, with figures if matplotlib is installed.
+
+    Raises GranflowError at the end if it is not, after all other files are written.
+    """
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, columns([point for line in study.lines for point in line.points]))
     missing = _draw(out, study)

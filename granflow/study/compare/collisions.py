@@ -56,7 +56,10 @@ class CollisionSubject:
 
     @property
     def velocities(self) -> np.ndarray:
-        """Approach velocities [m/s] from a hundredth to ten times the reference velocity."""
+        """Approach velocities (n,) [m/s], logarithmically spaced.
+
+        From a hundredth to ten times the reference velocity.
+        """
         count = (DECADES_BELOW + DECADES_ABOVE) * PER_DECADE + 1
         return self.reference_velocity * np.logspace(-DECADES_BELOW, DECADES_ABOVE, count)
 

@@ -15,7 +15,10 @@ FIRST_WALL_KEY = 2**31
 
 @dataclass
 class FollowedContacts:
-    """Contacts that began during a burst: observed duration [s] of each, and whether its end was observed."""
+    """Contacts that began during a burst: observed duration of each, and whether its end was observed.
+
+    `observed`: arrays of durations [s]; `has_ended`: bool arrays of the same lengths.
+    """
 
     observed: list[np.ndarray] = field(default_factory=list)
     has_ended: list[np.ndarray] = field(default_factory=list)
@@ -96,7 +99,10 @@ def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, n
 
 
 def median_of(times: np.ndarray, share: np.ndarray) -> float:
-    """Median duration [s]; nan if more than half of the contacts outlast the observation."""
+    """Median duration [s] of a survival function; nan if more than half of the contacts outlast the observation.
+
+    `times` (m,) [s], `share` (m,): from `survival`.
+    """
     below = np.flatnonzero(share <= 0.5)
     return float(times[below[0]]) if len(below) else float("nan")
 

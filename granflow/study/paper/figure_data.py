@@ -37,7 +37,10 @@ class FigureDeviation:
 
 @dataclass(frozen=True)
 class FigureData:
-    """One figure: file name, title, caption, columns of its CSV file, deviations, and drawing function."""
+    """One figure: file name, title, caption, columns of its CSV file, deviations, and drawing function.
+
+    `columns`: name -> array (rows,), all of the same length.
+    """
 
     name: str
     title: str

@@ -167,7 +167,11 @@ def _spheres(
 
 
 def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n)."""
+    """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n).
+
+    Pairs that have not separated after the maximum number of steps remain in the result. Raises GranflowError if pairs
+    never touch.
+    """
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([], [])
     engine.refresh()
@@ -191,7 +195,7 @@ def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple
 
 
 def _most_steps(plan: Plan) -> int:
-    """Upper bound of the number of steps of the slowest possible collision."""
+    """Upper bound of the number of steps of the slowest possible collision: LONGEST times its duration."""
     slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in plan.scene.particles.values())
     largest = max(plan.radius_max / pair_case.radius for pair_case in pair_cases_of(plan.scene))
     longest = max(

@@ -216,19 +216,25 @@ def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
 
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:
-    """Motion of test 5; `ratio` is the tangential velocity over friction times normal velocity."""
+    """Motion of test 5 (n,); `ratio` (n,) is the tangential velocity over friction times normal velocity."""
     return ImpactMotion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
 
 
 def with_spin(ratio: np.ndarray) -> ImpactMotion:
-    """Motion of tests 6 and 8; `ratio` is 3.5 mu (1 + e) times the normal velocity over the slip due to spin."""
+    """Motion of tests 6 and 8 (n,) for ratios (n,) of 3.5 mu (1 + e) v to the slip due to spin.
+
+    v: normal velocity, SPEED_6.
+    """
     slip = 3.5 * TEST_6.friction * (1.0 + TEST_6.restitution) * SPEED_6 / ratio
     return ImpactMotion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
 
 
 @dataclass(frozen=True)
 class ImpactSweep:
-    """One setup with one contact model, over a range of impacts."""
+    """One setup with one contact model, over a range of impacts.
+
+    `x` (n,): abscissa of the published plot; `before`, `after`: motions of n spheres.
+    """
 
     setup: ImpactSetup
     law: str
@@ -257,7 +263,10 @@ def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
 
 
 def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
-    """Quantities of the published plots of tests 4, 5 or 6, by the name of the published curve."""
+    """Quantities (n,) of the published plots of tests 4, 5 or 6, by the name of the published curve.
+
+    Angles [deg], angular velocities [rad/s], all others dimensionless.
+    """
     before, after, radius = sweep.before, sweep.after, sweep.setup.radius
     slip = after.slip(radius)
     if kind == "test4":

@@ -152,7 +152,10 @@ def draw_duration(figure: Any, columns: Columns) -> None:
 
 
 def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
-    """Simulate the small soft spheres of the estimate; e = 0.9 has no effect up to the maximum overlap."""
+    """Simulate the small soft spheres of the estimate below Eq. 19 at velocities (n,) [m/s].
+
+    The restitution, 0.9, has no effect up to the maximum overlap.
+    """
     case, e = small_soft_case(), 0.9
     pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
@@ -160,7 +163,10 @@ def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES)
 
 
 def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:
-    """Eq. 19: equivalent spring of both materials and of the estimate in the paper."""
+    """Eq. 19: equivalent spring of both materials and of the estimate in the paper.
+
+    `columns`: from `velocity_columns`; `estimate`: from `estimate_run` at the same `velocities` (n,) [m/s].
+    """
     case = small_soft_case()
     springs, count = case.springs(velocities), len(velocities)
     combined = {

@@ -45,7 +45,10 @@ class View:
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection."""
+    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection.
+
+    The vertical field of view of a perspective picture is OPENING.
+    """
 
     view: View
     eye: np.ndarray

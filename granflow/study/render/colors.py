@@ -98,7 +98,10 @@ def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]
 
 
 def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
-    """Range that contains most values; symmetric for components, from 0 if the lower limit is near 0."""
+    """Range that contains most values (PERCENTILES); symmetric for components, from 0 if the lower limit is near 0.
+
+    `values` (n,) [SI], all finite; (0, 1) without values.
+    """
     if not len(values):
         return 0.0, 1.0
     low, high = (float(end) for end in np.percentile(values, PERCENTILES))

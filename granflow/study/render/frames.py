@@ -26,7 +26,10 @@ LARGEST_FRAME = 2**32
 
 @dataclass(frozen=True)
 class Frame:
-    """One output time of a run: number in the file names, time [s], and files."""
+    """One output time of a run: number in the file names, time [s], and files.
+
+    `walls`, `contacts`: None if the run did not write them at this time.
+    """
 
     number: int
     time: float
@@ -102,7 +105,7 @@ def frames_of(directory: Path) -> list[Frame]:
 
 
 def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times and existing files of a PVD file; empty if it does not exist."""
+    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
         return []

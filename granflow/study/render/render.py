@@ -66,7 +66,11 @@ class PictureStyle:
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """Common properties of all pictures of a run."""
+    """Common properties of all pictures of a run.
+
+    `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
+    None; `cut`: point [m] and normal (3,) of the plane in front of which nothing is drawn, or None.
+    """
 
     style: PictureStyle
     scale: Scale
@@ -222,7 +226,7 @@ def _draw_chains(
 
 
 def _behind(particles: FrameParticles, cut: tuple[np.ndarray, np.ndarray] | None) -> FrameParticles:
-    """Particles whose center is behind the plane."""
+    """Particles whose center is behind the plane (point, normal (3,)); all without a plane."""
     if cut is None:
         return particles
     point, normal = cut

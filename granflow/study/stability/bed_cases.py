@@ -30,8 +30,8 @@ REST_STEPS = 20_000
 def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
     """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
 
-    `changes` replace defaults: friction, gravity [m/s^2], walls, numerics, run, young_modulus [Pa], density of `heavy`
-    [kg/m^3], reach [m].
+    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction, gravity
+    [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
     """
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
@@ -79,7 +79,7 @@ def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str 
 def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
     """Positions (n, 3) [m] of a cube of touching particles, `height` [m] above the floor.
 
-    `spread` increases the spacing by this fraction and adds random shifts.
+    `spread` increases the spacing by this fraction and adds random shifts, the same in each call.
     """
     points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
     points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
@@ -146,7 +146,10 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 
 
 def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
-    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor."""
+    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor.
+
+    `masses` (n + 1,) [kg]: floor (infinite) and particles. By bisection with the reference force.
+    """
     low, high = 0.0, RADIUS
     radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
     lower, upper = masses[index], masses[index + 1]

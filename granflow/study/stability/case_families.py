@@ -176,7 +176,8 @@ def _bound_cases() -> Iterator[StabilityCase]:
 def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
     """Measured stability limit over that of the check, required to be 1 to 2.
 
-    Below 1 the check accepts unstable time steps, which counts as an error of 100 %.
+    Below 1 the check accepts unstable time steps, which counts as an error of 100 %. `law`: key of
+    `time_step_bounds.LAWS`; `lattice`: key of LATTICES.
     """
     bound = _bounds_by_lattice(law, friction)[lattice]
     ratio, inside = bound.ratio, float(np.clip(bound.ratio, 1.0, 2.0))

@@ -102,7 +102,10 @@ def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
 
 
 def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: float | None = None) -> Scene:
-    """Scene of all pairs with separate materials, in a square grid normal to the approach direction."""
+    """Scene of all pairs with separate materials, in a square grid normal to the approach direction.
+
+    `time_step` [s]: automatic if None. Materials a0, b0, a1, ...: one pair of materials per collision.
+    """
     side = int(np.ceil(np.sqrt(len(pairs))))
     spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
     materials, pairs_of_materials, particles = {}, {}, {}
@@ -167,7 +170,10 @@ def _duration(pair: ParticlePair) -> float:
 def rebound_result(
     pairs: tuple[ParticlePair, ...], index: int, precision: Precision = "f64", share: float | None = None
 ) -> CaseResult:
-    """Larger error of restitution and momentum of one pair, relative to the approach velocity."""
+    """Larger error of restitution and momentum of one pair, relative to the approach velocity.
+
+    `index`: of the pair; warnings about other pairs are omitted. Raises the errors of `rebound`.
+    """
     found, requested = rebound(pairs, precision, share), pairs[index].requested
     reached, momentum_error = float(found.restitution[index]), float(found.momentum[index])
     others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]

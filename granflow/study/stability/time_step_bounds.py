@@ -75,7 +75,10 @@ LAWS: Mapping[str, tuple[Any, float]] = {
 
 @dataclass(frozen=True)
 class Bound:
-    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice."""
+    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice.
+
+    Both refer to the same overlaps and numbers of contacts.
+    """
 
     law: str
     friction: bool
@@ -92,7 +95,11 @@ class Bound:
 
 
 def real_bounds(law: str, friction: bool) -> list[Bound]:
-    """Measured stability limits on every lattice with one contact model."""
+    """Measured stability limits on every lattice with one contact model.
+
+    `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
+    one engine.
+    """
     plan = plan_for(_scene(law, FRICTION if friction else 0.0))
     engine, bounds = Engine(plan, start("cpu", "f64")), []
     for name, lattice in LATTICES.items():
@@ -215,7 +222,12 @@ def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
 
 
 def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
-    """Kinetic energy of translation and rotation [J]; velocities (n, 3)."""
+    """Kinetic energy of translation and rotation [J] of spheres with equal mass [kg].
+
+        E = m/2 sum v^2 + (2/5) m R^2 / 2 sum w^2
+
+    `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s].
+    """
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
 
 
