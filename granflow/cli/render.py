@@ -97,7 +97,10 @@ def positive(text: str) -> float:
 
 
 def add_render(verbs: Any) -> None:
-    """Add `granflow render` and its arguments."""
+    """Add `granflow render` and its arguments.
+
+    Lengths, times and ranges are in SI units or have a unit.
+    """
     summary = "write images (PNG) of frames of a run, or a film of all frames"
     parser = verbs.add_parser("render", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")

@@ -157,7 +157,7 @@ def warnings_shown() -> Iterator[None]:
 
 
 def add_resume(verbs: Any) -> None:
-    """Add `granflow resume` and its arguments."""
+    """Add `granflow resume` and its arguments; the help text ends with the keys that may change."""
     summary = "continue a stopped or killed run, bit-identical to an uninterrupted one, or extend a completed run"
     parser = verbs.add_parser(
         "resume", help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=CHANGES,

@@ -34,7 +34,10 @@ class Output:
 
 
 class _Stream(io.FileIO):
-    """A standard stream that drops all output after a failed write."""
+    """A standard stream that drops all output after a failed write.
+
+    It writes to the file descriptor of `stream` and does not close it.
+    """
 
     def __init__(self, stream: TextIO, output: Output) -> None:
         super().__init__(stream.fileno(), "w", closefd=False)

@@ -78,7 +78,10 @@ def paper(options: argparse.Namespace) -> int:
 
 
 def add_collide(verbs: Any) -> None:
-    """Add `granflow collide` and its arguments."""
+    """Add `granflow collide` and its arguments.
+
+    Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
+    """
     summary = "simulate one head-on collision and compare it with closed-form results"
     parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--law", default="zhou", help="normal contact model (default: zhou)")
@@ -126,7 +129,10 @@ def add_restitution(verbs: Any) -> None:
 
 
 def add_fit(verbs: Any) -> None:
-    """Add `granflow fit` and its arguments."""
+    """Add `granflow fit` and its arguments.
+
+    Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
+    """
     summary = "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
     parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(

@@ -85,7 +85,10 @@ def _some_particles(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Pairs of unknown materials, and duplicate pairs."""
+    """Pairs of unknown materials, and duplicate pairs.
+
+    A-B and B-A are the same pair.
+    """
     known = scene_parts.names("materials")
     seen: dict[frozenset[str], str] = {}
     for key in scene_parts.names("pairs"):
@@ -240,7 +243,10 @@ def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) ->
 
 
 def _stage_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Unique stage names, and references to existing stages only."""
+    """Unique stage names, and references to existing stages only.
+
+    Walls and their motions refer to stages by name.
+    """
     names = [stage.name for stage in _schedule(scene_parts)]
     for index, name in enumerate(names):
         if name in names[:index]:
@@ -366,7 +372,10 @@ def _inserted_groups(scene_parts: PartialScene) -> list[str]:
 
 
 def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area."""
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
+
+    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
+    """
     requested, known = scene_parts.scene.output.wall_forces, scene_parts.names("walls")
     measured = known if requested is True else requested or ()
     for index, name in enumerate(() if isinstance(requested, bool) else requested):
@@ -396,7 +405,10 @@ def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _force_controlled(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step."""
+    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step.
+
+    The limits of their gain and mass are computed for one time step.
+    """
     force_controlled = [
         (("walls", name, "motion", index), wall, motion)
         for name, wall in scene_parts.scene.walls.items()

@@ -122,7 +122,10 @@ class Document:
     problems: list[Problem] = field(default_factory=list)
 
     def find(self, path: KeyPath) -> Node | None:
-        """The value at a path of keys and indices; None if it does not exist."""
+        """The value at a path of keys and indices; None if it does not exist.
+
+        Union tags are not part of the path; see `messages.path_in_file`.
+        """
         node: Node | None = self.root
         for key in path:
             node = node.child(key) if node is not None else None

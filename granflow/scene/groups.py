@@ -33,7 +33,7 @@ Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
 
 
 class TruncatedSizes(Model):
-    """A size distribution that is truncated to an interval."""
+    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur [m]."""
 
     min: Diameter = Field(description="smallest diameter [m]")
     max: Diameter = Field(description="largest diameter [m]")

@@ -113,7 +113,11 @@ class PackInsertion(Model):
 
 
 class TimedInsertion(Model):
-    """Insertion during the run at a constant number or mass per second."""
+    """Insertion during the run at a constant number or mass per second.
+
+    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that each size
+    class has its fraction at any time.
+    """
 
     rate: Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
     mass_flow: MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")

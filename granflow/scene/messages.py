@@ -133,7 +133,10 @@ class _SchemaError:
         return texts.get(str(self.loc[-1])) or "it is required"
 
     def _choice(self) -> Problem:
-        """A union whose member is undetermined: the key is missing or has an unknown value."""
+        """A union whose member is undetermined: the key is missing or has an unknown value.
+
+        The message lists the values of the key, or the reason that the union gives.
+        """
         key = self.context.get("key", "")
         tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
         tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]

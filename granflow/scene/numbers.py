@@ -122,7 +122,10 @@ class Number:
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word."""
+        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word.
+
+        Text must match a pattern of a number and one of the units of the dimension.
+        """
         number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
         bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
         number.update({key: bound for key, bound in bounds.items() if bound is not None})

@@ -53,7 +53,7 @@ class Spheres:
         return Spheres(self.position[inside], self.radius[inside])
 
     def joined(self, other: "Spheres") -> "Spheres":
-        """Both sets of spheres, `other` last."""
+        """Both sets of spheres, `other` last: n + m spheres."""
         return Spheres(np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius]))
 
 

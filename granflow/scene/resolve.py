@@ -146,7 +146,10 @@ def _with_count(scene: Scene, name: str) -> Group:
 
 
 def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
-    """Number of particles that follows from each of the keys count, mass and insert.end, if given."""
+    """Number of particles that follows from each of the keys count, mass and insert.end, if given.
+
+    insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
+    """
     group, insertion = scene.particles[name], scene.particles[name].insert
     if group.count_given is not None:
         yield "count", group.count_given

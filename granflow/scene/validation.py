@@ -108,7 +108,7 @@ def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
 
 
 def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
-    """Faults of a value and of all models in it."""
+    """Faults of a value and of all models in it, depth first, with key paths from the root."""
     if isinstance(value, Model):
         for fault in value.faults():
             yield (*path, *fault.path), fault

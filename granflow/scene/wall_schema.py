@@ -241,7 +241,7 @@ class Plane(Wall):
 
 
 class Rectangle(Wall):
-    """A thin, flat, two-sided rectangle."""
+    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
 
     shape: Literal["rectangle"] = Field(description="shape of the wall")
     corner: Point = Field(description="one corner [m]")
@@ -256,7 +256,7 @@ class Rectangle(Wall):
 
 
 class AxialWall(Wall):
-    """A surface of revolution about the line from `from` to `to`."""
+    """A surface of revolution about the line from `from` to `to` [m]."""
 
     from_: Point = Field(alias="from", description="one end of the axis [m]")
     to: Point = Field(description="the other end of the axis [m]")
@@ -269,14 +269,14 @@ class AxialWall(Wall):
 
 
 class Cylinder(AxialWall):
-    """A thin two-sided cylinder without end faces."""
+    """A thin two-sided cylinder without end faces, with the length of the axis."""
 
     shape: Literal["cylinder"] = Field(description="shape of the wall")
     radius: PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
-    """A thin two-sided cone frustum without end faces."""
+    """A thin two-sided cone frustum without end faces; one radius may be 0."""
 
     shape: Literal["cone"] = Field(description="shape of the wall")
     radius_from: NotNegativeLength = Field(description="radius at `from` [m]")

@@ -68,7 +68,10 @@ class _Composer:
         self.problems: list[Problem] = []
 
     def compose(self, text: str) -> Document:
-        """The document. Raises DocumentError."""
+        """The document with positions, aliases resolved. Raises DocumentError.
+
+        Aliased nodes are shared, not copied; their number is limited.
+        """
         root: Node | None = None
         self._printable(text)
         try:

@@ -127,7 +127,10 @@ def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float
 
 
 def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:
-    """Raise GranflowError for a restitution that the contact model does not support or that is missing."""
+    """Raise GranflowError for a restitution that the contact model does not support or that is missing.
+
+    Depending on the model, a restitution is required, must be above 0, or must not be given.
+    """
     kind = NORMAL_LAWS[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
         raise GranflowError(f"restitution is {restitution:g}, but must be in [0, 1].")
@@ -162,7 +165,11 @@ def _scene_of(
     wall: bool,
     restitution: float | None,
 ) -> dict[str, Any]:
-    """Scene of the collision, validated like a scene file."""
+    """Scene of the collision, as a mapping in the structure of a scene file.
+
+    `sizes` [m]; `velocity` [m/s]: approach velocity, half of it for each sphere, or all of it toward a wall. The
+    spheres touch at the start. Raises GranflowError if the restitution is unknown.
+    """
     first, second = ("first", "second")
     pair = {"friction": 0} | _restitution_given(law, materials, restitution)
     share = 1.0 if wall else 0.5

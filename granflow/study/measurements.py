@@ -87,7 +87,10 @@ def _text(path: Path) -> str:
 
 
 def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and stripped cells of each row; the separator is that of the header."""
+    """Line number and stripped cells of each row; the separator is that of the header.
+
+    Empty lines and lines that begin with # are skipped. Raises FileError for a row that is not CSV.
+    """
     nonempty = [
         (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"
     ]
@@ -103,7 +106,11 @@ def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
-    """Index of each known column. Raises FileError if one is missing or duplicated."""
+    """Index of each known column by its name in HEADINGS.
+
+    Units in brackets are ignored in the names. Raises FileError if a column is missing or duplicated, or if the
+    velocities have another unit than m/s.
+    """
     names = [cell.split("[")[0].split("(")[0].strip().lower().replace(" ", "_") for cell in cells]
     found: dict[str, int] = {}
     for name, aliases in HEADINGS.items():

@@ -53,7 +53,10 @@ HALVINGS = 6
 
 @dataclass(frozen=True)
 class MaterialPairing:
-    """Two materials that can be in contact, and the radii [m] of their smallest spheres; a wall has no radius."""
+    """Two materials that can be in contact, and the radii [m] of their smallest spheres.
+
+    `other_radius` is None for a wall.
+    """
 
     first: str
     second: str

@@ -164,7 +164,10 @@ def measured_line(
 
 
 def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
-    """One point per kind of collision, with errors over the phases (PHASES,) and wall times."""
+    """One point per kind of collision, with errors over the phases (PHASES,) and wall times.
+
+    Wall times are equal for all kinds, because all collisions run simultaneously.
+    """
     seconds = results.seconds
     shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),

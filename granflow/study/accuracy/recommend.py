@@ -131,7 +131,10 @@ def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...
 
 
 def velocity_rows(lines: Iterable[StudyLine], target: float) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and rows of the steps that each line requires per approach velocity, over all restitutions."""
+    """Headings and rows of the steps that each line requires per approach velocity, over all restitutions.
+
+    `target`: relative error; a dash where no number of steps suffices.
+    """
     lines = list(lines)
     velocities = sorted({point.velocity for line in lines for point in line.points})
     rows = []

@@ -178,7 +178,10 @@ def _run(
     precision: str,
     seeds: Sequence[int],
 ) -> _Runs:
-    """Run all seeds and measure the restitution error in the given process."""
+    """Run all seeds and measure the restitution error in the given process.
+
+    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite.
+    """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
     outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
     error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()

@@ -50,7 +50,7 @@ STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene file with overrides, and the simulated end time [s]."""
+    """A scene file with overrides, and the simulated end time [s] or None for the complete run."""
 
     path: Path
     overrides: tuple[str, ...]
@@ -172,5 +172,8 @@ def seeds_of(scene: Scene, count: int) -> list[Any]:
 
 
 def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
-    """Quantities that are present in all runs, in the order of the first."""
+    """Quantities that are present in all runs, in the order of the first.
+
+    `values`: quantity -> value of each run; at least one run.
+    """
     return [name for name in values[0] if all(name in each for each in values)]

@@ -44,7 +44,10 @@ class BedHeights:
         return cls(-gravity / strength if strength > 0.0 else gravity)
 
     def update(self, snapshot: Snapshot) -> None:
-        """Add a row: time [s], center [m], surface [m]; nan without particles or without gravity."""
+        """Add a row: time [s], center [m], surface [m]; nan without particles or without gravity.
+
+        The surface is the percentile SURFACE_PERCENTILE of the tops of the particles.
+        """
         particles = snapshot.particles
         if len(particles["mass"]):
             speed = np.linalg.norm(particles["velocity"], axis=1)

@@ -119,7 +119,10 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 
 
 def _write_tables(found: SceneComparison, out: Path) -> None:
-    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv."""
+    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
+
+    All in SI units; collisions.csv only if collisions were simulated.
+    """
     runs = found.runs
     write_columns(out / "compare.csv", summary_columns(runs, found.rows))
     write_columns(out / "heights.csv", {
@@ -139,7 +142,10 @@ def _write_tables(found: SceneComparison, out: Path) -> None:
 
 
 def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
-    """Columns of forces.csv: one row per contact model, stage and bin."""
+    """Columns of forces.csv: one row per contact model, stage and bin.
+
+    Forces are relative to the mean of their frame; the open last bin is omitted.
+    """
     parts: list[tuple[np.ndarray, ...]] = []
     low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
     for run in runs:

@@ -20,7 +20,10 @@ DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": (
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value."""
+    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
+
+    The first run is the reference of the ratios.
+    """
 
     name: str
     unit: str
@@ -104,7 +107,10 @@ def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
 
 
 def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
-    """Rows on the bed at the end of the densest stage."""
+    """Rows on the bed at the end of the densest stage.
+
+    Heights are those of the sample nearest to that time.
+    """
     when = at_end(stage, "time")
 
     def height(column: int) -> Callable[[VariantRun], float]:

@@ -82,7 +82,10 @@ def variants_of(
 
 
 def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Directory, title and `contact.normal` of every variant."""
+    """Directory, title and `contact.normal` of every variant.
+
+    The contact model of the scene keeps its settings; other models get those of their example in the catalog.
+    """
     for name in laws:
         if name == "linear":
             at = {"reference_velocity": velocity}
@@ -98,7 +101,11 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
 
 
 def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: int | None) -> dict[str, Any]:
-    """Scene description with the contact model, in the structure of a scene file."""
+    """Scene description with the contact model, in the structure of a scene file.
+
+    With an automatic time step, the energy budget and without expectations; `most`: largest number of particles or
+    None.
+    """
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["contact"]["normal"] = dict(normal)
     described["run"]["time_step"] = "auto"

@@ -42,7 +42,10 @@ class StartState:
 
 @dataclass(frozen=True)
 class FeatureCost:
-    """Cost of a step of one variant; `ratio` is relative to the baseline of the same round."""
+    """Cost of a step of one variant.
+
+    `ratio` is relative to the baseline of the same round, so that slow changes of the machine load cancel.
+    """
 
     name: str
     plan: Plan
@@ -144,7 +147,7 @@ def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
 def _feature_cost(
     variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
-    """Cost of one variant from its times and those of the baseline (rounds,)."""
+    """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
     plan = engine.plan
     return FeatureCost(
         name=variant.name,

@@ -167,7 +167,10 @@ def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
 
 
 def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCITIES) -> FigureData:
-    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model."""
+    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model.
+
+    `velocities` (n,) [m/s]: those of `compare`. One deviation per model that ran.
+    """
     count, rows, deviations = len(velocities), [], []
     for name, (model, outcomes) in comparison.ran.items():
         requested_values = []

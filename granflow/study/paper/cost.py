@@ -84,7 +84,10 @@ def _engine(model: CandidateModel, backend: Backend) -> Engine:
 
 
 def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
-    """Cubic lattice of overlapping particles of the first material, with velocities of both signs."""
+    """Cubic lattice of overlapping particles of the first material, with velocities of both signs.
+
+    SIDE^3 particles at CLOSENESS diameters; loading and unloading contacts occur with equal frequency.
+    """
     case, random = PAPER_CASES[0], np.random.default_rng(1)
     axis = CLOSENESS * case.diameter * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)

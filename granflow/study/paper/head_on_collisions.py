@@ -151,7 +151,11 @@ def _spheres(
     side: int,
     middle: float,
 ) -> dict[str, Any]:
-    """Diameters, velocities and positions of the spheres of one group, alternating left and right."""
+    """Diameters [m], velocities [m/s] and positions [m] of the spheres of one group, alternating left and right.
+
+    `members`: indices of the collisions; `spacing` [m] and `side`: of the square grid of pairs; `middle` [m]: contact
+    point.
+    """
     diameters, velocities, positions = [], [], []
     for index in members:
         each = collisions[index]

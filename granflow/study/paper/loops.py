@@ -92,7 +92,10 @@ def enclosed_share(rows: np.ndarray) -> float:
 
 
 def loop_figure(outcomes: Outcomes) -> FigureData:
-    """Figure of the loops; the rows are all steps with a force."""
+    """Figure of the loops; the rows are all steps with a force.
+
+    Deviations: force relative to the maximum force (Zhou 2011, Eq. 4), and fraction of energy lost.
+    """
     attainable = attainable_restitutions(outcomes)
     loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(attainable)]
     force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]

@@ -48,7 +48,10 @@ HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "
 
 @dataclass(frozen=True)
 class ImpactSetup:
-    """Sphere, plate, radius [m], restitution and friction of an impact; `partner_radius` [m] for a sphere as plate."""
+    """Sphere, plate, radius [m], restitution and friction of an impact.
+
+    `partner_radius` [m]: radius of a sphere that replaces the plate; None for a plate.
+    """
 
     sphere: Solid
     plate: Solid
@@ -301,7 +304,7 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
 
 
 def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
-    """Each curve as two columns; shorter columns are padded with nan."""
+    """Each curve as two columns, simulated and published; shorter columns are padded with nan."""
     columns: dict[str, np.ndarray] = {}
     for name, sweep in run.items():
         columns[f"{name}_x"] = sweep.x
@@ -330,7 +333,10 @@ def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
 
 
 def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
-    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks if relevant."""
+    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks.
+
+    Only for impacts that slide throughout, for which `sliding_solution` holds.
+    """
     sliding = slides(sweep.setup, sweep.before)
     closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
     title = TITLES[name.split("_")[0]]

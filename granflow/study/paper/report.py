@@ -104,7 +104,10 @@ def _paper_sections(figures: dict[str, FigureData], out: Path) -> Iterable[Secti
 
 
 def _model_table(figure_data: FigureData) -> PageTable:
-    """Theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values."""
+    """Theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values.
+
+    One row for each restitution in TABULATED.
+    """
     columns, rows = figure_data.columns, []
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())

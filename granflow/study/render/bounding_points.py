@@ -59,7 +59,10 @@ def outermost_points(particles: FrameParticles) -> np.ndarray:
 
 
 def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None) -> np.ndarray:
-    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles."""
+    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles.
+
+    `particles` (k, 3) [m]: outermost points of the particles; `domain` (2, 3) [m], or None.
+    """
     kinds = [getattr(wall, "shape", "") for wall in scene.walls.values()] if scene is not None else []
     numbers = {int(number) for each in walls.walls for number in np.unique(each)}
     planes = {number for number in numbers if number < len(kinds) and kinds[number] == "plane"}

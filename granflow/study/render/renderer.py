@@ -124,7 +124,10 @@ class Renderer:
     def set_walls(
         self, walls: FrameWalls | None, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`."""
+        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`.
+
+        `cut`: point [m] and normal (3,), or None. Walls that have not moved since the last frame are kept.
+        """
         if walls is not None and walls.same_as(self._walls):
             return
         self._walls = walls

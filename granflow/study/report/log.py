@@ -47,7 +47,10 @@ class RunSession:
 
 
 def read_log(path: Path) -> list[LogEntry]:
-    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read."""
+    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read.
+
+    Lines without a time stamp continue the entry before them.
+    """
     try:
         lines = read_regular_text(path).splitlines()
     except FileNotFoundError:

@@ -36,7 +36,10 @@ def library() -> str:
 
 
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
-    """Plot of a group of columns against time, with the stages of the run."""
+    """Plot of a group of columns against time, with the stages of the run.
+
+    All columns of a group have the same unit.
+    """
     curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
     unit = f" ({group.unit})" if group.unit else ""
     layout = {

@@ -37,7 +37,7 @@ BAR_STEPS = 30
 
 
 def summary(record: RunRecord) -> Section:
-    """State of the run, simulated time and performance."""
+    """State of the run, simulated time and performance, and the number of satisfied expectations."""
     numbers = record.result.get("run", {})
     rows = []
     if record.time is not None and "simulated_time" not in numbers:
@@ -104,7 +104,10 @@ def topic_of(column: SeriesColumn) -> str:
 
 
 def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
-    """Sections of flow, wall forces, energy budget, and all other quantities over time."""
+    """Sections of flow, wall forces, energy budget, and all other quantities over time.
+
+    Columns of zeros are listed instead of plotted. `with_plots`: whether the plot library is available.
+    """
     series = record.series
     if series is None:
         return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
@@ -152,7 +155,7 @@ def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dic
 
 
 def _energy_budget(record: RunRecord) -> list[PagePart]:
-    """Each energy at the start and at the end, and its largest absolute value [J]."""
+    """Each energy at the start and at the end, and its largest absolute value [J], and the energy error of the run."""
     assert record.series is not None
     energies = [column for column in record.series.columns if column.unit == "J" and not is_zero(column)]
     if not energies:

@@ -33,7 +33,10 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class StabilityCase:
-    """One stiff or extreme case: row and column in the grid of its family, reference, and function to run."""
+    """One stiff or extreme case: row and column in the grid of its family, reference, and function to run.
+
+    `reference`: noun phrase for the expected value. The function must be importable in another process.
+    """
 
     family: str
     row: str

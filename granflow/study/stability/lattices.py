@@ -18,7 +18,7 @@ HALF_CELLS = 6
 
 @dataclass(frozen=True)
 class TestLattice:
-    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,)."""
+    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,) bool."""
 
     centers: np.ndarray
     is_anchor: np.ndarray

@@ -142,7 +142,10 @@ def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
 
 
 def _scene(law: str, friction: float) -> Scene:
-    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later."""
+    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later.
+
+    `law`: key of LAWS; `friction`: coefficient. The groups provide the capacity for the largest lattice.
+    """
     normal, restitution = LAWS[law]
     solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
     pair: dict[str, Any] = {"friction": friction}
