@@ -1,4 +1,8 @@
-"""`granflow accuracy`: error against run time."""
+"""`granflow accuracy`: error against run time.
+
+Without a scene, collisions of two spheres are compared with exact solutions; with a scene, runs with several time steps
+and seeds are compared with the finest time step.
+"""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,8 @@
-"""`granflow analyze`: computes metrics and fields of a completed run."""
+"""`granflow analyze`: computes metrics and fields of a completed run.
+
+The frames of the run are read; nothing is simulated. The run must have written particles, and contacts for some
+quantities.
+"""
 
 import argparse
 from pathlib import Path

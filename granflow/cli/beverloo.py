@@ -1,4 +1,7 @@
-"""`granflow beverloo`: fits Beverloo's law of discharge to runs or tables."""
+"""`granflow beverloo`: fits Beverloo's law of discharge to runs or tables.
+
+Each run or row gives the mass flow [kg/s] through one orifice [m].
+"""
 
 import argparse
 from pathlib import Path

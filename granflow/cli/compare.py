@@ -1,4 +1,7 @@
-"""`granflow compare`: one scene with several normal contact models, side by side."""
+"""`granflow compare`: one scene with several normal contact models, side by side.
+
+All runs have the same seed and initial state; each contact model has its automatic time step.
+"""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Output of the verbs: messages on stderr, exit codes, tables."""
+"""Output of the verbs: messages on stderr, exit codes, tables.
+
+Results go to stdout, errors and warnings to stderr.
+"""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,4 +1,7 @@
-"""`granflow render`: images and films of a run."""
+"""`granflow render`: images and films of a run.
+
+The frames of the run are read; nothing is simulated. Requires the extra `plot`.
+"""
 
 import argparse
 from pathlib import Path

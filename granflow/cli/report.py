@@ -1,4 +1,4 @@
-"""`granflow report`: one HTML page about one run."""
+"""`granflow report`: one HTML page about one run, complete or in progress, from the files in its directory."""
 
 import argparse
 from pathlib import Path

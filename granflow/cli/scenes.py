@@ -1,4 +1,7 @@
-"""The verbs run, check, schema, and cache (compiled kernels)."""
+"""The verbs run, check, schema, and cache (compiled kernels).
+
+`check` reports the errors of a scene, its time step and its packing without a run.
+"""
 
 import argparse
 import json

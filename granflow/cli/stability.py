@@ -1,4 +1,7 @@
-"""`granflow stability`: stiff and extreme cases, each with an assessment."""
+"""`granflow stability`: stiff and extreme cases, each with an assessment.
+
+A case is accurate, stable with a reported error, refused with a message, or a defect.
+"""
 
 import argparse
 from pathlib import Path

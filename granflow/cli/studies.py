@@ -1,4 +1,7 @@
-"""Verbs that study contact models: collide, restitution, fit, paper."""
+"""Verbs that study contact models: collide, restitution, fit, paper.
+
+Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
+"""
 
 import argparse
 import json

@@ -1,4 +1,7 @@
-"""Consistency checks of fields and metrics with the rest of a scene."""
+"""Consistency checks of fields and metrics with the rest of a scene.
+
+They concern grids, references to groups, materials and stages, and the quantities of expectations.
+"""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,7 @@
-"""Differences between two scenes, key by key, and the keys that may change when a run is resumed."""
+"""Differences between two scenes, key by key, and the keys that may change when a run is resumed.
+
+Scenes are compared after resolution, in SI units: a value with another unit or a default written out is no difference.
+"""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,7 @@
-"""Error messages of the schema: one sentence each, with source position and remedy."""
+"""Error messages of the schema: one sentence each, with source position and remedy.
+
+A message has the form `file:line:column: key.path is VALUE, but REASON.`
+"""
 
 import re
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,7 @@
-"""Suggestions for unknown names, and the table of renamed keys."""
+"""Suggestions for unknown names, and the table of renamed keys.
+
+Similarity is that of difflib (Ratcliff and Obershelp), between 0 and 1.
+"""
 
 import difflib
 from collections.abc import Iterable

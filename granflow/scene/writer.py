@@ -1,4 +1,7 @@
-"""Writes a scene as YAML with all defaults; the text loads to an equal scene."""
+"""Writes a scene as YAML with all defaults; the text loads to an equal scene.
+
+Numbers are plain SI values with all digits that they need.
+"""
 
 import json
 import re

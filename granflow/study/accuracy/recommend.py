@@ -1,4 +1,7 @@
-"""Steps and cost that each line of the study requires for a target error, and the resulting recommendation."""
+"""Steps and cost that each line of the study requires for a target error, and the resulting recommendation.
+
+A line is one contact model with one integrator and precision.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

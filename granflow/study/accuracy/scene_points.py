@@ -1,4 +1,8 @@
-"""Errors of the runs of a scene, their statistical noise, and the recommended time step."""
+"""Errors of the runs of a scene, their statistical noise, and the recommended time step.
+
+Granular flow is chaotic: a difference between two runs is an error of the time step only if it exceeds the scatter over
+several seeds.
+"""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor

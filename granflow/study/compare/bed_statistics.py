@@ -1,4 +1,7 @@
-"""Observers of a variant's run: bed heights, normal forces, contact durations."""
+"""Observers of a variant's run: bed heights, normal forces, contact durations.
+
+They hold their results in memory; `granflow.study.compare.report` writes them.
+"""
 
 from dataclasses import dataclass, field
 from math import inf

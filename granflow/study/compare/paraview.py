@@ -1,4 +1,7 @@
-"""Script for ParaView and pvpython that shows the PVD files of all variants side by side."""
+"""Script for ParaView and pvpython that shows the PVD files of all variants side by side.
+
+The script finds the files at their absolute path, or in its directory if they were moved together.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Run of one variant to its end or abort, with all compared quantities."""
+"""Run of one variant to its end or abort, with all compared quantities.
+
+The output of each run is that of `granflow run`, in a separate directory.
+"""
 
 import csv
 from collections.abc import Callable, Sequence

@@ -1,4 +1,7 @@
-"""Summary table: one row per quantity, one column per contact model, with the ratio to the first."""
+"""Summary table: one row per quantity, one column per contact model, with the ratio to the first.
+
+Values are stored in SI units and converted for display only.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

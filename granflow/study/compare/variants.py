@@ -1,4 +1,7 @@
-"""Variants of a scene with each contact model and matched parameters."""
+"""Variants of a scene with each contact model and matched parameters.
+
+Linear springs have the stiffness of Eq. 19 (Zhou 2011), per contact or at the reference velocity.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds."""
+"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds.
+
+Alternation cancels slow changes of the clock rate and of the load on the machine.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Variants of a scene, each with one feature switched on or off."""
+"""Variants of a scene, each with one feature switched on or off.
+
+A feature that is forced on without effect on the motion shows the cost of its code alone.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,7 @@
-"""Force-overlap curves of single collisions, for restitutions from 0 to 1."""
+"""Force-overlap curves of single collisions, for restitutions from 0 to 1 (Zhou 2011, Eq. 4).
+
+The area enclosed by a loop is the dissipated energy.
+"""
 
 from collections.abc import Mapping
 from typing import Any

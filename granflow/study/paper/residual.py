@@ -1,4 +1,7 @@
-"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated."""
+"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated.
+
+x = 1 - y,      y = (4/5) e^2 + (1/5) e^3 y^2.5      (Zhou 2011, Eq. 8)
+"""
 
 from collections.abc import Mapping
 from typing import Any

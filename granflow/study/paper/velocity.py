@@ -1,4 +1,7 @@
-"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity."""
+"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity.
+
+alpha = (4/5) k sqrt(dmax)      (Zhou 2011, Eq. 19)
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,7 @@
-"""View direction, and a camera that shows all given points."""
+"""View direction, and a camera that shows all given points.
+
+The frame of a view has the axes right, up, and toward the viewer.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,7 @@
-"""Color scale of a picture: values of one array, its name and unit, and a range."""
+"""Color scale of a picture: values of one array, its name and unit, and a range.
+
+One scale applies to all frames of a run, so that colors are comparable.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files."""
+"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files.
+
+The PVD files give the times; files that no longer exist are skipped.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now."""
+"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now.
+
+Pictures older than the last frame show another run and are not used.
+"""
 
 import re
 import subprocess

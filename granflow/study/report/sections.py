@@ -1,4 +1,7 @@
-"""Sections of the page, each from the files of the run; empty sections are omitted."""
+"""Sections of the page, each from the files of the run; empty sections are omitted.
+
+A run in progress or without a result has sections from its log and time series only.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

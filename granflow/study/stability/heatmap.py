@@ -1,4 +1,7 @@
-"""Heat map: one grid per family, one cell per case, colored by assessment and error. Requires the extra `plot`."""
+"""Heat map: one grid per family, one cell per case, colored by assessment and error.
+
+Requires the extra `plot`.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

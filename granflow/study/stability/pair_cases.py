@@ -1,4 +1,7 @@
-"""Head-on collisions of any number of distant pairs in one scene, until all pairs have separated."""
+"""Head-on collisions of any number of distant pairs in one scene, until all pairs have separated.
+
+The pairs share the time step of the stiffest one. The total momentum of each pair is 0.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
