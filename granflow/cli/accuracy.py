@@ -1,4 +1,8 @@
-"""`granflow accuracy`: error against run time."""
+"""`granflow accuracy`: error against run time.
+
+Without a scene, collisions of two spheres are compared with exact solutions; with a scene, runs with several time steps
+and seeds are compared with the finest time step.
+"""
 
 import argparse
 from pathlib import Path
@@ -10,13 +14,21 @@ from granflow.errors import GranflowError
 
 
 def accuracy(options: argparse.Namespace) -> int:
-    """`granflow accuracy`: measure error against run time, for binary collisions or for a scene."""
+    """`granflow accuracy`: measure error against run time, for binary collisions or for a scene.
+
+    Writes a page, CSV files and figures, prints a recommendation and returns 0. Raises GranflowError for a target
+    outside (0, 1), or for options that require a scene.
+    """
     if not 0.0 < options.target < 1.0:
         raise GranflowError(f"--target is {options.target:g}, but must be between 0 and 1, such as 0.01.")
     return _binary_collisions(options) if options.scene is None else _scene(options)
 
 
 def _binary_collisions(options: argparse.Namespace) -> int:
+    """Measure head-on collisions of two spheres with all contact models, precisions and time steps.
+
+    Raises GranflowError for options that require a scene.
+    """
     for given, name in (
         (options.overrides, "--set"),
         (options.until, "--until"),
@@ -36,6 +48,7 @@ def _binary_collisions(options: argparse.Namespace) -> int:
 
 
 def _scene(options: argparse.Namespace) -> int:
+    """Measure a scene; it is reduced to a run time of minutes unless --all-particles is given."""
     from granflow.study.accuracy import measure_scene, write_scene
     from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
     from granflow.study.accuracy.scene_runs import SceneTask, reduced_counts
@@ -53,6 +66,7 @@ def _scene(options: argparse.Namespace) -> int:
 
 
 def _report_progress(message: str) -> None:
+    """Print a progress message at once, also if stdout is a file."""
     say(f"{message} ...", flush=True)
 
 

@@ -1,4 +1,8 @@
-"""`granflow analyze`: computes metrics and fields of a completed run."""
+"""`granflow analyze`: computes metrics and fields of a completed run.
+
+The frames of the run are read; nothing is simulated. The run must have written particles, and contacts for some
+quantities.
+"""
 
 import argparse
 from pathlib import Path
@@ -12,7 +16,11 @@ MAX_ROWS = 20
 
 
 def analyze(options: argparse.Namespace) -> int:
-    """`granflow analyze`: compute metrics and fields of a completed run from its frames."""
+    """`granflow analyze`: compute metrics and fields of a completed run from its frames.
+
+    Writes `metrics.csv` and VTU files, and prints at most MAX_ROWS rows, the last one included. Raises GranflowError if
+    the directory is not that of a run, or if --out is that directory.
+    """
     from granflow.scene import load
     from granflow.study.analyze import analyze as analyze_run
 

@@ -10,11 +10,18 @@ if TYPE_CHECKING:
     from granflow.scene import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
+"""Values of --arch; gpu selects the first available GPU backend."""
+
 PRECISIONS = ("f64", "f32", "mixed")
+"""Values of --precision: f64, f32, or mixed (positions in f64, all else in f32)."""
 
 
 def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    """Add a verb that reads a scene, with the arguments SCENE and --set; return its parser."""
+    """Add a verb that reads a scene, with the arguments SCENE and --set; return its parser.
+
+    `verbs`: subparsers of argparse; `verb`: function (options) -> exit code, which names the verb; `summary`: help text
+    in lowercase without a period.
+    """
     parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
     parser.add_argument(
@@ -41,7 +48,11 @@ def add_allow_long(parser: argparse.ArgumentParser) -> None:
 
 
 def quantity(dimension: str) -> Callable[[str], float]:
-    """Return a converter for argparse from text such as 25.4mm to SI; it reports errors of the unit parser."""
+    """Return a converter for argparse from text such as 25.4mm to SI.
+
+    `dimension`: name in `granflow.scene.units`. The converter raises ArgumentTypeError for an invalid unit and for a
+    value that is not finite.
+    """
 
     def read(text: str) -> float:
         from granflow.scene.units import UnitError, to_si
@@ -58,7 +69,7 @@ def quantity(dimension: str) -> Callable[[str], float]:
 
 
 def simulated_time(text: str) -> float:
-    """Convert --until for argparse: a simulated time [s], at least 0."""
+    """Convert --until for argparse: a simulated time [s], at least 0. Raises ArgumentTypeError."""
     value = quantity("time")(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is negative; give a time of at least 0, such as 0.2s")
@@ -66,14 +77,17 @@ def simulated_time(text: str) -> float:
 
 
 def thread_count(text: str) -> int:
-    """Convert --threads for argparse: a whole number, at least 1."""
+    """Convert --threads for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text} is not a number of threads; give a whole number of at least 1")
     return int(text)
 
 
 def load(options: argparse.Namespace) -> "Scene":
-    """Read the scene with the overrides of the command line, --precision included."""
+    """Read the scene with the overrides of the command line, --precision included.
+
+    --precision has priority over --set. Raises SceneError with all problems of the scene.
+    """
     from granflow.scene import load as load_scene
 
     precision = getattr(options, "precision", None)

@@ -1,4 +1,7 @@
-"""`granflow beverloo`: fits Beverloo's law of discharge to runs or tables."""
+"""`granflow beverloo`: fits Beverloo's law of discharge to runs or tables.
+
+Each run or row gives the mass flow [kg/s] through one orifice [m].
+"""
 
 import argparse
 from pathlib import Path
@@ -9,7 +12,13 @@ from granflow.cli.messages import say, show_table
 
 
 def beverloo(options: argparse.Namespace) -> int:
-    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent."""
+    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent.
+
+        W = C rho sqrt(g) d^2.5 (D/d - k)^n
+
+    W: mass flow [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
+    Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
+    """
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)

@@ -1,4 +1,7 @@
-"""`granflow compare`: one scene with several normal contact models, side by side."""
+"""`granflow compare`: one scene with several normal contact models, side by side.
+
+All runs have the same seed and initial state; each contact model has its automatic time step.
+"""
 
 import argparse
 from pathlib import Path
@@ -10,7 +13,11 @@ from granflow.cli.scenes import prepare_output
 
 
 def compare(options: argparse.Namespace) -> int:
-    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs."""
+    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
+
+    One subdirectory of the output directory per run, one page for all. Raises GranflowError if the directory contains
+    earlier runs, unless --overwrite is given.
+    """
     from granflow.study.compare import law_names
     from granflow.study.compare.variants import variant_keys
 
@@ -24,13 +31,13 @@ def compare(options: argparse.Namespace) -> int:
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        lambda words: say(f"{words} ...", flush=True),
+        lambda message: say(f"{message} ...", flush=True),
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
-    for words in (stage_note(found), size_note(found), *stop_notes(found)):
-        say(words)
+    for note in (stage_note(found), size_note(found), *stop_notes(found)):
+        say(note)
     for assessment in found.assessments:
-        say(f"{assessment.part}: {assessment.verdict}. {assessment.why}")
+        say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")
     say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
     return 0
 

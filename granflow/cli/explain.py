@@ -1,4 +1,7 @@
-"""`granflow explain`: prints what is computed and why, and with --measure the cost of each feature."""
+"""`granflow explain`: prints the decisions of the plan with their reasons.
+
+With --measure, it prints the measured cost of each feature instead.
+"""
 
 import argparse
 import atexit
@@ -13,7 +16,10 @@ from granflow.errors import GranflowError
 
 
 def explain(options: argparse.Namespace) -> int:
-    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature."""
+    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature.
+
+    Raises GranflowError for options that require --measure.
+    """
     scene = load(options)
     if options.measure:
         return measure(options, scene)
@@ -29,12 +35,15 @@ def explain(options: argparse.Namespace) -> int:
 
 
 def measure(options: argparse.Namespace, scene: Any) -> int:
-    """Time the scene with each feature on and off, and print the table."""
+    """Time the scene with each feature on and off, and print the table of times per step.
+
+    `scene`: resolved scene. With --out, the table is also written as CSV and Markdown.
+    """
     use_fresh_kernel_cache()
     from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
 
     found = feature_costs(
-        scene, options.arch, options.threads, options.until, lambda words: say(f"{words} ...", flush=True)
+        scene, options.arch, options.threads, options.until, lambda message: say(f"{message} ...", flush=True)
     )
     show_table(f"{scene.title}: cost of a step, as in the scene and with one feature switched", HEADS, cost_rows(found))
     say(*remarks(found), sep="\n")
@@ -45,7 +54,10 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
 
 
 def use_fresh_kernel_cache() -> None:
-    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time."""
+    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time.
+
+    Sets the environment variable of the cache; must be called before Taichi is initialized.
+    """
     from granflow.device.kernel_cache import VARIABLE
 
     folder = TemporaryDirectory()

@@ -43,6 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _verb(options: argparse.Namespace) -> int:
+    """Run the verb with signal handling and return its exit code.
+
+    GranflowError, errors of files and interrupts are printed without a traceback; all other exceptions propagate.
+    """
     try:
         with stop_signals():
             return options.verb(options)
@@ -57,6 +61,7 @@ def _verb(options: argparse.Namespace) -> int:
 
 
 def _print_file_error(error: OSError) -> int:
+    """Print an error of the operating system that concerns a file, and return exit code 2; raise it again otherwise."""
     if error.filename is None:
         raise error
     return print_error(f"{error.filename}: {_reason_of(error)}.")
@@ -70,7 +75,10 @@ def _reason_of(error: OSError) -> str:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Build the parser of all verbs and their arguments."""
+    """Build the parser of all verbs and their arguments.
+
+    Each verb sets `verb`, a function (options) -> exit code.
+    """
     parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")

@@ -1,4 +1,7 @@
-"""Output of the verbs: messages on stderr, exit codes, tables."""
+"""Output of the verbs: messages on stderr, exit codes, tables.
+
+Results go to stdout, errors and warnings to stderr.
+"""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,10 +23,15 @@ COLLIDE_UNITS = {
     "time_step": "s",
     "velocity": "m/s",
 }
+"""Units of the numbers of `granflow collide`; all others are dimensionless."""
+
 WIDE = 160
 """Width of a table that is written to a file [characters]: wide enough for complete numbers."""
 EXIT_INTERRUPTED = 130
+"""128 + SIGINT: the exit code after Ctrl-C."""
+
 EXIT_TERMINATED = 143
+"""128 + SIGTERM: the exit code after a termination request."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -31,12 +39,18 @@ class Terminated(KeyboardInterrupt):
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:
-    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI."""
+    """Print text; control characters in titles, names and file headers become visible. The only `print` of the CLI.
+
+    `file`: stdout by default; `flush`: write at once.
+    """
     print(visible(sep.join(map(str, parts))), file=file, flush=flush)
 
 
 def print_refusal(error: GranflowError) -> int:
-    """Print an error without a traceback and return its exit code; the problems of a file are counted."""
+    """Print an error without a traceback and return its exit code.
+
+    The problems of a file are printed one per line, followed by their number.
+    """
     problems = error.problems if isinstance(error, FileError) else ()
     if not problems:
         return print_error(str(error), error.exit_code)
@@ -53,18 +67,21 @@ def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
 
 
 def warn(sentences: Iterable[str]) -> None:
-    """Print warnings to stderr."""
+    """Print warnings to stderr, each with the prefix "granflow: warning:"."""
     for sentence in sentences:
         say(f"granflow: warning: {sentence}", file=sys.stderr)
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:
-    """Return the exit code that shells report for a process ended by that signal."""
+    """Return the exit code that shells report for a process ended by that signal: 128 plus the signal number."""
     return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
 
 
 def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
-    """Write the files of a study; without matplotlib, write only those that do not need it, with a message."""
+    """Write the files of a study; without matplotlib, write only those that do not need it, with a message.
+
+    `write`: function (directory, *numbers), which may raise GranflowError after it has written the other files.
+    """
     try:
         write(out, *numbers)
     except GranflowError as error:
@@ -73,7 +90,11 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
 
 
 def show_result(title: str, result: "Result", out: Path) -> None:
-    """Print the table of results, the expectations, and the files to open."""
+    """Print the table of results, the expectations, and the files to open.
+
+    `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED. Particles that
+    were not inserted are reported with their number.
+    """
     from rich.console import Console
 
     from granflow.observe import closing_table
@@ -91,7 +112,10 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 
 
 def show_comparison(numbers: Mapping[str, Any]) -> None:
-    """Print the simulated numbers of a collision beside the requested or closed-form ones."""
+    """Print the simulated numbers of a collision beside the requested or closed-form ones.
+
+    `numbers`: as from `granflow.study.collide.collide`; units are those of COLLIDE_UNITS.
+    """
     references = ("_asked", "_theory")
     rows = []
     for name in (name for name in numbers if not name.endswith(references)):
@@ -109,7 +133,10 @@ def show_comparison(numbers: Mapping[str, Any]) -> None:
 
 
 def show_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table with right-aligned numbers to the terminal, or as plain text to a file."""
+    """Print a table with right-aligned numbers to the terminal, or as plain text to a file.
+
+    `heads` and each row have one text per column; the first column is left-aligned.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

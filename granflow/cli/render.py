@@ -1,4 +1,7 @@
-"""`granflow render`: images and films of a run."""
+"""`granflow render`: images and films of a run.
+
+The frames of the run are read; nothing is simulated. Requires the extra `plot`.
+"""
 
 import argparse
 from pathlib import Path
@@ -11,10 +14,15 @@ if TYPE_CHECKING:
     from granflow.study.render import Frame, PictureStyle
 
 FITS = ("all", "particles", "domain")
+"""Values of --fit."""
 
 
 def render(options: argparse.Namespace) -> int:
-    """`granflow render`: write frames of a run as PNG images, or all frames as an MP4 film."""
+    """`granflow render`: write frames of a run as PNG images, or all frames as an MP4 film.
+
+    Prints the paths. Raises GranflowError if the directory contains no frames, or for one output file with several
+    images.
+    """
     from granflow.study.render import PictureStyle, frames_of, selected_frames, write_pictures
 
     frames = frames_of(options.directory)
@@ -32,7 +40,10 @@ def render(options: argparse.Namespace) -> int:
 
 
 def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyle") -> int:
-    """Write the film; if a required package is not installed, write its images and return an error code."""
+    """Write the film; if a required package is not installed, write its images and return an error code.
+
+    The duration is the number of frames over --fps [1/s].
+    """
     from granflow.study.render import pictures, write_film, write_pictures
     from granflow.study.render.film import missing_for_film
     from granflow.study.render.render import name_of
@@ -50,7 +61,10 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
 
 
 def pixel_size(text: str) -> tuple[int, int]:
-    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even numbers."""
+    """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even numbers.
+
+    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST.
+    """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()) or min(int(width), int(height)) < SMALLEST:
         raise argparse.ArgumentTypeError(f"{text} is not a size; give width and height in pixels, such as 1600x1200")
@@ -62,7 +76,7 @@ SMALLEST = 200
 
 
 def number_pair(text: str) -> tuple[float, float]:
-    """Convert --range, such as 0,1.5, for argparse: two increasing numbers."""
+    """Convert --range, such as 0,1.5, for argparse: two increasing numbers. Raises ArgumentTypeError."""
     try:
         low, high = (float(word) for word in text.split(","))
     except ValueError:
@@ -75,7 +89,7 @@ def number_pair(text: str) -> tuple[float, float]:
 
 
 def positive(text: str) -> float:
-    """Convert a positive number for argparse."""
+    """Convert a positive, finite number for argparse. Raises ArgumentTypeError."""
     try:
         number = float(text)
     except ValueError:
@@ -86,7 +100,10 @@ def positive(text: str) -> float:
 
 
 def add_render(verbs: Any) -> None:
-    """Add `granflow render` and its arguments."""
+    """Add `granflow render` and its arguments.
+
+    Lengths, times and ranges are in SI units or have a unit.
+    """
     summary = "write images (PNG) of frames of a run, or a film of all frames"
     parser = verbs.add_parser("render", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")

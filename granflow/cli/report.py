@@ -1,4 +1,4 @@
-"""`granflow report`: one HTML page about one run."""
+"""`granflow report`: one HTML page about one run, complete or in progress, from the files in its directory."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,10 @@ from granflow.cli.messages import say
 
 
 def report(options: argparse.Namespace) -> int:
-    """`granflow report`: write one self-contained page about a run, with interactive plots and images."""
+    """`granflow report`: write one self-contained page about a run, with interactive plots and images.
+
+    The page requires no network. Raises GranflowError if the directory is not that of a run.
+    """
     from granflow.study.report import write_report
 
     path = write_report(options.directory, options.out, not options.no_pictures)

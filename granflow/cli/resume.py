@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from granflow.simulation import Simulation
 
 EXIT_EXPECTATIONS_FAILED = 1
+"""Exit code of a complete run with an expectation that is not satisfied."""
+
 RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
 """File types of results that take computing time."""
 SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the output directory."""
+
 CHANGES = """\
 These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
   output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
@@ -31,10 +35,15 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
   friction and rolling_friction of pairs, if both the old and the new value are above 0
   numerics.max_overlap, title, description, expect
 """
+"""End of the help text; `granflow.scene.differences.ALLOWED_CHANGES` defines the keys."""
 
 
 def resume(options: argparse.Namespace) -> int:
-    """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run."""
+    """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run.
+
+    Raises GranflowError if the directory does not exist, is locked by another run, contains no usable checkpoint, or if
+    the scene has changes that are not permitted.
+    """
     out: Path = options.directory
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
@@ -45,7 +54,10 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def _resume(options: argparse.Namespace, out: Path) -> int:
-    """Resume in a locked directory: no other process can continue or replace the run at the same time."""
+    """Resume in a locked directory: no other process can continue or replace the run at the same time.
+
+    Raises GranflowError if rows of the time series are missing, unless --allow-changes is given.
+    """
     from granflow.simulation import Simulation
 
     checkpoint = checkpoint_to_resume(out, options.from_start)
@@ -68,7 +80,7 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
     """Return the newest intact checkpoint, or None to run from the start.
 
     Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
-    otherwise raises GranflowError.
+    otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr.
     """
     from granflow.observe import newest_checkpoint, restore_previous_run, results_in
 
@@ -89,7 +101,10 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
 
 
 def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
-    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied."""
+    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied.
+
+    Raises GranflowError if neither exists.
+    """
     from granflow.scene import load
     from granflow.scene.reader import scene_of
 
@@ -103,7 +118,11 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
 
 
 def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
-    """Run with signal handling, print the numbers and return the exit code."""
+    """Run with signal handling, print the numbers and return the exit code.
+
+    `until`: simulated time at which the run ends [s], or None. Returns 1 if an expectation is not satisfied, 130 or 143
+    after a stop signal.
+    """
     try:
         with deferred_to(simulation.request_stop), warnings_shown():
             result = simulation.run(until=until)
@@ -116,7 +135,7 @@ def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float
 
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
-    """Return the time at which a run stopped and that of the checkpoint from which it can be resumed."""
+    """Return a sentence with the time [s] at which a run stopped and that of its last checkpoint."""
     at, saved = f"stopped at {simulation.time:.6g} s", simulation.checkpoint_time
     if saved == simulation.time:
         return f"{at}; granflow resume {out} continues. {out} contains the run up to this time."
@@ -127,7 +146,7 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
 
 @contextmanager
 def warnings_shown() -> Iterator[None]:
-    """Print the log records about checkpoints that could not be written to stderr."""
+    """In the block, print the log records about checkpoints that could not be written to stderr."""
     logger, handler = logging.getLogger("granflow.checkpoint"), logging.StreamHandler()
     handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
     logger.addHandler(handler)
@@ -138,7 +157,7 @@ def warnings_shown() -> Iterator[None]:
 
 
 def add_resume(verbs: Any) -> None:
-    """Add `granflow resume` and its arguments."""
+    """Add `granflow resume` and its arguments; the help text ends with the keys that may change."""
     summary = "continue a stopped or killed run, bit-identical to an uninterrupted one, or extend a completed run"
     parser = verbs.add_parser(
         "resume", help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=CHANGES,

@@ -1,4 +1,7 @@
-"""The verbs run, check, schema, and cache (compiled kernels)."""
+"""The verbs run, check, schema, and cache (compiled kernels).
+
+`check` reports the errors of a scene, its time step and its packing without a run.
+"""
 
 import argparse
 import json
@@ -14,7 +17,11 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations."""
+    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations.
+
+    Returns the exit code of `run_to_end`. Raises GranflowError if the directory contains an earlier run, unless
+    --overwrite is given.
+    """
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
     prepare_output(out, scene, options.overwrite)
@@ -55,7 +62,11 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
 
 
 def check(options: argparse.Namespace) -> int:
-    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run."""
+    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
+
+    Warnings go to stderr. Returns 0; raises SceneError with the problems. If the particles do not fit into the memory,
+    their packing is not checked.
+    """
     scene = load(options)
     from granflow.observe import particles_from_run
     from granflow.plan import plan_for
@@ -80,7 +91,7 @@ def check(options: argparse.Namespace) -> int:
 
 
 def schema(options: argparse.Namespace) -> int:
-    """`granflow schema`: print the JSON Schema of scene files, for editors."""
+    """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors."""
     from granflow.scene import json_schema
 
     say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
@@ -88,7 +99,7 @@ def schema(options: argparse.Namespace) -> int:
 
 
 def cache(options: argparse.Namespace) -> int:
-    """`granflow cache`: print the directory of compiled kernels and their number; --clear deletes them."""
+    """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes them."""
     from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
     cached = clear_cache() if options.clear else cache_contents()

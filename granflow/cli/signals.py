@@ -19,15 +19,23 @@ GRACE = 0.7
 """Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that stop a verb."""
+
 DEFERRED = (
     "granflow: stopping: the step or file in progress is completed and a checkpoint written; "
     "a second signal ends the run at once."
 )
+"""Message if the run needs longer than GRACE to stop."""
+
 AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
+"""Message if the process ends without a checkpoint."""
 
 
 class StopSignals:
-    """Handles stop signals while a verb runs. `request`: requests that a run stops; without it the handler raises."""
+    """Handles stop signals while a verb runs.
+
+    `request`: function (exception) that requests that a run stops; without it the handler raises the exception.
+    """
 
     def __init__(self) -> None:
         self.request: Callable[[BaseException], None] | None = None
@@ -64,6 +72,10 @@ class StopSignals:
                 signal.signal(each, self._handle)
 
     def _handle(self, number: int, *_: Any) -> None:
+        """Handler of a signal: request a stop or raise KeyboardInterrupt, and start the timer of `_overdue`.
+
+        A second signal always raises.
+        """
         first = self._stop is None
         self._stop = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
         self._cancel_timer()
@@ -83,16 +95,21 @@ class StopSignals:
             os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)
 
     def _cancel_timer(self) -> None:
+        """Stop the timer of an earlier signal."""
         if self._timer is not None:
             self._timer.cancel()
 
 
 _current: StopSignals | None = None
+"""Handler of the verb in progress."""
 
 
 @contextmanager
 def stop_signals() -> Iterator[None]:
-    """Handle stop signals in the block, if called in the main thread."""
+    """Handle stop signals in the block, if called in the main thread; Python permits handlers only there.
+
+    Nested calls have no effect. The previous handlers are restored at the end.
+    """
     global _current
     if threading.current_thread() is not threading.main_thread() or _current is not None:
         yield
@@ -111,7 +128,10 @@ def stop_signals() -> Iterator[None]:
 
 @contextmanager
 def deferred_to(request: Callable[[BaseException], None]) -> Iterator[None]:
-    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises."""
+    """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises.
+
+    Without `stop_signals` around it, the block has no effect.
+    """
     if _current is not None:
         _current.request = request
     try:

@@ -1,4 +1,7 @@
-"""`granflow stability`: stiff and extreme cases, each with an assessment."""
+"""`granflow stability`: stiff and extreme cases, each with an assessment.
+
+A case is accurate, stable with a reported error, refused with a message, or a defect.
+"""
 
 import argparse
 from pathlib import Path
@@ -8,12 +11,15 @@ from granflow.cli.messages import say, show_table
 
 
 def stability(options: argparse.Namespace) -> int:
-    """`granflow stability`: run all cases; return 1 if any of them is a defect."""
+    """`granflow stability`: run all cases; return 1 if any of them is a defect.
+
+    Writes a page, `stability.csv` and a heat map to the output directory.
+    """
     from granflow.study.stability.report import HEADS, PAGE, defects, headline, summary_rows
     from granflow.study.stability.report import stability as study
 
     outcomes, missing = study(
-        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.verdict}", flush=True)
+        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
     )
     show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
     say(headline(outcomes))

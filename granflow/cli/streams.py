@@ -15,13 +15,16 @@ class Output:
     """Reaction to a failed write to a standard stream.
 
     If `needed`, the command ends: silently with EXIT_PIPE when the reader closed the pipe, otherwise with the OSError.
-    If not, the command continues and its output is dropped: a simulation is worth more than its progress lines.
+    If not, the command continues and its output is dropped: lost progress lines must not end a simulation.
     """
 
     needed = True
 
     def failed(self, error: OSError, name: str) -> None:
-        """Handle the first failed write to the stream `name`."""
+        """Handle the first failed write to the stream `name`.
+
+        If `needed`, raises SystemExit(EXIT_PIPE) for a closed pipe, and OSError with the name of the stream otherwise.
+        """
         if not self.needed:
             return
         if error.errno == errno.EPIPE:
@@ -31,14 +34,20 @@ class Output:
 
 
 class _Stream(io.FileIO):
-    """A standard stream that drops all output after a failed write."""
+    """A standard stream that drops all output after a failed write.
+
+    It writes to the file descriptor of `stream` and does not close it.
+    """
 
     def __init__(self, stream: TextIO, output: Output) -> None:
         super().__init__(stream.fileno(), "w", closefd=False)
         self._shown_name, self._output, self._lost = stream.name, output, False
 
     def write(self, data: Any, /) -> int:
-        """Write `data` to the stream, or drop it after a failed write; return the number of bytes."""
+        """Write `data` to the stream, or drop it after a failed write; return the number of bytes.
+
+        Raises the exceptions of `Output.failed` at the first failure.
+        """
         if not self._lost:
             try:
                 return super().write(data)
@@ -50,7 +59,11 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def standard_streams() -> Iterator[Output]:
-    """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`."""
+    """Handle failed writes to stdout and stderr by `Output.failed`; the block may set `needed`.
+
+    Both streams are replaced in the block and restored at the end. Streams of notebooks, tests and the Windows console
+    are not replaced.
+    """
     output = Output()
     names = [name for name in ("stdout", "stderr") if _is_process_stream(name)]
     before = {name: getattr(sys, name) for name in names}
@@ -77,6 +90,7 @@ def _is_process_stream(name: str) -> bool:
 
 
 def _wrapped(stream: TextIO, output: Output) -> io.TextIOWrapper:
+    """Return a text stream with the encoding and buffering of `stream`, on top of a `_Stream`."""
     stream.flush()
     buffer = io.BufferedWriter(_Stream(stream, output))
     return io.TextIOWrapper(
@@ -92,5 +106,6 @@ def _replace(name: str, stream: TextIO) -> None:
 
 
 def _flush(names: list[str]) -> None:
+    """Flush the streams with these names."""
     for name in names:
         getattr(sys, name).flush()

@@ -1,4 +1,7 @@
-"""Verbs that study contact models: collide, restitution, fit, paper."""
+"""Verbs that study contact models: collide, restitution, fit, paper.
+
+Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
+"""
 
 import argparse
 import json
@@ -11,7 +14,10 @@ from granflow.errors import GranflowError
 
 
 def collide(options: argparse.Namespace) -> int:
-    """`granflow collide`: simulate one head-on collision and compare it with closed-form results."""
+    """`granflow collide`: simulate one head-on collision and compare it with closed-form results.
+
+    Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or option.
+    """
     from granflow.study.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
@@ -25,7 +31,10 @@ def collide(options: argparse.Namespace) -> int:
 
 
 def restitution(options: argparse.Namespace) -> int:
-    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step."""
+    """`granflow restitution`: requested and simulated restitution of each pair of materials at the time step.
+
+    The impact velocities [m/s] are below the maximum expected one. Writes CSV and PNG files.
+    """
     from granflow.study.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
@@ -38,7 +47,11 @@ def restitution(options: argparse.Namespace) -> int:
 
 
 def fit(options: argparse.Namespace) -> int:
-    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions."""
+    """`granflow fit`: fit sigma and psi of Eq. 12 (Zhou 2011) to measured impact velocities and restitutions.
+
+    The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the result would
+    overwrite the data, or if the data are invalid.
+    """
     from granflow.study.fit import fit as fitted
     from granflow.study.fit import fit_rows, limit_from_materials, write_fit
     from granflow.study.measurements import read_measurements
@@ -56,16 +69,22 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def paper(options: argparse.Namespace) -> int:
-    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models."""
+    """`granflow paper`: reproduce the figures and tables of Zhou (2011) and compare all contact models.
+
+    Writes one page with its figures (PNG) and their data (CSV).
+    """
     from granflow.study.paper import write_paper
 
-    page = write_paper(options.out, lambda words: say(f"{words} ...", flush=True))
+    page = write_paper(options.out, lambda message: say(f"{message} ...", flush=True))
     say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
     return 0
 
 
 def add_collide(verbs: Any) -> None:
-    """Add `granflow collide` and its arguments."""
+    """Add `granflow collide` and its arguments.
+
+    Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
+    """
     summary = "simulate one head-on collision and compare it with closed-form results"
     parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--law", default="zhou", help="normal contact model (default: zhou)")
@@ -113,7 +132,10 @@ def add_restitution(verbs: Any) -> None:
 
 
 def add_fit(verbs: Any) -> None:
-    """Add `granflow fit` and its arguments."""
+    """Add `granflow fit` and its arguments.
+
+    Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
+    """
     summary = "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
     parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument(

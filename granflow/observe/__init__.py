@@ -1,4 +1,8 @@
-"""Observers read snapshots and write files; they do not modify the state of a simulation."""
+"""Observers read snapshots and write files; they do not modify the state of a simulation.
+
+Frames (VTU), time series (CSV), coarse-grained fields, metrics, checkpoints, `result.json` and the progress display.
+All quantities are in SI units; `granflow.quantities` defines their names.
+"""
 
 from granflow.observe.build import observers_for, progress_for, time_series_for
 from granflow.observe.checkpoint import (

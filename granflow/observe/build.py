@@ -22,9 +22,13 @@ from granflow.scene.periodic_box import PeriodicBox
 def observers_for(
     scene: Any, out_dir: Path, wall_triangles: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> list[Observer]:
-    """Return the observers that the scene specifies, which write into `out_dir`; the time series is the first.
+    """Return the observers that the scene specifies, which write into `out_dir`.
 
-    `wall_triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)) of each wall, in the order of the scene.
+    Order: time series (always), particle frames, contact frames, wall frames, and one per block of `output.fields`.
+
+    `scene`: resolved scene.
+    `wall_triangles`: name -> (points at rest (m, 3) [m], corners (k, 3), indices of points) of each wall, in the order
+    of the scene; without walls, no wall frames are written.
     """
     output = scene.output
     interval = output.interval
@@ -40,7 +44,11 @@ def observers_for(
 
 
 def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
-    """Return the time series of the scene with its flow meters, wall forces and metrics; without `out_dir`, no file."""
+    """Return the time series of the scene with its flow meters, wall forces and metrics.
+
+    `out_dir`: directory of `timeseries.csv`; without it no file is written, but the meters are updated. The interval is
+    `output.timeseries_interval`, or `output.interval` if that is not given [s].
+    """
     periodic_box = PeriodicBox.of(scene.domain)
     flow_meters = {
         name: FlowMeter(
@@ -60,7 +68,11 @@ def time_series_for(scene: Any, out_dir: Path | None) -> TimeSeries:
 
 
 def field_frames(scene: Any, name: str, spec: Any, out_dir: Path) -> FieldFrames:
-    """Return the frames of the coarse-grained fields `name`; the default kernel width is the largest radius."""
+    """Return the frames of the coarse-grained fields `name`.
+
+    `spec`: entry of `output.fields`. With `width: auto`, the kernel width is half the largest diameter of the scene
+    [m].
+    """
     grid = grid_for(scene.domain, spec)
     width = spec.width
     if width == "auto":
@@ -86,7 +98,7 @@ def stage_durations(scene: Any) -> list[tuple[str, float]]:
 
 
 def _max_coordinate(scene: Any) -> float | None:
-    """Return the largest absolute coordinate [m], or None if the domain expands."""
+    """Return the largest absolute coordinate of the domain [m]; None if the domain expands."""
     if scene.domain.on_exit == "expand":
         return None
     return float(np.abs([scene.domain.min, scene.domain.max]).max())

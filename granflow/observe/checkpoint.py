@@ -27,7 +27,11 @@ FORMAT = 3
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"
+"""Names of checkpoint files; the number is the step, with leading zeros, so that names sort by time."""
+
 CHECKSUM_PLACEHOLDER = b"0" * (2 * hashlib.sha256().digest_size)
+"""Comment of the archive while it is written; the hexadecimal SHA-256 of the same length replaces it."""
+
 READ_SIZE = 2**20
 """Bytes read at a time for the checksum."""
 
@@ -56,7 +60,12 @@ class Checkpoint:
 
 
 def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved: dict[str, Any]) -> Path:
-    """Write `checkpoint_STEP.npz` atomically: the file is on the disk before it gets its name. Return its path."""
+    """Write `checkpoint_STEP.npz` atomically: the file is on the disk before it gets its name. Return its path.
+
+    `scene`: YAML text of the resolved scene; `time` [s] and `step`: of the state; `saved`: nested dictionaries with
+    text keys of numbers, texts, lists and numpy arrays (numeric types, no objects). An existing file of the same step
+    is replaced. Raises OSError if the file cannot be written; an older file then stays unchanged.
+    """
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
     plain, arrays = _split_arrays(saved)
     header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "saved": plain}
@@ -75,7 +84,13 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint. Raises DamagedCheckpoint, or CheckpointError for another format or an unreadable file."""
+    """Read a checkpoint.
+
+    The checksum is verified before the content is parsed; arrays are writable and in the byte order of the machine.
+
+    Raises DamagedCheckpoint for a truncated or modified file, and CheckpointError for another format version or an
+    unreadable file.
+    """
     try:
         with open_regular(path) as file:
             if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):
@@ -90,7 +105,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def checkpoints(directory: Path) -> list[Path]:
-    """Return the checkpoint files in a directory, the newest first."""
+    """Return the checkpoint files in a directory, the newest first, by the step in the name."""
     return sorted(Path(directory).glob(PATTERN), reverse=True)
 
 
@@ -109,14 +124,17 @@ def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
 
 
 def remove_after(directory: Path, path: Path | None) -> None:
-    """Remove the checkpoints after `path`, or all if None, so that the next one written is the newest."""
+    """Remove the checkpoints after `path`, or all if None, so that the next one written is the newest.
+
+    "After" refers to the step in the file name, not to the modification time.
+    """
     for other in checkpoints(directory):
         if path is None or other.name > path.name:
             other.unlink()
 
 
 def remove_old_checkpoints(directory: Path, count: int) -> None:
-    """Remove all checkpoints except the newest `count`."""
+    """Remove all checkpoints except the newest `count`; a file that another process has already removed is skipped."""
     for path in checkpoints(directory)[count:]:
         path.unlink(missing_ok=True)
 
@@ -150,7 +168,7 @@ def _checksum(file: BinaryIO) -> bytes:
 
 
 def _split_arrays(saved: dict[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the nested dictionaries without arrays, and the arrays by their key paths."""
+    """Return the nested dictionaries without arrays, and the arrays by their key paths, such as engine/particles/id."""
     plain: dict[str, Any] = {}
     arrays: dict[str, np.ndarray] = {}
     for key, value in saved.items():

@@ -15,12 +15,18 @@ from typing import Any, BinaryIO
 import numpy as np
 
 HEADER, ARRAYS = "header.json", ".npy"
+"""Name of the JSON entry, and suffix of the entries of arrays."""
+
 
 MOST_ENTRIES = 100_000
+"""Largest number of entries of an archive."""
+
 LARGEST_HEADER = 2**28
 """Largest size of the JSON header [bytes]; it contains the history of each flow meter, one entry per CSV row."""
 
 MOST_AXES = 3
+"""Largest number of axes of an array."""
+
 LARGEST_ITEM = 8
 """Largest size of one number [bytes]."""
 
@@ -30,7 +36,14 @@ class ArchiveError(Exception):
 
 
 def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the JSON header and the arrays by name. Raises ArchiveError, or OSError if the file is unreadable."""
+    """Return the JSON header and the arrays by name, without the suffix ".npy".
+
+    `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or real type of
+    at most 8 bytes.
+
+    Raises ArchiveError if the archive differs from what `write_checkpoint` writes, or OSError if the file is
+    unreadable.
+    """
     try:
         with zipfile.ZipFile(file) as archive:
             entries = _entries(archive, file.seek(0, 2))
@@ -50,7 +63,10 @@ def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
 def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipInfo]:
-    """Return the entries by name, without ".npy"."""
+    """Return the entries by name, without ".npy".
+
+    Raises ArchiveError for compressed, oversized or duplicate entries.
+    """
     found: dict[str, zipfile.ZipInfo] = {}
     for problem in _problems(archive.infolist(), file_size):
         raise ArchiveError(problem)
@@ -63,6 +79,7 @@ def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipI
 
 
 def _problems(entries: list[zipfile.ZipInfo], file_size: int) -> Iterator[str]:
+    """Yield a predicate for each limit that the entries exceed; `file_size` [bytes] bounds their total size."""
     if len(entries) > MOST_ENTRIES:
         yield f"has {len(entries)} entries, more than {MOST_ENTRIES}"
     for entry in entries:

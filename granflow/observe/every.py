@@ -21,7 +21,7 @@ class PeriodicObserver:
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Call the function with the snapshot, once per time."""
+        """Call the function with the snapshot; a second snapshot of the same time has no effect."""
         if self._schedule.mark_done(snapshot.time):
             self._function(snapshot)
 
@@ -48,7 +48,9 @@ def every(
 ) -> PeriodicObserver:
     """Return an observer that calls `function(snapshot)` every `interval` [s] from `start` [s], and at the end.
 
-    `wants`: parts of the snapshot that the function reads; "contacts" must be added explicitly. Raises ValueError for
-    an interval that is not positive.
+    `wants`: parts of the snapshot that the function reads; "contacts" must be added explicitly, because their output
+    costs time. The arrays of the snapshot are read-only.
+
+    Raises ValueError for an interval that is not positive and finite.
     """
     return PeriodicObserver(Schedule(interval, start), function, frozenset(wants))

@@ -39,32 +39,38 @@ class Expectation(Protocol):
 
 
 class ExpectationResult(NamedTuple):
-    """Result of one expectation: a sentence, and whether the expectation is satisfied."""
+    """Result of one expectation: a sentence with the value and its unit, and whether the expectation is satisfied."""
 
     sentence: str
     met: bool
 
 
 def evaluate(expectations: Iterable[Expectation], numbers: Mapping[str, float]) -> list[ExpectationResult]:
-    """Evaluate all expectations with the numbers of the completed run (`Result.numbers`).
+    """Evaluate all expectations with the numbers of the completed run (`Result.numbers`), in the same order.
 
     An expectation on NaN, or on a quantity that the run lacks, is not satisfied; the sentence then lists similar names.
+    Raises ValueError for an expectation without any bound.
     """
     return [_evaluate_one(expectation, numbers) for expectation in expectations]
 
 
 def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> ExpectationResult:
+    """Evaluate one expectation; numbers in the sentence have six digits."""
     name = expectation.quantity
     if name not in numbers:
         return ExpectationResult(_unknown(name, numbers), False)
     number = numbers[name]
     met, requirement = _compare(expectation, number)
     unit = f" {unit_of(name)}".rstrip()
-    verdict = "as expected" if met else "but should be"
-    return ExpectationResult(f"{name} is {number:.6g}{unit}, {verdict} {requirement}{unit}.", met)
+    relation = "as expected" if met else "but should be"
+    return ExpectationResult(f"{name} is {number:.6g}{unit}, {relation} {requirement}{unit}.", met)
 
 
 def _compare(expectation: Expectation, number: float) -> tuple[bool, str]:
+    """Return whether the number satisfies the bound of the expectation, and the text of the bound.
+
+    `between` includes both ends, `below` and `above` exclude the bound.
+    """
     if expectation.between is not None:
         low, high = expectation.between
         return low <= number <= high, f"between {low:g} and {high:g}"
@@ -78,11 +84,13 @@ def _compare(expectation: Expectation, number: float) -> tuple[bool, str]:
 
 
 def _compare_equal(number: float, target: float, tolerance: float) -> tuple[bool, str]:
+    """Return whether |number - target| <= tolerance |target|, and the text of the requirement."""
     within = f" within {tolerance:.3%}" if tolerance else ""
     return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{within}"
 
 
 def _unknown(name: str, numbers: Mapping[str, float]) -> str:
+    """Return a sentence for a quantity that the run lacks, with at most three similar names, or else with all names."""
     suggestions = difflib.get_close_matches(name, numbers, n=3)
     if suggestions:
         return f"{name} is not a number of this run. Did you mean {' or '.join(suggestions)}?"

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PART = ".part"
+"""Suffix of temporary files."""
 
 
 @contextmanager
@@ -14,7 +15,8 @@ def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path in the same directory and rename it to `path` when the block completes.
 
     With `durable`, the data are on the disk before the rename, so that either the old or the new file is intact after a
-    power failure. If the block raises, the temporary file is deleted and an older file at `path` stays unchanged.
+    power failure. If the block raises, the temporary file is deleted and an older file at `path` stays unchanged. The
+    name contains the process id, so that two processes do not share a temporary file.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
@@ -29,7 +31,10 @@ def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` to `path` as UTF-8, atomically."""
+    """Write `text` to `path` as UTF-8, atomically.
+
+    Raises OSError if the directory does not exist or is not writable.
+    """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -41,7 +46,10 @@ def remove_parts(directory: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Flush a file, or the entries of a directory, to the disk; Windows has no such call for directories."""
+    """Flush a file, or the entries of a directory, to the disk; Windows has no such call for directories.
+
+    Raises FileNotFoundError if the path does not exist.
+    """
     if sys.platform == "win32" and path.is_dir():
         return
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)

@@ -23,10 +23,14 @@ class _Sample:
 
 
 _SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
+"""Arrays of the previous sample in checkpoints."""
 
 
 class FlowCount:
-    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg])."""
+    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg]).
+
+    One count per flow meter, and one more for each material or group if the meter has `group_by`.
+    """
 
     def __init__(self) -> None:
         self.mass, self.count = 0.0, 0
@@ -45,7 +49,7 @@ class FlowCount:
         return (mass_now - mass_before) / (time_now - time_before)
 
     def readings(self) -> list[float]:
-        """Return mass, number, and mass flow since the previous sample, in the order of FLOW_METER_QUANTITIES."""
+        """Return mass [kg], number, and mass flow [kg/s] since the previous sample, as in FLOW_METER_QUANTITIES."""
         return [self.mass, self.count, self.mass_flow()]
 
     def result(self) -> dict[str, float]:
@@ -66,9 +70,9 @@ class FlowMeter:
     """Net mass and number of particles through a plane, or through a disc or rectangle in it.
 
     `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
-    `sides` (2, 3) [m]; `normal` (3,): forward direction; `periodic_box`: None without periodic axes; `group_by`:
-    "material" or "group" for additional separate counts, with the names `parts`. Particles are tracked by id between
-    successive samples:
+    `sides` (2, 3) [m], which are perpendicular. `normal` (3,), of any length: forward direction. `periodic_box`: None
+    without periodic axes. `group_by`: "material" or "group" for additional separate counts, with the names `parts`.
+    Particles are tracked by id between successive samples:
 
     - A center that changes sides crosses where the straight line between its two positions intersects the plane. It
       counts if that point is within the disc or rectangle: forward as plus, backward as minus.
@@ -76,6 +80,8 @@ class FlowMeter:
       the disc or rectangle: it left the domain before it could be sampled on the far side.
     - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as backward.
     - A particle that is first sampled on the far side does not count.
+
+    The interval between samples must be short enough that particles move in nearly straight lines.
     """
 
     def __init__(
@@ -117,7 +123,10 @@ class FlowMeter:
         return {"": self.total, **self.parts}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Count the particles that passed since the last sample; reads id, mass, position and the array `group_by`."""
+        """Count the particles that passed since the last sample; reads id, mass, position and the array `group_by`.
+
+        The first snapshot is the reference and counts nothing.
+        """
         now = self._sample(snapshot)
         if self._last is not None:
             self._count_crossed(self._last, now)
@@ -135,7 +144,7 @@ class FlowMeter:
         return self.total.result()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return counts, histories and the last sample."""
+        """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles present."""
         last = {} if self._last is None else {name: getattr(self._last, name) for name in _SAMPLE_FIELDS}
         return {
             "tallies": {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()},
@@ -149,12 +158,18 @@ class FlowMeter:
         self._last = _Sample(**saved["last"]) if saved["last"] else None
 
     def _sample(self, snapshot: Snapshot) -> _Sample:
+        """Return the particles of a snapshot with their distances (n,) [m] from the plane, positive on the far side."""
         particles = snapshot.particles
         distance = (particles["position"] - self.point) @ self.normal
         part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
         return _Sample(particles["id"], particles["mass"], particles["position"], distance, part)
 
     def _count_crossed(self, last: _Sample, now: _Sample) -> None:
+        """Count the particles that exist in both samples and crossed between them.
+
+        In a periodic box, the lines to the nearest image of the end and from the nearest image of the start are both
+        tested, since the plane may be near either boundary.
+        """
         _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
         start, end = last.position[before], now.position[after]
         direction = self._crossing(
@@ -183,12 +198,14 @@ class FlowMeter:
         return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
 
     def _count_deleted(self, last: _Sample, now: _Sample) -> None:
+        """Count as forward the particles in the last sample only that were in front of the disc or rectangle."""
         foot = last.position - last.distance[:, None] * self.normal
         near = (last.distance <= 0) & self._within(foot)
         deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
         self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int), last.part[deleted])
 
     def _add(self, mass: np.ndarray, direction: np.ndarray, part: np.ndarray) -> None:
+        """Add masses (n,) [kg] with directions (n,) to the total count, and to the counts of their parts (n,)."""
         self.total.add(mass, direction)
         for number, flow_count in enumerate(self.parts.values()):
             flow_count.add(mass[part == number], direction[part == number])

@@ -13,12 +13,14 @@ from granflow.observe.files import replacing, sync
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
+"""Closing tags of a PVD file; each new frame is written in their place."""
 
 
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    The first frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on disk.
+    Numbers have at least four digits. The first frame deletes frames of an earlier run in the directory: the PVD file
+    lists exactly the files on disk. `frames`: (time [s], file name) of each frame.
     """
 
     def __init__(self, directory: Path, stem: str) -> None:
@@ -30,7 +32,11 @@ class FrameSeries:
         self._unsynced: list[Path] = []
 
     def write(self, mesh: meshio.Mesh, time: float) -> Path:
-        """Write the mesh as the next frame, at `time` [s]. Return its path."""
+        """Write the mesh as the next frame, at `time` [s]. Return its path.
+
+        Creates the directory if necessary. Raises OSError if the disk is full; the PVD file then lists the earlier
+        frames.
+        """
         if not self.frame_count:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.truncate()
@@ -58,6 +64,7 @@ class FrameSeries:
         self.frames.append(frame)
 
     def _write_listing(self, frames: list[tuple[float, str]]) -> None:
+        """Write the PVD file with these frames atomically."""
         listing = HEAD + b"".join(_entry(*frame) for frame in frames) + TAIL
         with replacing(self.listing) as temporary:
             temporary.write_bytes(listing)
@@ -71,7 +78,10 @@ class FrameSeries:
         self._unsynced = []
 
     def truncate(self) -> None:
-        """Restore the files of the listed frames: list those that exist, then delete all others."""
+        """Restore the files of the listed frames: list those that exist, then delete all others.
+
+        Raises OSError if a file cannot be deleted.
+        """
         own_pattern = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
         there = {path.name for path in self.directory.iterdir() if own_pattern.fullmatch(path.name)}
         self.frames = [frame for frame in self.frames if frame[1] in there]
@@ -92,18 +102,25 @@ def write_vtu(path: Path, mesh: meshio.Mesh) -> None:
 
 
 def mesh_of_points(points: np.ndarray, point_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Return a mesh with one vertex cell per point (n, 3) [m]; without cells, ParaView shows glyphs only."""
+    """Return a mesh with one vertex cell per point (n, 3) [m]; without cells, ParaView shows glyphs only.
+
+    `point_data`: name -> array (n,) or (n, k).
+    """
     vertices = np.arange(len(points), dtype=np.int64).reshape(-1, 1)
     return meshio.Mesh(points, [("vertex", vertices)], point_data=point_data)
 
 
 def mesh_of_cells(kind: str, points: np.ndarray, cells: np.ndarray, cell_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m]."""
+    """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m].
+
+    `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components).
+    """
     per_block = {name: [values] for name, values in cell_data.items()}
     return meshio.Mesh(points, [(kind, cells.astype(np.int64))], cell_data=per_block)
 
 
 def _entry(time: float, name: str) -> bytes:
+    """Return the line of the PVD file for one frame, UTF-8; the time [s] is written with all digits of its value."""
     return f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>\n'.encode()
 
 

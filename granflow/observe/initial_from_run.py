@@ -20,9 +20,12 @@ ROUNDING = 1e-6
 def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
 
-    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene. The contact
-    history is not transferred. Empty without `start_from`. Raises SceneError if the run does not exist, or if the count
-    or the sizes of its particles exceed those of the group in the scene.
+    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene. All are
+    float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are at rest. The contact history
+    is not transferred. Empty without `start_from`.
+
+    Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of the group
+    in the scene; CheckpointError if its newest checkpoint has another format or unexpected values.
     """
     if scene.start_from is None:
         return {}
@@ -68,7 +71,10 @@ def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number:
 
 
 def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step earlier."""
+    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step earlier.
+
+    v(t) = v(t - dt/2) + dt/2 F/m,      w(t) = w(t - dt/2) + dt/2 T/I,      I = 2/5 m R^2
+    """
     mass, radius, half = arrays["mass"][:, None], arrays["radius"][:, None], 0.5 * time_step
     velocity = arrays["velocity"] + half * arrays["force"] / mass
     if "angular_velocity" not in arrays:

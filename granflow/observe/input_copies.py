@@ -19,7 +19,8 @@ RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
 def copy_inputs(directory: Path, scene: Scene) -> None:
     """Copy mesh files and particle files to the paths that the resolved scene in the directory contains.
 
-    A different file at that path is not overwritten: `.before` is appended to its name.
+    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are created.
+    Raises OSError if a file cannot be copied.
     """
     for source, name in _inputs(scene):
         target = Path(directory) / name
@@ -33,7 +34,11 @@ def copy_inputs(directory: Path, scene: Scene) -> None:
 
 
 def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
-    """Yield the key and the path of each input file of the scene: meshes and particle tables."""
+    """Yield the key and the path of each input file of the scene: meshes and particle tables.
+
+    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene. The file
+    need not exist.
+    """
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
             yield f"walls.{name}.file", scene.folder / wall.file

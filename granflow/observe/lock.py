@@ -10,6 +10,8 @@ from pathlib import Path
 from granflow.errors import GranflowError
 
 LOCK = ".lock"
+"""Name of the lock file in the output directory."""
+
 _HELD: ContextVar[frozenset[Path]] = ContextVar("_HELD", default=frozenset())
 """Directories that this thread has locked: a verb holds the lock while it calls functions that also lock."""
 if sys.platform == "win32":
@@ -29,10 +31,12 @@ else:
 
 @contextmanager
 def locked(directory: Path) -> Iterator[None]:
-    """Create the directory if necessary and lock it. Raises GranflowError if another run has locked it.
+    """Create the directory if necessary and lock it.
 
     In the block, the same thread may lock it again. The file `.lock` remains after the release, because its deletion
     could remove the lock of a run that has just acquired it.
+
+    Raises GranflowError if another process or thread has locked it, and OSError if it cannot be created.
     """
     directory.mkdir(parents=True, exist_ok=True)
     path = directory.resolve()

@@ -23,7 +23,8 @@ class HasYamlText(Protocol):
 def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
     """In the block, write the records of the logger `granflow` from level INFO to `run.log` in the directory.
 
-    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry.
+    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry and
+    propagates. Creates the directory if necessary. The level of the logger is restored afterwards.
     """
     logger = logging.getLogger("granflow")
     level_before = logger.level
@@ -49,7 +50,7 @@ def versions() -> str:
 
 
 def version_of(package: str) -> str:
-    """Return the version of an installed package."""
+    """Return the version of an installed package, or "not installed"."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -57,7 +58,10 @@ def version_of(package: str) -> str:
 
 
 def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
-    """Write the resolved scene as `scene_as_run.yaml`, which loads as the same scene. Return its path."""
+    """Write the resolved scene as `scene_as_run.yaml`, which loads as the same scene. Return its path.
+
+    The file is written atomically, in UTF-8; the directory is created if necessary.
+    """
     path = Path(directory) / "scene_as_run.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, scene.text())
@@ -72,6 +76,7 @@ class _LogFile(logging.FileHandler):
 
 
 def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
+    """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
     directory.mkdir(parents=True, exist_ok=True)
     handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
     handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))

@@ -5,6 +5,7 @@ from typing import Any, Protocol, runtime_checkable
 from granflow.snapshot import Snapshot
 
 PARTICLES, CONTACTS, WALLS, TOTALS = "particles", "contacts", "walls", "totals"
+"""Parts of a snapshot that an observer can request."""
 
 
 class Observer(Protocol):
@@ -19,7 +20,10 @@ class Observer(Protocol):
         """Return the simulated time of the next snapshot [s]; infinity: only at the end."""
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Process a snapshot. A second snapshot of the same time has no effect."""
+        """Process a snapshot. A second snapshot of the same time has no effect.
+
+        Snapshots arrive in order of time. The last one of a run may be earlier than `next_time`.
+        """
 
     def finish(self) -> None:
         """Close files; called once, after the last snapshot."""
@@ -33,7 +37,7 @@ class Checkpointable(Protocol):
         """Return the state: nested dictionaries of numbers, texts and numpy arrays."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state; files are not modified yet."""
+        """Restore the state of `state_dict`, which may come from another process; files are not modified yet."""
 
     def truncate(self) -> None:
         """Restore the files to their content at the time of the restored state."""

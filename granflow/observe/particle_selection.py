@@ -6,7 +6,7 @@ import numpy as np
 
 
 def mobile_particles(particles: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    """Return the arrays without fixed particles, which count as walls."""
+    """Return the arrays without fixed particles, which count as walls; the same arrays if the scene has none."""
     return selected(particles, particles["fixed"] == 0) if "fixed" in particles else particles
 
 

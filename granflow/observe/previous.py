@@ -28,10 +28,11 @@ RESULT_FILES = (
 """Patterns of the result files of a run, which distinguish an earlier run from other files."""
 
 PREVIOUS, MOVING, DISCARDED = "previous_run", ".previous_run.part", ".discarded_run"
+"""Names of the directories for the three states in the module docstring."""
 
 
 def results_in(directory: Path) -> list[Path]:
-    """Return the result files of a run in the directory."""
+    """Return the result files of a run in the directory; empty if it does not exist."""
     return [path for pattern in RESULT_FILES for path in directory.glob(pattern)]
 
 
@@ -54,7 +55,8 @@ def refuse_inputs_inside(scene: Scene, directory: Path, only_results: bool = Fal
 def restore_previous_run(directory: Path) -> list[str]:
     """Move the results of the previous run back if the new run did not begin; return a sentence in that case.
 
-    The caller must have locked the directory. The function may be interrupted at any point and called again.
+    The caller must have locked the directory. The function may be interrupted at any point and called again. Result
+    files of the new run are deleted. Raises OSError if a file cannot be moved.
     """
     previous, moving = directory / PREVIOUS, directory / MOVING
     shutil.rmtree(directory / DISCARDED, ignore_errors=True)

@@ -22,8 +22,9 @@ RATE_SAMPLES = 25
 class ProgressDisplay:
     """Shows simulated time, stage, steps per second, particle-steps per second and time left.
 
-    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. Without a terminal, a
-    line is printed at the start of each stage, every ten seconds of wall clock, and at the end.
+    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `console`: standard
+    error by default. Without a terminal, a line is printed at the start of each stage, every ten seconds of wall clock,
+    and at the end.
     """
 
     wants: frozenset[str] = frozenset()
@@ -40,7 +41,7 @@ class ProgressDisplay:
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Update the display."""
+        """Update the display with time, step, stage and the total `particle_count` of a snapshot."""
         self._schedule.mark_done(snapshot.time)
         self._stage_plan.enter(snapshot.stage, snapshot.time)
         self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
@@ -64,7 +65,10 @@ class ProgressDisplay:
 
 
 class StagePlan:
-    """Latest end of a run, from the actual start times of its stages."""
+    """Latest end of a run [s], from the actual start times of its stages.
+
+    `stages`: (name, maximum duration [s]) in order; at least one. `end` [s] is the sum of all durations at first.
+    """
 
     def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
         self._stages = list(stages)
@@ -91,7 +95,7 @@ class StepRates:
         self._samples: deque[tuple[float, int, float]] = deque(maxlen=RATE_SAMPLES)
 
     def add(self, seconds: float, step: int, particle_count: float) -> None:
-        """Record an update at the wall clock time `seconds` [s]."""
+        """Record an update: wall clock `seconds` [s], steps since the start, particles present."""
         self._samples.append((seconds, step, particle_count))
 
     def steps_per_second(self) -> float:
@@ -171,5 +175,6 @@ def _time_text(time: float, end: float) -> str:
 
 
 def _rates_text(rates: StepRates) -> str:
+    """Return the step rates as text; millions of particle-steps per second with two decimals."""
     steps, particle_steps = rates.steps_per_second(), rates.particle_steps_per_second()
     return f"{steps:.0f} steps/s, {particle_steps / 1e6:.2f} M particle-steps/s"

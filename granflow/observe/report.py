@@ -17,6 +17,7 @@ _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", 
 _TOTAL = "wall_clock"
 _STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
 _WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
+"""Totals and wall forces in the closing table; `result.json` contains all of them."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Result:
     expectations: tuple[ExpectationResult, ...] = ()
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
-        """Return this result with the evaluated expectations of the scene."""
+        """Return this result with the evaluated expectations of the scene; the other fields are the same."""
         return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
 
     @property
@@ -59,7 +60,11 @@ class Result:
 
 
 def write_result(directory: Path, result: Result) -> Path:
-    """Write `result.json` atomically; a number that is not finite becomes null. Return its path."""
+    """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
+
+    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, and expect, a list of sentences.
+    All numbers are in SI units; whole numbers are written without decimals.
+    """
     sections = {
         "run": _finite(result.run),
         "timings": _finite(result.timings),
@@ -97,7 +102,10 @@ def closing_table(result: Result, title: str = "Result") -> Table:
 
 
 def readable(number: float) -> str:
-    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits."""
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
+
+    Large: from 1e4 to 1e12, rounded to four significant digits.
+    """
     if float(number).is_integer() and abs(number) < 1e15:
         return f"{int(number):,}".replace(",", " ")
     if 1e4 <= abs(number) < 1e12:
@@ -111,6 +119,7 @@ def _run_rows(result: Result) -> list[tuple[str, str, str]]:
 
 
 def _time_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the wall clock of each phase [s] and its share, the remaining time as "other", and the total."""
     named = sum(result.timings.values())
     total = max(result.run.get(_TOTAL, named), named)
     parts = dict(result.timings) | ({"other": total - named} if total > named else {})
@@ -122,6 +131,7 @@ def _time_rows(result: Result) -> list[tuple[str, str, str]]:
 
 
 def _total_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the rows of counts, state numbers, and totals of single outlets and walls, with their units."""
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
     names += [name for name in result.totals if "." in name]
     return [(_label(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
@@ -155,6 +165,7 @@ def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def _json_number(number: float) -> float | None:
+    """Return a Python number for JSON: an int if it is whole and below 2^53, None if it is not finite."""
     if not math.isfinite(number):
         return None
     return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)

@@ -37,13 +37,19 @@ MAX_JUMP = 1e-3
 
 
 def plan_fingerprint(plan: Plan) -> dict[str, Any]:
-    """Return the numbers and features of a plan that checkpoints contain."""
+    """Return the numbers and features of a plan that checkpoints contain, by name.
+
+    PLAN_NUMBERS in SI units, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if all are equal.
+    """
     numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
     return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
 
 
 def mesh_digest(plan: Plan) -> str:
-    """Return a digest of the triangles of all mesh walls, their order included; empty without mesh walls."""
+    """Return the SHA-256 of the triangles of all mesh walls, their order included; empty without mesh walls.
+
+    The digest covers points and corners at rest, after scaling, rotation and translation.
+    """
     digest = hashlib.sha256(str(len(plan.walls)).encode())
     for index, mesh in plan.meshes.items():
         digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
@@ -69,8 +75,11 @@ class Change:
 def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
     """Check the checkpoint and return the differences between its scene and that of the plan.
 
+    `allow_changes`: accept differences in keys that must normally not change when a run continues.
+
     Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
-    of the plan differ, or if a wall would jump.
+    of the plan differ, or if a wall would jump by more than MAX_JUMP of the smallest radius. Raises CheckpointError if
+    the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
@@ -89,6 +98,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
+    """Raise GranflowError for the first number or feature of the plan that differs from that of the checkpoint."""
     for name, before in checkpoint.saved["plan"].items():
         now = plan_fingerprint(plan)[name]
         if now != before and name == "mesh_digest":
@@ -107,7 +117,11 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
 
 
 def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: float) -> None:
-    """Raise GranflowError if a changed motion displaces a wall."""
+    """Raise GranflowError if a changed motion displaces a wall at `time` [s].
+
+    `before`: scene of the checkpoint; `stage_times`: start and end [s] of its stages. The displacement is that of the
+    corners of the domain.
+    """
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
     motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
@@ -120,6 +134,7 @@ def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: floa
 
 
 def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
+    """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
     pose_at_time = pose(motions, np.array([time]))
     return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
 
@@ -127,7 +142,8 @@ def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np
 class CheckpointWriter:
     """Schedules and writes the checkpoints of one run, and keeps the newest few.
 
-    The wall clock is monotonic: a change of the system time has no effect.
+    `settings`: `interval` [s] of simulated time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is
+    monotonic: a change of the system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
     """
 
     def __init__(self, directory: Path, settings: Checkpoints) -> None:
@@ -151,7 +167,11 @@ class CheckpointWriter:
         return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
 
     def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
-        """Write a checkpoint and remove old ones; after an error the next one is due as after a success."""
+        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
+
+        `time` [s], `step`: of the state `saved`, as in `write_checkpoint`. Raises OSError if the file cannot be
+        written.
+        """
         self.start(time)
         write_checkpoint(self._directory, scene.text(), time, step, saved)
         remove_old_checkpoints(self._directory, self._settings.keep)

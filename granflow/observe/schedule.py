@@ -22,7 +22,7 @@ class Schedule:
         self._last_time: float | None = None
 
     def next_time(self) -> float:
-        """Return the next due time [s]."""
+        """Return the next due time [s]: the first one after the last time marked as done."""
         return self.start + self._count * self.interval
 
     @property
@@ -36,7 +36,10 @@ class Schedule:
             self.mark_done(last_time)
 
     def mark_done(self, time: float) -> bool:
-        """Mark all due times up to `time` [s] as done; return False if this time was the last one marked."""
+        """Mark all due times up to `time` [s] as done; return False if this time was the last one marked.
+
+        A due time within EARLY_FRACTION of the interval after `time` counts as done too.
+        """
         if time == self._last_time:
             return False
         self._last_time = time

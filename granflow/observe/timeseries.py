@@ -30,6 +30,8 @@ class TimeSeries:
     for each flow meter the mass and number passed and the mass flow since the previous row, then for each measured wall
     the mean force since the previous row, then the metrics. The header contains the units. Without a directory no file
     is written, but meters, wall forces and metrics are updated.
+
+    `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not positive.
     """
 
     def __init__(
@@ -60,7 +62,10 @@ class TimeSeries:
         return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write one row; a second snapshot of the same time has no effect."""
+        """Write one row; a second snapshot of the same time has no effect.
+
+        Raises OSError if the row cannot be written; its remaining bytes are written before the next row.
+        """
         if not self._schedule.mark_done(snapshot.time):
             return
         for meter in self.flow_meters.values():
@@ -96,13 +101,13 @@ class TimeSeries:
         }
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Return the final numbers of each flow meter, measured wall and metric, by name."""
+        """Return the final numbers of flow meters, measured walls and metrics: kind -> name -> quantity -> value."""
         wall_forces = {name: wall_force.result() for name, wall_force in self.wall_forces.items()}
         metrics = {name: metric.result() for name, metric in self.metrics.items()}
         return {"flow_meters": self.results(), "wall_forces": wall_forces, "metrics": metrics}
 
     def state_dict(self) -> dict[str, Any]:
-        """Flush all rows to the disk; return the file size and the state of the meters."""
+        """Flush all rows to the disk; return the file size [bytes], the columns and the state of the meters."""
         if self._file is not None:
             os.fsync(self._file.fileno())
         return {
@@ -116,7 +121,7 @@ class TimeSeries:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the state; later rows have the same columns."""
+        """Restore the state; later rows have the same columns. The meters must have the same names as those saved."""
         self._schedule.resume_after(saved["last_time"])
         self._names, self._size, self._unwritten = saved["columns"], saved["size"], saved["unwritten"].encode()
         for name, meter in self.flow_meters.items():
@@ -148,6 +153,7 @@ class TimeSeries:
         self._write_row(["time [s]", "stage", *map(_column_label, self._names), *self._meter_labels()])
 
     def _write_row(self, row: list[Any]) -> None:
+        """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
         line = StringIO()
         csv.writer(line, lineterminator="\n").writerow(row)
         self._unwritten += line.getvalue().encode()
@@ -158,6 +164,7 @@ class TimeSeries:
             self._size, self._unwritten = self._size + written, self._unwritten[written:]
 
     def _readings(self) -> list[float]:
+        """Return the readings of all meters in the order of the columns."""
         flows = [number for flow_count in self._flow_counts().values() for number in flow_count.readings()]
         wall_forces = [number for wall_force in self.wall_forces.values() for number in wall_force.readings().values()]
         return (
@@ -165,6 +172,7 @@ class TimeSeries:
         )
 
     def _meter_labels(self) -> list[str]:
+        """Return the column names of all meters, with units, in the order of `_readings`."""
         quantities = FLOW_METER_QUANTITIES.values()
         flows = [quantity.label_of(name) for name in self._flow_counts() for quantity in quantities]
         wall_forces = [
@@ -183,6 +191,7 @@ def _size_of(path: Path) -> int:
 
 
 def _column_label(name: str) -> str:
+    """Return the column name of a total with its unit, also for totals of one outlet or wall, such as `NAME.PART`."""
     quantity, _, part = name.partition(".")
     of_parts = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
     if quantity in of_parts:

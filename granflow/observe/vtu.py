@@ -32,10 +32,15 @@ _PARTICLE_ARRAYS = (
     "kinetic_energy",
 )
 _CONTACT_POINTS = ("position_i", "position_j")
+"""Arrays of contacts that become the points of the mesh."""
 
 
 class Frames:
-    """Base class of frames: a schedule and a series of files."""
+    """Base class of frames: a schedule and a series of files.
+
+    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
+    `start` [s]: of the frames, in simulated time. Raises ValueError for an interval that is not positive.
+    """
 
     wants: frozenset[str] = frozenset()
     stem = ""
@@ -74,7 +79,7 @@ class Frames:
         self.series.truncate()
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Return the mesh of one frame."""
+        """Return the mesh of one frame. Raises NotImplementedError in the base class."""
         raise NotImplementedError
 
 
@@ -82,7 +87,8 @@ class ParticleFrames(Frames):
     """`particles_NNNN.vtu`: one vertex per particle, with the arrays of the snapshot.
 
     `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions resolve 1e-4
-    of the smallest radius. If None, the positions of each frame determine it.
+    of the smallest radius. If None, the positions of each frame determine it. Positions that float32 does not resolve
+    are written as float64. Types of the other arrays: `granflow.quantities`.
     """
 
     wants = frozenset({PARTICLES})
@@ -93,7 +99,7 @@ class ParticleFrames(Frames):
         self._reach = reach
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Return the mesh of one frame."""
+        """Return the mesh of one frame, with `diameter` [m] and `kinetic_energy` [J] computed from other arrays."""
         particles = _with_derived(snapshot.particles)
         points = self._points(particles["position"], particles["radius"])
         arrays = {
@@ -104,6 +110,7 @@ class ParticleFrames(Frames):
         return mesh_of_points(points, arrays)
 
     def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Return the positions (n, 3) [m] as float32, or float64 if float32 is too coarse for the smallest radius."""
         reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
         rounding = 0.5 * np.spacing(np.float32(reach))
         resolved = rounding <= POSITION_TOLERANCE * radius.min(initial=np.inf)
@@ -117,7 +124,7 @@ class ContactFrames(Frames):
     stem = "contacts"
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Return the mesh of one frame."""
+        """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts, with CONTACT_QUANTITIES."""
         contacts = snapshot.contacts or {}
         ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
         points = np.stack(ends, axis=1).reshape(-1, 3)
@@ -154,7 +161,10 @@ class WallFrames(Frames):
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Return the mesh of one frame."""
+        """Return the mesh of one frame: the triangles of all present walls, in the order of the scene.
+
+        Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are float32.
+        """
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
         wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
         point_count = 0
@@ -183,6 +193,7 @@ class WallFrames(Frames):
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J] (n,)."""
     arrays = dict(particles)
     arrays["diameter"] = 2 * arrays["radius"]
     if "mass" in arrays and "velocity" in arrays:

@@ -13,7 +13,10 @@ NO_IMPULSE: np.ndarray = np.zeros(7)
 class WallForceMeter:
     """Force, torque and pressure of the particles on one wall, each a mean over the time between two samples.
 
-    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure.
+        mean force = (J(t2) - J(t1)) / (t2 - t1),      J: accumulated impulse
+
+    `wall`: its name; `area` [m2], None for an infinite wall, which has no pressure. Force [N] and torque [N m] are
+    those of the particles on the wall; the pressure [Pa] is the normal force over the area.
     """
 
     def __init__(self, wall: str, area: float | None) -> None:
@@ -24,7 +27,7 @@ class WallForceMeter:
         self._max_force, self._max_normal_force = 0.0, 0.0
 
     def update(self, snapshot: Snapshot) -> None:
-        """Compute the means since the last sample, or since the start."""
+        """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot."""
         time, impulse = snapshot.time, snapshot.impulses[self.wall]
         if snapshot.stage != self._stage:
             self._stage, self._stage_time, self._stage_impulse = snapshot.stage, self._time, self._impulse
@@ -39,7 +42,12 @@ class WallForceMeter:
         return self._named(self._mean)
 
     def result(self) -> dict[str, float]:
-        """Return means over the last stage, which begins at the last sample before it, and the largest readings."""
+        """Return means over the last stage and the largest readings of the run.
+
+        The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes of the
+        mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means between two
+        samples.
+        """
         duration = self._time - self._stage_time
         mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
@@ -57,6 +65,7 @@ class WallForceMeter:
         vars(self).update(saved)
 
     def _named(self, mean: np.ndarray) -> dict[str, float]:
+        """Return the components of a mean (7,) by name: force [N], torque [N m] and, with an area, pressure [Pa]."""
         quantities = ("force", "torque")
         names = [f"wall_{quantity}_{axis}" for quantity in quantities for axis in "xyz"]
         pressure = {} if self.area is None else {"wall_pressure": float(mean[6]) / self.area}

@@ -10,9 +10,10 @@ def traction_and_pressure(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return force over area (k, 3) and normal force over area (k,) [Pa] of the particles on each triangle of a wall.
 
-    `contacts`: as in a Snapshot; `wall`: index of the wall in the scene; `areas` (k,) [m2] of its triangles; `area`
-    [m2] of the whole wall, None if infinite. For a mesh, the values are those of each triangle; for another shape, the
-    mean over the whole wall (NaN if infinite).
+    `contacts`: as in a Snapshot, with `wall`, `force`, `normal_force` and `triangle`; `wall`: index of the wall in the
+    scene; `areas` (k,) [m2] of its triangles; `area` [m2] of the whole wall, None if infinite. For a mesh, the values
+    are those of each triangle; for another shape, the mean over the whole wall (NaN if infinite). The traction is that
+    of the particles on the wall; the pressure is positive in compression.
     """
     on_wall = contacts["wall"] == wall
     force, normal_force, triangle = (

@@ -23,7 +23,10 @@ DOUBLINGS = (-24, 6)
 
 @dataclass(frozen=True)
 class AdaptiveTimeStep:
-    """Time steps [s] for impact velocities [m/s] in ascending order, and the lower limit of the velocity [m/s]."""
+    """Time steps [s] for impact velocities [m/s] in ascending order, and the lower limit of the velocity [m/s].
+
+    `velocities` and `steps` have the same length; `steps` does not increase with the velocity.
+    """
 
     velocities: tuple[float, ...]
     steps: tuple[float, ...]
@@ -32,7 +35,10 @@ class AdaptiveTimeStep:
     def step_for(self, impact_velocity: float, gravity_gain: float) -> float:
         """Time step [s] for the present maximum impact velocity [m/s].
 
-        `gravity_gain` [m/s]: increase of the velocity by gravity in one such step.
+            v = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, least_velocity)
+
+        `gravity_gain` [m/s]: increase of the velocity by gravity in one such step. The result is the step of the next
+        higher velocity in the table; above the table, that of the highest velocity.
         """
         velocity = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, self.least_velocity)
         return self.steps[min(bisect_left(self.velocities, velocity), len(self.steps) - 1)]
@@ -51,7 +57,12 @@ def adaptive_time_step_for(
     fraction: float,
     rayleigh_fraction: float,
 ) -> AdaptiveTimeStep:
-    """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed` [m/s]."""
+    """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed` [m/s].
+
+    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest contact phase;
+    `rayleigh_fraction`: of the Rayleigh time. Each entry is `choose_time_step` at one velocity between 2^-24 and 2^6
+    times `velocity`. VELOCITY_MARGIN times `wall_speed` is the lower limit of the velocity for which a step is chosen.
+    """
     low, high = (LEVELS_PER_DOUBLING * doublings for doublings in DOUBLINGS)
     velocities = tuple(velocity * 2.0 ** (level / LEVELS_PER_DOUBLING) for level in range(low, high + 1))
     steps = [choose_time_step(None, pair_cases, law, each, fraction, rayleigh_fraction).value for each in velocities]

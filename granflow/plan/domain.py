@@ -20,7 +20,11 @@ DISTANCE_TOLERANCE = 1e-3
 
 
 def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
-    """Raise SceneError if a particle can be a candidate partner of two images of another."""
+    """Raise SceneError if a particle can be a candidate partner of two images of another.
+
+    The width along each periodic axis must be at least 4 radius_max + 2 skin. `radius_max`, `skin` [m]; under
+    Lees-Edwards shear, give twice the skin.
+    """
     periodic_box, needed = PeriodicBox.of(scene.domain), 4.0 * radius_max + 2.0 * skin
     remark = "" if periodic_box.image_motion is None else ", which is double under shear"
     for axis in periodic_box.axes:
@@ -34,7 +38,11 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
 
 
 def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -> None:
-    """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it."""
+    """Raise SceneError for a wall within `reach` [m] of a periodic boundary that does not continue across it.
+
+    The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at rest.
+    `reach`: largest radius plus skin.
+    """
     periodic_box = PeriodicBox.of(scene.domain)
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
@@ -66,7 +74,7 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
 
 
 def _face(periodic_box: PeriodicBox, axis: int) -> np.ndarray:
-    """Uniformly spaced points (n, 3) [m] on the low face along an axis."""
+    """Uniformly spaced points (SAMPLES^2, 3) [m] on the low face along an axis (0, 1 or 2)."""
     shares = np.linspace(0.0, 1.0, SAMPLES)
     coordinates = [np.zeros(1) if each == axis else shares for each in range(3)]
     return (

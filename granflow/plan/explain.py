@@ -34,7 +34,10 @@ class ExplainRow(NamedTuple):
 
 
 def explain(plan: Plan) -> str:
-    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time."""
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time.
+
+    Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
+    """
     width = plan.scene.run.precision
     memory = estimate_memory(plan, width)
     sections = {
@@ -59,6 +62,7 @@ def _feature_row(reason: Reason) -> ExplainRow:
 
 
 def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the time step and of the quantities that limit it: stability, Rayleigh time, maximum impact velocity."""
     step, impact_velocity = plan.step, max_impact_velocity(plan.scene)
     slowest, name = min((rayleigh_time(each.solid, each.radius), each.name) for each in pair_cases_of(plan.scene))
     yield ExplainRow("time step", f"{step.value:.4g} s", step.limited_by)
@@ -85,6 +89,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the numbers and sizes of the particles, the materials, and the skin."""
     groups = ", ".join(f"{name} {count(group.count)}" for name, group in plan.scene.particles.items())
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
@@ -99,6 +104,7 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the force-controlled walls with their parameters."""
     for controlled in plan.controlled_motions:
         where = plan.scene.where("walls", controlled.name, "motion", controlled.motion)
         yield ExplainRow(
@@ -115,6 +121,7 @@ def _materials(plan: Plan) -> str:
 
 
 def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the notes on mesh walls; the name of a wall is shown in the first of its rows."""
     last = ""
     for note in plan.mesh_notes:
         head, _, rest = note.sentence.partition(", ")
@@ -128,6 +135,7 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
+    """Rows of the memory estimate by part, and the total."""
     list_entries, particles = plan.chunk_capacity * plan.list_capacity_per_chunk, plan.particle_capacity
     each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
@@ -144,12 +152,17 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
 
 
 def _history_text(plan: Plan) -> str:
+    """Names of the contact history fields of one neighbor-list entry."""
     rolling = "rolling spring" if plan.features.rolling == "epsd" else "rolling torque"
     names = {"normal": ", ".join(plan.law.history_names), "tangential": "tangential spring", "rolling": rolling}
     return ", ".join(names[name] for name in plan.history) or "only its partner"
 
 
 def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
+    """Rows of precision, simulated time, numbers of steps and frames, and an estimate of the run time on a CPU.
+
+    The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer time.
+    """
     scene = plan.scene
     ends_at_rest = any(stage.kinetic_energy_below is not None for stage in scene.schedule)
     longest = sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
@@ -188,7 +201,7 @@ def count(number: float) -> str:
 
 
 def size(number: float) -> str:
-    """Bytes with a decimal prefix."""
+    """Bytes with a decimal prefix (1 kB is 1000 bytes) and three significant digits."""
     for unit in ("bytes", "kB", "MB"):
         if number < 1000.0:
             return f"{number:.3g} {unit}"
@@ -197,7 +210,7 @@ def size(number: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Duration in seconds, minutes, hours or days, to two digits."""
+    """Duration, given in seconds, as text in seconds, minutes, hours or days, to two digits."""
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.2g} {unit}"

@@ -10,7 +10,11 @@ from granflow.scene import Scene
 
 @dataclass(frozen=True)
 class Features:
-    """Compile-time switches of the kernels. A feature that is off costs no time and no memory."""
+    """Compile-time switches of the kernels. A feature that is off costs no time and no memory.
+
+    All are derived from the scene by `features_of`; `granflow explain` shows each one with its reason. Taichi compiles
+    only the branches of features that are on.
+    """
 
     friction: bool
     rolling: Literal["none", "epsd", "cdt"]
@@ -44,7 +48,11 @@ class Reason:
 
 
 def features_of(scene: Scene, law_is_damped: bool) -> Features:
-    """Derive all features from the scene."""
+    """Derive all features from the scene.
+
+    `law_is_damped`: whether the normal contact model has a viscous term, so that forces depend on synchronized
+    velocities. Rotation is on only with friction or rolling friction: otherwise no torque exists.
+    """
     friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
     rolling, classes = scene.contact.rolling, size_classes(scene)
     if not any(pair.rolling_friction for pair in scene.pairs.values()):
@@ -72,12 +80,15 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
 
 
 def cohesion_of(scene: Scene) -> Literal["none", "sjkr"]:
-    """Cohesion model of the scene; none if no pair has a cohesion energy density above 0."""
+    """Cohesion model of the scene; none if no pair has a cohesion energy density [J/m3] above 0."""
     return scene.contact.cohesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
-    """Reason for the setting of each feature, with the line of the scene that determines it."""
+    """Reason for the setting of each feature, with the line of the scene that determines it.
+
+    In the order of the fields of Features.
+    """
     reasons = {
         "friction": _first_pair(scene, "friction", features.friction),
         "rolling": _rolling_reason(scene, features),
@@ -113,12 +124,14 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
 
 
 def _setting(value: bool | str) -> str:
+    """Text of a setting: on, off, or the name or number that it contains."""
     if isinstance(value, bool):
         return "on" if value else "off"
     return "off" if value == "none" else value
 
 
 def _first_pair(scene: Scene, key: str, on: bool) -> str:
+    """The first pair of the scene with a value of `key` above 0, or a statement that all have 0."""
     if not on:
         return f"every pair has {key} 0"
     name, pair = next((name, pair) for name, pair in scene.pairs.items() if getattr(pair, key))
@@ -138,6 +151,7 @@ def _cohesion_reason(scene: Scene, features: Features) -> str:
 
 
 def _rate_reason(scene: Scene, features: Features) -> str:
+    """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous term"
@@ -208,6 +222,7 @@ def _lees_edwards_reason(scene: Scene) -> str:
 
 
 def _sizes_reason(scene: Scene) -> str:
+    """The ratio of the largest to the smallest diameter."""
     spans = [diameter_range(group) for group in scene.particles.values()]
     ratio = max(high for _, high in spans) / min(low for low, _ in spans)
     if ratio < CLASSES_FROM_RATIO:

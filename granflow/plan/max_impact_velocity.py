@@ -22,7 +22,13 @@ class ImpactVelocity:
 
 
 def max_impact_velocity(scene: Scene) -> ImpactVelocity:
-    """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving walls."""
+    """Read it from the scene, or estimate it from free fall through the domain, initial velocities and moving walls.
+
+        v = max(v_fall, v_initial) + max(v_wall, v_image)
+
+    If particles start faster than they fall and faster than walls and images move, two of them approach at
+    2 v_initial. Without any motion and gravity, DEFAULT_SPEED. The result is finite and above 0.
+    """
     if scene.run.velocity_max is not None:
         return ImpactVelocity(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
     fall, initial, surface = free_fall(scene), initial_speed(scene), max(surface_speed(scene), image_speed(scene))
@@ -40,24 +46,30 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
 
 
 def free_fall(scene: Scene) -> float:
-    """Velocity [m/s] after free fall from one corner of the domain to the opposite one."""
+    """Velocity [m/s] after free fall from one corner of the domain to the opposite one.
+
+    v = sqrt(2 (|gx| Lx + |gy| Ly + |gz| Lz))
+    """
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
 
 
 def image_speed(scene: Scene) -> float:
-    """Velocity [m/s] of the images across a sheared boundary."""
+    """Velocity [m/s] of the images across a sheared boundary: shear rate times box width.
+
+    0 without Lees-Edwards shear.
+    """
     image_motion = PeriodicBox.of(scene.domain).image_motion
     return 0.0 if image_motion is None else abs(image_motion.speed)
 
 
 def initial_speed(scene: Scene) -> float:
-    """Largest initial speed [m/s] of all particles."""
+    """Largest initial speed [m/s] of all particles, 0 without groups."""
     return max(initial_speeds(scene).values(), default=0.0)
 
 
 def initial_speeds(scene: Scene) -> dict[str, float]:
-    """Largest initial speed [m/s] of each group."""
+    """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles."""
     return {name: _initial_speed(group) for name, group in scene.particles.items()}
 
 

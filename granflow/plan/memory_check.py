@@ -21,10 +21,14 @@ WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
 
 PROC, CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+"""Directories of the kernel with the memory of the machine and of control groups; tests replace them."""
 
 
 def required_memory(plan: Plan) -> int:
-    """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts."""
+    """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts.
+
+    Sum of device fields, frames on the host (HOST_PER_PARTICLE) and compiler (RUNTIME).
+    """
     host = HOST_PER_PARTICLE * plan.particle_capacity
     return estimate_memory(plan, plan.scene.run.precision).total + host + RUNTIME
 
@@ -39,7 +43,10 @@ def available_memory() -> int | None:
 
 
 def memory_warning(plan: Plan) -> str | None:
-    """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown."""
+    """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown.
+
+    "Almost" is WARNED_SHARE of the available memory. The sentence names needed and free memory [GB] and remedies.
+    """
     needed, available = required_memory(plan), available_memory()
     if available is None or needed <= WARNED_SHARE * available:
         return None
@@ -51,7 +58,10 @@ def memory_warning(plan: Plan) -> str | None:
 
 
 def refuse_too_many(plan: Plan) -> None:
-    """Raise SceneError if neighbor-list entries exceed 32-bit indices."""
+    """Raise SceneError if the neighbor-list entries of all chunks exceed the range of 32-bit indices.
+
+    The message suggests a number of particles, rounded to two digits.
+    """
     list_entries = plan.chunk_capacity * plan.list_capacity_per_chunk
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
@@ -60,7 +70,7 @@ def refuse_too_many(plan: Plan) -> None:
 
 
 def refuse_without_memory(plan: Plan) -> None:
-    """Raise SceneError if a run on a CPU does not fit into the available memory."""
+    """Raise SceneError if a run on a CPU does not fit into the available memory; never if that is unknown."""
     if not fits(plan):
         raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
 
@@ -78,7 +88,10 @@ def _location(plan: Plan) -> str:
 
 
 def _remedies(plan: Plan, needed: int, available: int) -> str:
-    """Remedies: fewer particles, lower precision, more memory."""
+    """Remedies: fewer particles, lower precision, more memory.
+
+    `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available memory.
+    """
     fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity))
     precision_remedy = ", set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
     count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
@@ -111,7 +124,11 @@ def _control_groups() -> Iterator[int]:
 
 
 def _available_in(root: Path, path: str, limit: str, usage: str, cached: str) -> Iterator[int]:
-    """Limit minus usage [bytes] of a group and of its parents; cached files count as free."""
+    """Limit minus usage [bytes] of a group and of its parents; cached files count as free.
+
+    `root`: mount point of the controller; `path`: group; `limit`, `usage`: file names; `cached`: key in memory.stat.
+    Groups without a limit are skipped.
+    """
     group = root / path.strip("/")
     for folder in (group, *group.parents):
         try:

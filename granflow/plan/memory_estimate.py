@@ -10,6 +10,8 @@ INTEGER = 4
 """Size [bytes] of integers on the device."""
 
 VECTOR = 3
+"""Components of a vector."""
+
 LIST_INTEGERS, SAVED_LIST_INTEGERS = 3, 2
 """Integers per particle for its neighbor list: begin, end of the walls, end; and begin and end before a rebuild."""
 
@@ -19,7 +21,10 @@ SORTED = 2
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """Initial device memory [bytes]; neighbor lists grow if they are too short."""
+    """Initial device memory [bytes]; neighbor lists grow if they are too short.
+
+    `per_particle`, `per_neighbor`: for one particle and one list entry; all others: totals.
+    """
 
     per_particle: int
     per_neighbor: int
@@ -36,7 +41,10 @@ class MemoryEstimate:
 
 
 def estimate_memory(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> MemoryEstimate:
-    """Sum of the sizes [bytes] of all fields that scale with particles, contacts or cells."""
+    """Sum of the sizes [bytes] of all fields that scale with particles, contacts or cells.
+
+    `precision`: f64 has 8 bytes per number, f32 has 4, mixed has 8 for positions and 4 for all other numbers.
+    """
     real = 8 if precision == "f64" else 4
     position = 4 if precision == "f32" else 8
     history_bytes = real * sum(plan.history.values())
@@ -61,7 +69,10 @@ def estimate_memory(plan: Plan, precision: Literal["f64", "f32", "mixed"]) -> Me
 
 
 def _meshes(plan: Plan, position: int) -> int:
-    """Memory [bytes] of the triangles, vertices and grids of all mesh walls."""
+    """Memory [bytes] of the triangles, vertices and grids of all mesh walls.
+
+    `position`: size of a coordinate [bytes].
+    """
     total = 0
     for index, mesh in plan.meshes.items():
         adjacency, grid = mesh.adjacency, plan.mesh_grids[index]
@@ -89,7 +100,7 @@ def _meshes(plan: Plan, position: int) -> int:
 
 
 def _fields(plan: Plan, real: int, position: int) -> int:
-    """Memory [bytes] of the fields per particle."""
+    """Memory [bytes] of the fields per particle; `real`, `position`: size of a number and of a coordinate [bytes]."""
     features = plan.features
     velocity, force, radius, mass, number, coordination = VECTOR * real, VECTOR * real, real, real, INTEGER, INTEGER
     sorted_bytes = VECTOR * position + velocity + radius + mass + number

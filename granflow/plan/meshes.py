@@ -25,6 +25,8 @@ FAR_TOO_SMALL = 1e-3
 """Ratio of mesh size to the smallest diameter below which a mesh is refused: wrong unit of length."""
 
 MILLIMETERS = 1000.0
+"""Millimeters per meter, the most frequent mistake in units of mesh files."""
+
 
 FILES_CACHED = 16
 """Number of meshes in the cache: a run builds several plans."""
@@ -39,7 +41,11 @@ class MeshNote(NamedTuple):
 
 
 def meshes_of(scene: Scene) -> dict[str, Mesh]:
-    """The mesh walls at rest by name. Raises SceneError with the problems of all meshes."""
+    """The mesh walls at rest by name, scaled, rotated and translated as the scene specifies.
+
+    Files are read once per modification time (cache). Raises SceneError with the problems of all meshes: unreadable or
+    invalid files, and sizes that indicate a wrong unit of length.
+    """
     found, problems = {}, []
     for name, wall in scene.walls.items():
         if isinstance(wall, MeshWall):
@@ -56,7 +62,11 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
 
 
 def mesh_path(scene: Scene, wall: MeshWall) -> Path:
-    """Path of a mesh file. Raises MeshFileError if it is outside the folder of the scene, also by a symbolic link."""
+    """Path of a mesh file, with symbolic links resolved.
+
+    Raises MeshFileError if it is outside the folder of the scene, also by a symbolic link, or if the folder cannot be
+    read.
+    """
     try:
         folder = resolved(scene.folder)
         path = resolved(folder / wall.file)
@@ -68,6 +78,7 @@ def mesh_path(scene: Scene, wall: MeshWall) -> Path:
 
 
 def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
+    """The mesh of a wall at rest, in m. Raises MeshFileError or ValueError."""
     path = mesh_path(scene, wall)
     try:
         modified = path.stat()
@@ -89,6 +100,7 @@ def _mesh_once(
 
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
+    """Raise MeshFileError for a mesh that is much larger than the domain or much smaller than the smallest particle."""
     share = _size(mesh) / _domain_size(scene)
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
@@ -105,15 +117,20 @@ def _remedy(wall: Wall) -> str:
 
 
 def _size(mesh: Mesh) -> float:
+    """Diagonal [m] of the bounding box of a mesh."""
     return float(np.linalg.norm(mesh.size))
 
 
 def _domain_size(scene: Scene) -> float:
+    """Diagonal [m] of the domain."""
     return float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
 
 
 def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[MeshNote]:
-    """Notes for the user on a mesh wall; `smallest`: diameter [m] of the smallest particle."""
+    """Notes for the user on a mesh wall: size, repaired triangles, open edges, and a probable mistake.
+
+    `name`: of the wall; `smallest`: diameter [m] of the smallest particle.
+    """
     x, y, z = mesh.size
     yield MeshNote(name, f"{mesh.triangle_count} triangles, {x:.4g} x {y:.4g} x {z:.4g} m", False)
     for count, text, warning in (

@@ -11,7 +11,10 @@ STEPS_PER_PERIOD = 10
 
 
 def refuse_fast_motion(scene: Scene, time_step: float) -> None:
-    """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s]."""
+    """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s].
+
+    One SceneError names all such motions, each with the largest permitted time step.
+    """
     problems = []
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
@@ -28,7 +31,7 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
 
 
 def _period(motion: VibrationSpec | RotationSpec, scene: Scene) -> float:
-    """Period [s] of a vibration or rotation; infinite without motion."""
+    """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
     if isinstance(motion, RotationSpec):
         rate = abs(motion.angular_velocity)
     else:

@@ -14,7 +14,8 @@ from granflow.scene.outlets import BoxOutlet, DiscOutlet
 class PlannedOutlet:
     """One outlet: a box, or the region behind a plane and within `radius` [m] of an axis.
 
-    low, high (3,) [m]: corners of the box, or None.  point (3,) [m], normal (3,), unit vector: of the plane.
+    `low`, `high` (3,) [m]: corners of the box, or None. `point` (3,) [m], `normal` (3,), unit vector: of the plane; the
+    region is on the side to which the normal points. `radius` [m]: infinite for a half space and a box.
     """
 
     name: str
@@ -25,7 +26,10 @@ class PlannedOutlet:
     radius: float
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Depth [m] of points (n, 3) [m] inside the outlet, negative outside."""
+        """Depth [m] (n,) of points (n, 3) [m] inside the outlet: distance from its surface, negative outside.
+
+        Outside near an edge, the absolute value is a lower bound of the distance.
+        """
         if self.low is not None and self.high is not None:
             return np.asarray(np.minimum(points - self.low, self.high - points).min(axis=1))
         along = (points - self.point) @ self.normal
@@ -34,7 +38,7 @@ class PlannedOutlet:
 
 
 def planned_outlets(scene: Scene) -> tuple[PlannedOutlet, ...]:
-    """All outlets of a scene."""
+    """All outlets of a scene, in its order, with normals of unit length."""
     outlets = []
     for name, outlet in scene.outlets.items():
         if isinstance(outlet, BoxOutlet):
@@ -57,7 +61,8 @@ def _behind_plane(name: str, point: Sequence[float], normal: Sequence[float], ra
 def outlet_of(outlets: Sequence[PlannedOutlet], position: np.ndarray, in_domain: np.ndarray) -> np.ndarray:
     """Index of the outlet that deleted each particle (n,), -1 for none: the outlet with the largest depth.
 
-    `position` (n, 3) [m]; a deleted particle inside the domain (n,) is always in an outlet, except for rounding.
+    `position` (n, 3) [m]; `in_domain` (n,) bool. A deleted particle inside the domain is always in an outlet, except
+    for rounding. The order of the outlets decides between equal depths.
     """
     if not outlets:
         return np.full(len(position), -1)

@@ -57,6 +57,8 @@ CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
 
 MIN_CELLS = 8192
+"""Smallest capacity of the cell grid."""
+
 
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""
@@ -73,7 +75,11 @@ SKIN_SHARES = (0.05, 0.3)
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All decisions for one scene, in SI units; the functions that compute them document the reasons."""
+    """All decisions for one scene, in SI units; the functions that compute them document the reasons.
+
+    Lengths [m]: `radius_min`, `radius_max`, `skin`. Velocities [m/s]: `velocity_max`, the maximum expected impact
+    velocity, and `wall_speed`, of prescribed motions. `chunk_size`: particles per unit of work of a thread.
+    """
 
     scene: Scene
     features: Features
@@ -99,12 +105,12 @@ class Plan:
 
     @property
     def time_step(self) -> float:
-        """Time step [s]; an adaptive time step starts with it."""
+        """Time step dt [s]; an adaptive time step starts with it."""
         return self.step.value
 
     @property
     def longest_time_step(self) -> float:
-        """Longest possible time step [s]."""
+        """Longest possible time step [s]: that of an adaptive time step when only walls move."""
         return self.time_step if self.adaptive_time_step is None else self.adaptive_time_step.longest
 
     @property
@@ -129,7 +135,11 @@ class Plan:
 
     @property
     def history(self) -> dict[str, int]:
-        """Contact history: name of the field -> number of components."""
+        """Contact history: name of the field -> number of components.
+
+        "normal": fields of the contact model; "tangential": tangential displacement [m]; "rolling": rolling spring or
+        torque. Fields without components are absent; an empty dictionary means that no history is stored.
+        """
         sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
         saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
         sizes["rolling"] = 3 * (self.features.rolling in saved_models)
@@ -137,12 +147,12 @@ class Plan:
 
     @property
     def chunk_capacity(self) -> int:
-        """Number of chunks for all particles."""
+        """Number of chunks for all particles, at least 1."""
         return max(-(-self.particle_capacity // self.chunk_size), 1)
 
     @property
     def list_capacity_per_chunk(self) -> int:
-        """Initial number of neighbor-list entries per chunk."""
+        """Initial number of neighbor-list entries per chunk; lists that are too short grow during the run."""
         neighbors = neighbors_per_particle(self.particle_capacity, self.skin / self.radius_min)
         at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
         if self.chunk_size == 1:
@@ -152,7 +162,7 @@ class Plan:
 
     @property
     def cell_capacity(self) -> int:
-        """Maximum number of cells of the cell grid."""
+        """Maximum number of cells of the cell grid: CELLS_PER_PARTICLE per particle, at least MIN_CELLS."""
         return max(CELLS_PER_PARTICLE * self.particle_capacity, MIN_CELLS)
 
     @cached_property
@@ -173,7 +183,7 @@ class Plan:
 
     @property
     def image_speed(self) -> float:
-        """Speed [m/s] of the images across a sheared boundary."""
+        """Speed [m/s] of the images across a sheared boundary; 0 without shear."""
         return 0.0 if self.periodic_box.image_motion is None else abs(self.periodic_box.image_motion.speed)
 
     @property
@@ -213,7 +223,7 @@ class Plan:
 
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:
-        """The cell grid of each mesh wall by wall index."""
+        """The cell grid of each mesh wall by wall index, with the triangles within the largest radius plus skin."""
         reach = self.radius_max + self.skin
         return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
@@ -229,7 +239,7 @@ class Plan:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences to show before a run."""
+        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls."""
         meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
         return self.scene.remarks + self.step.warnings + meshes
 
@@ -257,7 +267,10 @@ class Plan:
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     """Compute the plan of a scene.
 
-    Raises SceneError if a contact model is not valid for a pair, or if the given time step is not stable.
+    `on_gpu`: each particle is a chunk, because a thread processes one particle.
+
+    Raises SceneError if a contact model is not valid for a pair, if the given time step is not stable, if velocities
+    are too high for the time step, if the precision is too coarse for the domain, or if a periodic box is too narrow.
     """
     materials = tuple(dict.fromkeys(_used_materials(scene)))
     numbers = {name: number for number, name in enumerate(materials)}
@@ -313,7 +326,10 @@ def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
 
 
 def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The normal contact model of the scene; `velocity` [m/s] is the maximum expected impact velocity."""
+    """The normal contact model of the scene, extended by its cohesion model if any pair has cohesion.
+
+    `velocity` [m/s]: maximum expected impact velocity, for which the model may compute its constants.
+    """
     normal = scene.contact.normal
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
     law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
@@ -322,13 +338,20 @@ def build_law(scene: Scene, velocity: float) -> NormalLaw:
 
 
 def solid(scene: Scene, material: str) -> Solid:
-    """Constants of one material of the scene."""
+    """Constants of one material of the scene.
+
+    Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio. Raises KeyError for an unknown material.
+    """
     given = scene.materials[material]
     return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
 
 
 def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
-    """Mixed constants of two materials. Raises KeyError if the scene has no such pair."""
+    """Mixed constants of two materials, symmetric under their exchange.
+
+    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
+    Raises KeyError if the scene has no such pair.
+    """
     pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
     given = pair.restitution
     restitution: float | VelocityRestitution | None
@@ -349,7 +372,11 @@ def _used_materials(scene: Scene) -> Iterator[str]:
 
 
 def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
-    """Constants of each pair of materials; NaN for pairs without contacts."""
+    """Constants of each pair of materials (materials^2, constants + 2); NaN for pairs without contacts.
+
+    Row i * materials + j. The last two columns are friction and rolling friction. Raises SceneError if the contact
+    model cannot reach the restitution of a pair.
+    """
     count = len(materials)
     table = np.full((count * count, len(law.constant_names) + 2), np.nan)
     for i, first in enumerate(materials):
@@ -365,6 +392,7 @@ def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.
 
 
 def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
+    """Constants of the contact model for a pair. Raises SceneError if it cannot reach the restitution."""
     try:
         return law.pair_constants(pair_material(scene, first, second))
     except ValueError as error:
@@ -423,10 +451,15 @@ def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other:
 
 
 def _sphere_mass(radius: float, density: float) -> float:
+    """Mass 4/3 pi R^3 rho [kg] of a sphere with radius [m] and density [kg/m3]."""
     return 4.0 / 3.0 * np.pi * radius**3 * density
 
 
 def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -> TimeStep:
+    """Time step of the scene with its warnings. Raises SceneError if the given one is not stable.
+
+    `velocity` [m/s]: maximum expected impact velocity; `diameter` [m]: of the largest particle.
+    """
     given = None if isinstance(scene.run.time_step, str) else float(scene.run.time_step)
     numerics = scene.numerics
     pair_cases = pair_cases_of(scene)
@@ -444,6 +477,7 @@ def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -
 
 
 def _adaptive_time_step(scene: Scene, law: NormalLaw, velocity: float, speed: float) -> AdaptiveTimeStep:
+    """Table of the adaptive time step; `velocity`: maximum impact velocity, `speed`: of walls and images [m/s]."""
     numerics = scene.numerics
     bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
     return adaptive_time_step_for(pair_cases_of(scene), law, velocity, speed, *bounds)
@@ -460,6 +494,7 @@ def _chunk_size(scene: Scene, particle_count: int) -> int:
 
 
 def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
+    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius [m]."""
     if skin > LARGEST_SKIN * radius_min:
         raise SceneError(
             f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
@@ -469,6 +504,10 @@ def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
 
 
 def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
+    """Skin [m]: given, or twice the distance of SKIN_STEPS steps at the maximum velocity, limited by SKIN_SHARES.
+
+    `radius_min` [m], `velocity` [m/s], `step` [s]. A thicker skin means fewer rebuilds, but more candidate pairs.
+    """
     if scene.numerics.skin != "auto":
         return _given_skin(scene, float(scene.numerics.skin), radius_min)
     min_size, max_size = (neighbors * radius_min for neighbors in SKIN_SHARES)

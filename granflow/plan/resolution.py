@@ -10,7 +10,7 @@ COARSEST = 0.1
 
 
 def position_type(precision: str) -> type[np.floating]:
-    """Type of the positions for a precision."""
+    """Type of the positions for a precision: float32 for f32, float64 for f64 and mixed."""
     return np.float32 if precision == "f32" else np.float64
 
 
@@ -22,14 +22,17 @@ def spacing_at(precision: str, coordinate: float) -> float:
 def coordinate_limit(precision: str, radius_min: float) -> float:
     """Coordinate [m] below which the spacing is at most COARSEST of the smallest radius [m].
 
-    With m fraction bits, the spacing between 2^k and 2^(k + 1) is 2^(k - m).
+    With m fraction bits (23 in float32, 52 in float64), the spacing between 2^k and 2^(k + 1) is 2^(k - m).
     """
     bits = np.finfo(position_type(precision)).nmant
     return float(2.0 ** (np.floor(np.log2(COARSEST * radius_min)) + bits + 1))
 
 
 def refuse_coarse(scene: Scene, radius_min: float) -> None:
-    """Raise SceneError if positions at the farthest face of the domain are too coarse for the smallest particle."""
+    """Raise SceneError if positions at the farthest face of the domain are too coarse for the smallest particle.
+
+    `radius_min` [m]. The message suggests mixed precision if that resolves the positions.
+    """
     precision = scene.run.precision
     farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
     if farthest <= coordinate_limit(precision, radius_min):

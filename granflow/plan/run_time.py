@@ -15,6 +15,8 @@ WRITES_PER_SECOND = 1e4
 """Upper bound of frames, time-series rows and checkpoints per second of wall-clock time (measured: 1e3)."""
 
 YEAR = 365.25 * 86400.0
+"""Seconds per year."""
+
 
 LONGEST = YEAR
 """Lower bound of the run time [s] above which a scene is refused: probably a wrong unit or exponent."""
@@ -45,14 +47,19 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
 
 
 def least_run_time(plan: Plan) -> float:
-    """Lower bound of the wall-clock time [s] of a run."""
+    """Lower bound of the wall-clock time [s] of a run, from upper bounds of all rates.
+
+        t = max(N / STEPS_PER_SECOND, N P / PARTICLE_STEPS_PER_SECOND) + W / WRITES_PER_SECOND
+
+    N: steps of the longest possible duration, P: particles, W: frames, rows and checkpoints.
+    """
     steps = duration_of(plan) / plan.longest_time_step
     computed = max(steps / STEPS_PER_SECOND, steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND)
     return computed + _writes(plan) / WRITES_PER_SECOND
 
 
 def duration_of(plan: Plan) -> float:
-    """Longest simulated time [s] of all stages."""
+    """Longest simulated time [s] of all stages: `max_duration` of a stage that may end earlier."""
     return sum(stage.duration or stage.max_duration or 0.0 for stage in plan.scene.schedule)
 
 
@@ -65,6 +72,7 @@ def _writes(plan: Plan) -> float:
 
 
 def _refuse_no_step(plan: Plan) -> None:
+    """Raise SceneError for the first stage that is shorter than one time step."""
     scene, step = plan.scene, plan.time_step
     for index, stage in enumerate(scene.schedule):
         key = "max_duration" if stage.duration is None else "duration"

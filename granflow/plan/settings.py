@@ -12,12 +12,15 @@ from granflow.scene import Scene
 from granflow.scene.normal import LawSettings
 
 KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene."""
+
 _UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
+"""Unit in brackets in a description of the schema."""
 
 
 @dataclass(frozen=True)
 class OptionalSetting:
-    """One optional value of the scene."""
+    """One optional value of the scene: key path with dots, value with its unit, origin (line, preset or default)."""
 
     key: str
     value: str
@@ -28,12 +31,14 @@ class OptionalSetting:
 def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
     """All optional settings in the order of the schema, including values of presets.
 
-    Optional parts that are absent (a motion, the radius of a meter) are not listed.
+    Optional parts that are absent (a motion, the radius of a meter) are not listed. Units are those in the
+    descriptions of the schema.
     """
     return tuple(_in_model(scene, scene, ()))
 
 
 def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings of one part of the scene and of its parts; `path`: key path of the part."""
     for name, field in type(model).model_fields.items():
         key, value = (*path, field.alias or name), getattr(model, name)
         if not _is_leaf(value):
@@ -47,6 +52,7 @@ def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Optiona
 
 
 def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings in a value: a part, or a mapping or list of parts."""
     if isinstance(value, BaseModel):
         yield from _in_model(scene, value, path)
     elif isinstance(value, dict):
@@ -72,6 +78,7 @@ def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
 
 
 def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
+    """Origin of a value that the file does not give."""
     if _is_preset(scene, model, path):
         return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
     if isinstance(model, LawSettings) and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1])):
@@ -80,11 +87,14 @@ def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
 
 
 _REASONS: dict[str | int, str] = {"timeseries_interval": "default: output.interval"}
+"""Origin of values that are copied from other keys."""
+
 _MANY_ROWS = 3
+"""Lists with more entries are shown by their length."""
 
 
 def as_written(value: Any) -> str:
-    """A value in the notation of scenes."""
+    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their length."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple) and len(value) > _MANY_ROWS:

@@ -10,10 +10,11 @@ CLASS_WIDTH = 2.5
 """Ratio of largest to smallest radius within a class."""
 
 Span = tuple[float, float]
+"""Smallest and largest value [m]."""
 
 
 def diameter_range(group: Group) -> Span:
-    """Smallest and largest diameter [m] of a group."""
+    """Smallest and largest diameter [m] of a group, before sampling; for a particle file, those in the file."""
     spans = _diameters(group)
     return spans[0][0], spans[-1][1]
 
@@ -21,7 +22,8 @@ def diameter_range(group: Group) -> Span:
 def size_classes(scene: Scene) -> tuple[float, ...]:
     """Largest radius [m] of each size class, in ascending order; a single class if all sizes are similar.
 
-    A class begins with the smallest radius that no class contains yet, so that no class is empty.
+    Similar: the largest is less than CLASSES_FROM_RATIO times the smallest. Within a class, the ratio is at most
+    CLASS_WIDTH. A class begins with the smallest radius that no class contains yet, so that no class is empty.
     """
     spans = sorted((0.5 * low, 0.5 * high) for group in scene.particles.values() for low, high in _diameters(group))
     smallest, largest = spans[0][0], max(high for _, high in spans)
@@ -37,7 +39,7 @@ def size_classes(scene: Scene) -> tuple[float, ...]:
 
 
 def _diameters(group: Group) -> list[Span]:
-    """Ranges of the diameters [m] of a group, in ascending order."""
+    """Ranges of the diameters [m] of a group, in ascending order; one range for a continuous distribution."""
     if isinstance(group.insert, FileInsertion) and group.insert.found is not None:
         return [(group.insert.found.diameter_min, group.insert.found.diameter_max)]
     sizes = group.sizes

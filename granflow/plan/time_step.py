@@ -26,7 +26,11 @@ STEPS_OF_RESOLUTION = 1000
 
 @dataclass(frozen=True)
 class PairCase:
-    """The stiffest contact of two groups, or of a group and a wall."""
+    """The stiffest contact of two groups, or of a group and a wall.
+
+    `radius_eff` [m], `mass_eff` [kg]: effective radius and mass of the contact; `radius` [m], `solid`: of the particle
+    for which the Rayleigh time is computed; `pair`: mixed constants of the two materials.
+    """
 
     name: str
     pair: PairMaterial
@@ -42,7 +46,10 @@ class PairCase:
 
 @dataclass(frozen=True)
 class TimeStep:
-    """A time step [s], the reason for its value, and its limits."""
+    """A time step [s], the reason for its value, and its limits.
+
+    `stable_below` [s]: stability limit; `stable_limit`: name of the contact that determines it.
+    """
 
     value: float
     limited_by: str
@@ -61,14 +68,20 @@ def choose_time_step(
     fraction: float,
     rayleigh_fraction: float,
 ) -> TimeStep:
-    """Compute the time step [s], or check the given one; `velocity` [m/s]: maximum expected impact velocity.
+    """Compute the time step [s], or check the given one.
+
+    The smallest of: `fraction` of the shortest contact phase, `rayleigh_fraction` of the Rayleigh time, the stable
+    step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected impact velocity. `given` [s]:
+    only the stable step limits it.
 
     Raises ValueError with one sentence if the given time step exceeds the stable time step.
     """
     resolved, name = min(
         (fraction * shortest_phase(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases
     )
-    rayleigh, rayleigh_name = min((rayleigh_fraction * rayleigh_time(m.solid, m.radius), m.name) for m in pair_cases)
+    rayleigh, rayleigh_name = min(
+        (rayleigh_fraction * rayleigh_time(case.solid, case.radius), case.name) for case in pair_cases
+    )
     stable, stable_name = min((stable_step(pair_case, law, velocity), pair_case.name) for pair_case in pair_cases)
     travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)
@@ -96,7 +109,9 @@ def resolution_warning(
 ) -> tuple[str, ...]:
     """A warning if the overlaps of a collision at `velocity` [m/s] are close to the resolution of the precision.
 
-    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed.
+    An overlap is a difference of lengths up to `reach` [m]: coordinates of the domain in f32, two radii in mixed. The
+    overlap is that of a Hertz contact (Zhou 2011, Eq. 5). Empty in f64, and if the overlap exceeds
+    STEPS_OF_RESOLUTION times the rounding error.
     """
     if precision == "f64":
         return ()
@@ -116,7 +131,11 @@ def resolution_warning(
 
 
 def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
-    """Shorter of loading and unloading time [s] at an impact velocity; the unloading time is bounded below."""
+    """Shorter of loading and unloading time [s] at an impact velocity [m/s]; the unloading time is bounded below.
+
+    The bound is `law.unresolved_unloading` times the loading time: a contact model that limits its own unloading
+    stiffness needs no shorter time step (durations: Zhou 2011, Eqs. 13 to 16, for the model of that paper).
+    """
     loading, unloading = law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     return min(loading, max(unloading, law.unresolved_unloading * loading))
 
@@ -150,7 +169,10 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
 
 
 def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float) -> float:
-    """Step [s] at which K/M dt^2 + 4 c/M dt equals `limit`."""
+    """Step [s] at which K/M dt^2 + 4 c/M dt equals `limit`; infinite for K = c = 0.
+
+    `stiffness` K [N/m], `viscosity` c [N s/m], `mass` M [kg].
+    """
     if stiffness == viscosity == 0.0:
         return math.inf
     scaled_mass = 0.25 * mass * limit
@@ -158,7 +180,12 @@ def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float)
 
 
 def rayleigh_time(solid: Solid, radius: float) -> float:
-    """Rayleigh time pi R sqrt(rho/G) / (0.1631 nu + 0.8766) [s] of a sphere."""
+    """Rayleigh time of a sphere [s]: about the time in which a surface wave crosses it.
+
+        T = pi R sqrt(rho/G) / (0.1631 nu + 0.8766)
+
+    `radius` R [m]; shear modulus G [Pa], density rho [kg/m3] and Poisson ratio nu are those of `solid`.
+    """
     nu = solid.poisson_ratio
     return float(np.pi * radius * np.sqrt(solid.density / solid.shear_modulus) / (0.1631 * nu + 0.8766))
 
@@ -168,7 +195,8 @@ def _restitution_reached(
 ) -> tuple[float, tuple[str, ...]]:
     """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less.
 
-    The sentence of a pair names its contact with the largest difference; contacts that cannot occur are ignored.
+    `step` [s], `velocity` [m/s]. The sentence of a pair names its contact with the largest difference; contacts that
+    cannot occur are ignored. (0, ()) for a contact model that reproduces every restitution.
     """
     if law.least_restitution is None:
         return 0.0, ()

@@ -60,9 +60,11 @@ def controlled_motions_of(
     velocity: float,
     step: float,
 ) -> tuple[ControlledMotion, ...]:
-    """All force-controlled motions in order. Raises SceneError for a motion that is unstable with the step [s].
+    """All force-controlled motions in order of the walls.
 
-    `velocity` [m/s]: maximum expected impact velocity.
+    `velocity` [m/s]: maximum expected impact velocity, at which `law` gives the stiffness of `pair_cases`; `step` [s].
+
+    Raises SceneError for a motion that is unstable with the step.
     """
     controlled_motions = []
     for index, wall in enumerate(walls):
@@ -103,7 +105,10 @@ def _servo(
 def _free(
     scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
 ) -> ControlledMotion:
-    """A free wall of mass M on contacts of stiffness K oscillates with w^2 = K/M; w dt must be below 1."""
+    """A free wall of mass M on contacts of stiffness K oscillates with w^2 = K/M; w dt must be below 1.
+
+    The least mass is K dt^2 [kg], with K of a layer of particles. Raises SceneError for a smaller mass.
+    """
     min_mass = stiffness[1] * step**2
     if given.mass < min_mass:
         location = scene.locate("walls", wall.name, "motion", number, "mass")
@@ -126,7 +131,7 @@ def _stiffness(
 
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
-    single = max(law.loading_stiffness(m.pair, m.radius_eff, m.mass_eff, velocity) for m in pair_cases)
+    single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or _section(scene, _unit(given))
     particle_count = sum(group.count for group in scene.particles.values())
@@ -134,7 +139,7 @@ def _stiffness(
 
 
 def _section(scene: Scene, direction: tuple[float, float, float]) -> float:
-    """Projected area [m2] of the domain along a direction."""
+    """Projected area [m2] of the domain along a direction (3,), unit vector."""
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])
 

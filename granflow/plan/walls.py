@@ -21,7 +21,7 @@ StageTimes = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class PlannedWall:
-    """One wall: name in the scene, shape at rest, material number in the plan."""
+    """One wall: name in the scene, shape at rest (triangle mesh or analytic surface), material number in the plan."""
 
     name: str
     shape: Surface
@@ -29,7 +29,9 @@ class PlannedWall:
 
 
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
-    """Shapes of all walls; shared edges of walls that move together are joined.
+    """Shapes of all walls in the order of the scene; shared edges of walls that move together are joined.
+
+    `material_numbers`: number in the plan of each material by name. Force-controlled walls share no edge with others.
 
     Raises SceneError if a mesh file cannot be used.
     """
@@ -45,7 +47,10 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
 
 
 def shape_of(wall: scene_schema.AnyWall) -> Shape:
-    """Shape at rest of a wall of the scene that is not a mesh."""
+    """Shape at rest of a wall of the scene that is not a mesh: half space, rectangle, cylinder, cone or disc.
+
+    Lengths [m]; cylinders and cones have no end faces.
+    """
     if isinstance(wall, scene_schema.Plane):
         return plane.half_space(wall.point, wall.normal)
     if isinstance(wall, scene_schema.Rectangle):
@@ -59,7 +64,10 @@ def shape_of(wall: scene_schema.AnyWall) -> Shape:
 
 
 def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Motion, ...], ...]:
-    """Motions of each wall in the order of the scene, given the times of the stages."""
+    """Motions of each wall in the order of the scene, given the times of the stages.
+
+    The motions of a stage that has not begun start at infinity. Angles [rad], times [s].
+    """
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
@@ -69,6 +77,7 @@ def is_force_controlled(wall: scene_schema.AnyWall) -> bool:
 
 
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
+    """One motion in numeric form: unit vectors, SI units, start and end [s]."""
     start, end = _span(given, stage_times)
     if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
         return motion.ForceControlled(start, end)
@@ -86,6 +95,7 @@ def _unit_vector(given: Any) -> tuple[float, float, float]:
 
 
 def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
+    """Start and end [s] of a motion; (infinity, infinity) if its stages have not begun."""
     if given.stages is None:
         return given.start or 0.0, inf if given.end is None else given.end
     started = [stage_times[name] for name in given.stages if name in stage_times]
@@ -95,7 +105,10 @@ def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
 
 
 def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
-    """Presence of each wall in the order of the scene."""
+    """Presence of each wall in the order of the scene, in a stage at `time` [s].
+
+    A wall is present from `appears_at` up to, but not including, `vanishes_at` [s].
+    """
     return tuple(
         (wall.stages is None or stage in wall.stages)
         and (wall.appears_at or 0.0) <= time
@@ -105,7 +118,10 @@ def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
 
 
 def wall_change_times(scene: Scene) -> tuple[float, ...]:
-    """Times [s] in the scene at which a wall appears or vanishes."""
+    """Times [s] in the scene at which a wall appears or vanishes, in ascending order.
+
+    Changes at the start and end of stages are not included.
+    """
     times = {time for wall in scene.walls.values() for time in (wall.appears_at, wall.vanishes_at) if time}
     return tuple(sorted(times))
 
@@ -117,7 +133,10 @@ def measured_areas(scene: Scene) -> dict[str, float | None]:
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
-    """Largest speed [m/s] of the geometry of each wall within the domain."""
+    """Largest speed [m/s] of the geometry of each wall within the domain, by name.
+
+    Prescribed motions only; a surface of revolution that rotates about its own axis does not move as geometry.
+    """
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
@@ -132,7 +151,10 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
 
 
 def surface_speed(scene: Scene) -> float:
-    """Largest surface speed [m/s] of all walls, including rotation in place."""
+    """Largest surface speed [m/s] of all walls, including rotation in place and force-controlled motion.
+
+    Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
+    """
     always = {stage.name: (0.0, inf) for stage in scene.schedule}
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0

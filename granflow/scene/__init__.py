@@ -1,4 +1,8 @@
-"""Scene files: reading, validation, and the immutable `Scene`."""
+"""Scene files: reading, validation, and the immutable `Scene`.
+
+`load(path)` returns a resolved scene in SI units, or raises SceneError with all problems. The generation of particles
+(packings, insertion, particle files) and the periodic box on the host are part of this package.
+"""
 
 from granflow.scene.jsonschema import json_schema
 from granflow.scene.reader import load

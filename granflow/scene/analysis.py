@@ -26,11 +26,17 @@ from granflow.scene.insertion_schema import Box
 from granflow.scene.suggest import suggestion_or_list
 
 Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+"""Kernel width [m], or auto: the largest radius of the scene."""
+
 Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+"""Cutoff of the kernel, in kernel widths: 1 to 10."""
 
 
 class GridSpec(Model):
-    """A box divided into cells, given by their edge length or their number."""
+    """A box divided into cells, given by their edge length or their number.
+
+    Along periodic axes of the domain, the box must cover the whole domain.
+    """
 
     region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
     cell: PositiveLength | None = Field(
@@ -39,13 +45,16 @@ class GridSpec(Model):
     cells: Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly one of edge length and number of cells."""
+        """Yield a fault unless exactly one of edge length and number of cells is given."""
         if (self.cell is None) == (self.cells is None):
             given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
             yield Fault((), f"{given}; give the edge length of a cell, or the number along x, y and z", whole=True)
 
     def cell_counts(self, domain: Box) -> tuple[int, int, int]:
-        """Number of cells along x, y and z; without a region the grid covers `domain`."""
+        """Number of cells along x, y and z, each at least 1; without a region the grid covers `domain`.
+
+        A given edge length [m] is adjusted such that a whole number of cells fits into the box.
+        """
         if self.cells is not None:
             return self.cells
         assert self.cell is not None
@@ -55,7 +64,10 @@ class GridSpec(Model):
 
 
 class FieldGrid(GridSpec):
-    """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files."""
+    """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
+
+    Fields of contacts (stress, pressure, fabric) require the contacts of each frame. Formulas: docs/coarse_graining.md.
+    """
 
     width: Width = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
@@ -66,7 +78,7 @@ class FieldGrid(GridSpec):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Every quantity must be a known field."""
+        """Yield a fault for each quantity that is not a known field."""
         yield from super().faults()
         for index, name in enumerate(self.quantities):
             if name not in FIELD_QUANTITIES:
@@ -75,7 +87,10 @@ class FieldGrid(GridSpec):
 
 
 class LaceyMetric(GridSpec):
-    """Lacey mixing index of the particles of some groups, materials or sizes among all particles."""
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles.
+
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+    """
 
     kind: Literal["lacey"] = Field(description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles form the first component")
@@ -86,7 +101,7 @@ class LaceyMetric(GridSpec):
     at_least: Count = Field(10, description="smallest number of particles in a cell that is evaluated")
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly one definition of the first component."""
+        """Yield a fault unless exactly one definition of the first component is given."""
         yield from super().faults()
         given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
         if len(given) != 1:
@@ -95,7 +110,10 @@ class LaceyMetric(GridSpec):
 
 
 class ReposeMetric(Model):
-    """Angle of repose of the heap; particles with fewer than two contacts are excluded."""
+    """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
+
+    The angle is that of a line or plane fitted to the tops of the highest particles.
+    """
 
     kind: Literal["repose"] = Field(description="kind of metric")
     surface: Literal["cone", "plane"] = Field(
@@ -107,27 +125,33 @@ class ReposeMetric(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """An axis is valid for a cone only."""
+        """Yield a fault for an axis with a plane: it applies to a cone only."""
         if self.surface == "plane" and self.axis is not None:
             yield Fault(("axis",), "it applies only to surface: cone; leave it out")
 
 
 class FabricMetric(Model):
-    """Fabric tensor of the contacts between particles."""
+    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
+
+    (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    """
 
     kind: Literal["fabric"] = Field(description="kind of metric")
     region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
 
 
 class CoordinationMetric(Model):
-    """Coordination number with and without rattlers."""
+    """Coordination number with and without rattlers, particles with fewer than two contacts.
+
+    (C. Thornton, Geotechnique 50 (2000) 43.)
+    """
 
     kind: Literal["coordination"] = Field(description="kind of metric")
     region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
 
 
 class ContentMetric(Model):
-    """Number, mass and volume of the particles with their center in a box."""
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box."""
 
     kind: Literal["content"] = Field(description="kind of metric")
     region: Box = Field(description="box whose particles are counted")
@@ -141,6 +165,8 @@ AnyMetric = Annotated[
     | Annotated[ContentMetric, Tag("<content>")],
     choose_by_key("kind"),
 ]
+"""Any kind of metric; the key `kind` selects it."""
+
 
 METRIC_QUANTITIES_BY_KIND = {
     "content": ("content_count", "content_mass", "content_volume"),

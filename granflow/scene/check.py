@@ -1,4 +1,8 @@
-"""Consistency checks between the parts of a scene: names, material pairs, times, regions."""
+"""Consistency checks between the parts of a scene: names, material pairs, times, regions.
+
+Each check is a function from a `PartialScene` to violations: (key path, fault). `_CHECKS` lists the sections that must
+be complete before a check runs, so that one mistake does not cause consequential messages.
+"""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -38,7 +42,11 @@ _MAX_ENTRIES = {
 
 
 def checked(scene_parts: PartialScene) -> list[Problem]:
-    """All problems within and between the parts of a scene that may be incomplete."""
+    """All problems within and between the parts of a scene that may be incomplete.
+
+    The problems are not sorted. If a section has too many entries, checks between parts are omitted, because the time
+    of some of them grows with the square of the number of entries.
+    """
     violations = list(scene_parts.faults())
     overfull = list(_overfull_sections(scene_parts))
     violations += overfull
@@ -49,7 +57,7 @@ def checked(scene_parts: PartialScene) -> list[Problem]:
 
 
 def _overfull_sections(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Sections with too many entries."""
+    """Violations for sections with more entries than _MAX_ENTRIES."""
     for section, max_entries in _MAX_ENTRIES.items():
         node = scene_parts.document.root.child(section)
         found = len(node.entries or node.items or ()) if node is not None else 0
@@ -61,6 +69,7 @@ def _overfull_sections(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _materials(scene_parts: PartialScene) -> Iterator[Violation]:
+    """Materials of walls and groups must exist."""
     known = scene_parts.names("materials")
     for section in ("walls", "particles"):
         for name, part in getattr(scene_parts.scene, section).items():
@@ -69,13 +78,17 @@ def _materials(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _some_particles(scene_parts: PartialScene) -> Iterator[Violation]:
+    """At least one group of particles must be given."""
     node = scene_parts.document.root.child("particles")
     if node is not None and node.entries == {}:
         yield ("particles",), Fault((), "at least one group of particles is required")
 
 
 def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Pairs of unknown materials, and duplicate pairs."""
+    """Pairs of unknown materials, and duplicate pairs.
+
+    A-B and B-A are the same pair.
+    """
     known = scene_parts.names("materials")
     seen: dict[frozenset[str], str] = {}
     for key in scene_parts.names("pairs"):
@@ -92,6 +105,10 @@ def _pair_names(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
+    """Each two materials that can come into contact must have an entry under `pairs`.
+
+    A pair with a misspelled name counts as the one with the closest known name: another check reports it.
+    """
     known = scene_parts.names("materials")
     existing = {
         frozenset(nearest(name, known) or name for name in key.split("-")) for key in scene_parts.names("pairs")
@@ -104,7 +121,10 @@ def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
-    """Material pairs whose particles or walls can come into contact, with the reason."""
+    """Material pairs whose particles or walls can come into contact, with the reason.
+
+    Fixed particles touch neither each other nor walls; a material with a single particle does not touch itself.
+    """
     names = set(known)
     mobile, fixed = _counts(scene, names, fixed=False), _counts(scene, names, fixed=True)
     found: dict[frozenset[str], str] = {}
@@ -125,7 +145,10 @@ def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str
 
 
 def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
-    """Number of fixed particles, or of mobile ones, for each of these materials."""
+    """Number of fixed particles, or of mobile ones, for each of these materials.
+
+    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles.
+    """
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in names and group.fixed == fixed:
@@ -160,7 +183,10 @@ def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Restitution in the form that the normal contact model requires; none if it follows from the materials."""
+    """Restitution in the form that the normal contact model requires; none if it follows from the materials.
+
+    The forms are: nothing, a number, a positive number, a number or a fit (`LawKind.restitution`).
+    """
     normal = scene_parts.scene.contact.normal
     for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
@@ -203,6 +229,7 @@ def _restitution_fit(scene_parts: PartialScene, key: str, fit: RestitutionFit) -
 
 
 def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Violation]:
+    """A restitution fit without a limit velocity requires the yield strengths of its materials (Zhou 2011, Eq. 11)."""
     materials = scene_parts.scene.materials
     without_yield = [
         name for name in dict.fromkeys(key.split("-")) if name in materials and not materials[name].yield_strength
@@ -216,7 +243,10 @@ def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) ->
 
 
 def _stage_names(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Unique stage names, and references to existing stages only."""
+    """Unique stage names, and references to existing stages only.
+
+    Walls and their motions refer to stages by name.
+    """
     names = [stage.name for stage in _schedule(scene_parts)]
     for index, name in enumerate(names):
         if name in names[:index]:
@@ -235,17 +265,19 @@ def _stage_names(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _schedule(scene_parts: PartialScene) -> tuple[Stage, ...]:
+    """The stages of the scene; without stages, the single stage "run"."""
     return scene_parts.scene.stages or (Stage(name="run"),)
 
 
 def _stages_wanted(wall: Wall) -> Iterator[tuple[KeyPath, tuple[str, ...]]]:
+    """Key path and names of the stages of a wall and of each of its motions."""
     yield (), wall.stages or ()
     for index, motion in enumerate(wall.motion):
         yield ("motion", index), motion.stages or ()
 
 
 def _duration(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Either a duration of the run or stages."""
+    """Exactly one of `run.duration` and `stages` must be given."""
     duration = scene_parts.scene.run.duration
     if duration is None and not scene_parts.scene.stages:
         yield ("run", "duration"), Fault((), "is missing: the simulated time, such as 2 s; or give stages", whole=True)
@@ -265,7 +297,10 @@ def _gamma_needs_gravity(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _regions(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Initial positions and insertion regions must lie inside the domain."""
+    """Initial positions and insertion regions must lie inside the domain.
+
+    Centers only: a particle may extend beyond the domain. Inverted domains are reported by another check.
+    """
     low, high = scene_parts.scene.domain.min, scene_parts.scene.domain.max
     for name, group in scene_parts.scene.particles.items():
         path: KeyPath = ("particles", name, "insert")
@@ -284,7 +319,10 @@ def _regions(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tuple[Vector3, Vector3]:
-    """Smallest and largest coordinates of a region or a face [m]."""
+    """Smallest and largest coordinates (3,), (3,) [m] of a region or a face.
+
+    For a cylinder with the unit axis a, a radius R extends by R sqrt(1 - a_k^2) along axis k from each end.
+    """
     if isinstance(region, BoxRegion):
         return region.box.min, region.box.max
     if isinstance(region, RectangleFace):
@@ -325,6 +363,7 @@ def _parts(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _inserted_groups(scene_parts: PartialScene) -> list[str]:
+    """Names of the groups that are inserted during the run (rain or inlet)."""
     return [
         name
         for name, group in scene_parts.scene.particles.items()
@@ -333,7 +372,10 @@ def _inserted_groups(scene_parts: PartialScene) -> list[str]:
 
 
 def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area."""
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
+
+    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
+    """
     requested, known = scene_parts.scene.output.wall_forces, scene_parts.names("walls")
     measured = known if requested is True else requested or ()
     for index, name in enumerate(() if isinstance(requested, bool) else requested):
@@ -363,7 +405,10 @@ def _wall_forces(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _force_controlled(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step."""
+    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step.
+
+    The limits of their gain and mass are computed for one time step.
+    """
     force_controlled = [
         (("walls", name, "motion", index), wall, motion)
         for name, wall in scene_parts.scene.walls.items()
@@ -399,3 +444,4 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     (("output", "expect"), _wall_forces),
     (("run",), _force_controlled),
 )
+"""Sections that must be complete, and the check that needs them."""

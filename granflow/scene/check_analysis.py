@@ -1,4 +1,7 @@
-"""Consistency checks of fields and metrics with the rest of a scene."""
+"""Consistency checks of fields and metrics with the rest of a scene.
+
+They concern grids, references to groups, materials and stages, and the quantities of expectations.
+"""
 
 import math
 from collections.abc import Iterator
@@ -44,7 +47,7 @@ def metrics(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def expected_metrics(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Expectations must refer to existing metrics that provide the quantity."""
+    """Expectations must refer to existing metrics that provide the quantity, or its time average NAME_mean."""
     known = scene_parts.scene.output.metrics
     for index, expectation in enumerate(scene_parts.scene.expect):
         quantity, dot, name = expectation.quantity.partition(".")
@@ -59,6 +62,7 @@ def expected_metrics(scene_parts: PartialScene) -> Iterator[Violation]:
 
 
 def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Violation]:
+    """A violation for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
     if (grid.cell is None) == (grid.cells is None):
         return
     count = math.prod(grid.cell_counts(domain))
@@ -69,6 +73,7 @@ def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Violation]
 
 
 def _check_periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Violation]:
+    """A violation for each periodic axis along which a region does not cover exactly the domain [m]."""
     for axis in domain.periodic:
         k = "xyz".index(axis)
         if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):

@@ -8,7 +8,10 @@ from granflow.scene.violations import Violation
 
 
 def lees_edwards(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images move."""
+    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images move.
+
+    One violation names all features of the scene that are not supported.
+    """
     scene = scene_parts.scene
     if scene.domain.lees_edwards is None:
         return

@@ -1,4 +1,8 @@
-"""Search for close pairs of spheres with a cell list. numpy only."""
+"""Search for close pairs of spheres with a cell list. numpy only.
+
+The cells are cubes with an edge of the largest contact distance plus the reach, so that partners are in the 27 cells
+around a sphere.
+"""
 
 from collections.abc import Iterator
 from itertools import product
@@ -9,8 +13,9 @@ import numpy as np
 def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once.
 
-    Size classes with a factor of 2 between them keep the cells small if a few large spheres are mixed with many
-    small ones.
+    `position` (n, 3) [m], `radius` (n,) [m]. Size classes with a factor of 2 between them keep the cells small if a few
+    large spheres are mixed with many small ones. The order of the pairs, and of the two indices in a pair, depends on
+    the size classes.
     """
     classes = list(size_classes(radius))
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
@@ -24,7 +29,10 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
 
 
 def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
-    """Indices of the spheres of each class, largest first; within a class radii differ by a factor of 2 at most."""
+    """Indices (k,) of the spheres of each class, largest first; `radius` (n,) [m].
+
+    Within a class radii differ by a factor of 2 at most. Empty without spheres.
+    """
     if len(radius) == 0:
         return
     level = np.floor(np.log2(radius.max() / radius)).astype(int)
@@ -35,7 +43,10 @@ def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
 def cross_pairs(
     first: np.ndarray, first_radius: np.ndarray, second: np.ndarray, second_radius: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach` [m]."""
+    """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach` [m].
+
+    `first` (n, 3), `second` (m, 3) [m]: centers; radii (n,), (m,) [m]. A sphere in both sets is a pair with itself.
+    """
     if len(first) == 0 or len(second) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     cell = first_radius.max() + second_radius.max() + reach
@@ -53,7 +64,8 @@ def cross_pairs(
 class CellKeys:
     """Cell keys of a grid, numbered row by row along x, with a margin of one cell.
 
-    The neighbors of a cell along x have the keys key - 1 and key + 1.
+    `low`, `high` (3,) [m]: corners of the grid; `cell` [m]: edge of a cell. The neighbors of a cell along x have the
+    keys key - 1 and key + 1; because of the margin, no neighbor is in another row.
     """
 
     def __init__(self, low: np.ndarray, high: np.ndarray, cell: float) -> None:
@@ -62,19 +74,23 @@ class CellKeys:
         self.shape = np.floor((high - low) / cell).astype(np.int64) + 3
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """The key (n,) of the cell of each point (n, 3)."""
+        """The key (n,) int64 of the cell of each point (n, 3) [m]; the points must lie between `low` and `high`."""
         x, y, z = np.floor((points - self.low) / self.cell).astype(np.int64).T + 1
         return x + self.shape[0] * (y + self.shape[1] * z)
 
     def adjacent_rows(self) -> list[int]:
-        """Key offsets from a cell to the middle cells of the nine rows in its neighborhood."""
+        """Key offsets from a cell to the middle cells of the nine rows of three cells around it."""
         return [int(self.shape[0] * (y + self.shape[1] * z)) for y, z in product((-1, 0, 1), repeat=2)]
 
 
 def cell_neighbors(
     key_of: CellKeys, query: np.ndarray, keys: np.ndarray, order: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """For each of the nine rows: indices of the query points and of all members of the three cells in that row."""
+    """For each of the nine rows: indices of the query points and of all members of the three cells in that row.
+
+    `query` (n,): cell keys of the query points; `keys` (m,): sorted cell keys of the members; `order` (m,): index of
+    the member with each sorted key. Each of the nine results is two arrays of equal length.
+    """
     for shift in key_of.adjacent_rows():
         start = np.searchsorted(keys, query + (shift - 1), side="left")
         count = np.searchsorted(keys, query + (shift + 1), side="right") - start
@@ -92,7 +108,11 @@ def close_pairs(
     i: np.ndarray,
     j: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs (i, j) with a gap below `reach` [m]."""
+    """The pairs (i, j) with a gap below `reach` [m].
+
+    `first`, `second` (n, 3), (m, 3) [m]: centers; `i`, `j` (p,): indices of candidate pairs. Distances are compared as
+    squares.
+    """
     branch = first[i] - second[j]
     limit = first_radius[i] + second_radius[j] + reach
     close = np.einsum("ij,ij->i", branch, branch) < limit * limit
@@ -102,7 +122,10 @@ def close_pairs(
 def overlaps_any(
     points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray, reach: float = 0.0
 ) -> np.ndarray:
-    """Whether each sphere (n,) has a gap below `reach` [m] to any of the others; 0: whether it overlaps one."""
+    """Whether each sphere (n,) has a gap below `reach` [m] to any of the others; 0: whether it overlaps one.
+
+    `points` (n, 3), `others` (m, 3): centers [m]; `radius` (n,), `other_radius` (m,) [m].
+    """
     overlaps = np.zeros(len(points), dtype=bool)
     first, _ = cross_pairs(points, radius, others, other_radius, reach)
     overlaps[first] = True

@@ -1,4 +1,7 @@
-"""Differences between two scenes, key by key, and the keys that may change when a run is resumed."""
+"""Differences between two scenes, key by key, and the keys that may change when a run is resumed.
+
+Scenes are compared after resolution, in SI units: a value with another unit or a default written out is no difference.
+"""
 
 import re
 from collections.abc import Iterator
@@ -21,7 +24,10 @@ ALLOWED_CHANGES: dict[str, str] = {
 
 
 class Difference(NamedTuple):
-    """A key whose value differs; None if the key is missing."""
+    """A key whose value differs; None if the key is missing.
+
+    `key`: path with dots, such as walls.floor.material. `str()` is the beginning of a sentence.
+    """
 
     key: str
     before: Any
@@ -38,18 +44,28 @@ class Difference(NamedTuple):
 
 
 def differences(before: Scene, now: Scene) -> tuple[Difference, ...]:
-    """All keys that differ, in the order of the scenes."""
+    """All keys that differ, in the order of the scenes, with defaults included.
+
+    Lists of numbers are compared as a whole, lists of mappings entry by entry.
+    """
     first, second = (dict(_leaves(scene.model_dump(by_alias=True, exclude_none=True))) for scene in (before, now))
     keys = dict.fromkeys([*first, *second])
     return tuple(Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key))
 
 
 def forbidden(before: Scene, now: Scene, stages_over: int) -> tuple[Difference, ...]:
-    """Differences that prevent a resume of a run whose first `stages_over` stages have ended."""
+    """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
+
+    A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or if it adds a stage.
+    """
     return tuple(each for each in differences(before, now) if not _allowed(each, len(before.stages), stages_over))
 
 
 def _allowed(difference: Difference, stages_before: int, stages_over: int) -> bool:
+    """Whether a run can be resumed with a difference.
+
+    `stages_before`: number of stages in the earlier scene; `stages_over`: number of those that have ended.
+    """
     stage = re.match(r"stages\.(\d+)\.", difference.key)
     if stage and int(stage[1]) >= stages_before:
         return True

@@ -9,11 +9,12 @@ from typing import Any
 _LONGEST_SHOWN = 60  # characters of a value shown in a message
 
 KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene, such as ("stages", 0, "duration")."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourcePosition:
-    """A position in a file, or an override (`line` is 0)."""
+    """A position in a file, or an override (`line` is 0). Lines and columns count from 1."""
 
     source: str
     line: int = 0
@@ -36,13 +37,14 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
+        """The message with its position; invisible characters are shown as escapes."""
         words = self.sentence.lstrip(" ")  # a key may begin with spaces, which are invisible
         text = f"{self.position}: " + r"\x20" * (len(self.sentence) - len(words)) + words
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class DocumentError(Exception):
-    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support."""
+    """Text that is not valid YAML 1.2, or uses a feature that scenes do not support; `problem` has the position."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(str(problem))
@@ -51,7 +53,10 @@ class DocumentError(Exception):
 
 @dataclass(slots=True)
 class Node:
-    """A value: a scalar with its source text, a list of nodes, or a mapping of entries."""
+    """A value: a scalar with its source text, a list of nodes, or a mapping of entries.
+
+    `scalar`: converted value; `text`: as written; `size`: number of values in this node, itself included.
+    """
 
     position: SourcePosition
     scalar: Any = None
@@ -82,7 +87,10 @@ class Node:
         return self.entries is None and self.items is None and self.scalar is None and not self.text
 
     def shown(self) -> str | None:
-        """The value for a message: as written, shortened; None if it is too long."""
+        """The value for a message: as written, shortened; None if it is too long.
+
+        Scalars are cut after 60 characters; mappings and lists are shown on one line or not at all.
+        """
         if self.entries is not None:
             parts = [(key, entry.node.shown()) for key, entry in self.entries.items()]
             text = "{" + ", ".join(f"{key}: {part}" for key, part in parts) + "}"
@@ -107,14 +115,17 @@ class MappingEntry:
 
 @dataclass
 class Document:
-    """The tree of one file, and its problems that do not prevent reading."""
+    """The tree of one file, and its problems that do not prevent reading (duplicate keys)."""
 
     source: str
     root: Node
     problems: list[Problem] = field(default_factory=list)
 
     def find(self, path: KeyPath) -> Node | None:
-        """The value at a path of keys and indices; None if it does not exist."""
+        """The value at a path of keys and indices; None if it does not exist.
+
+        Union tags are not part of the path; see `messages.path_in_file`.
+        """
         node: Node | None = self.root
         for key in path:
             node = node.child(key) if node is not None else None

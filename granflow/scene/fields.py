@@ -35,7 +35,7 @@ class Model(BaseModel):
 class Fault:
     """An invalid value at `path` (relative to the model); the message is "X is Y, but {reason}".
 
-    With `whole`, the message is "X {reason}".
+    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period.
     """
 
     path: KeyPath
@@ -44,24 +44,28 @@ class Fault:
 
 
 def _check_vector(value: Any) -> Any:
+    """Require a list of three values. Raises PydanticCustomError."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         raise value_error("a vector of three numbers is expected, [x, y, z]")
     return value
 
 
 def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Require a vector that is not zero. Raises PydanticCustomError."""
     if not any(value):
         raise value_error("a direction must have a length above 0, such as [0, 0, 1]")
     return value
 
 
 def _check_text(value: Any) -> Any:
+    """Require text; numbers and flags without quotes are errors. Raises PydanticCustomError."""
     if not isinstance(value, str):
         raise value_error("text is expected; put it in quotes")
     return value
 
 
 def _file_name(value: Any) -> Any:
+    """Require text without invisible characters, which would make a message ambiguous. Raises PydanticCustomError."""
     text = _check_text(value)
     if "\n" in text or "\t" in text or visible(text) != text:
         raise value_error(
@@ -71,18 +75,21 @@ def _file_name(value: Any) -> Any:
 
 
 def _check_flag(value: Any) -> Any:
+    """Require true or false. Raises PydanticCustomError."""
     if not isinstance(value, bool):
         raise value_error("true or false is expected")
     return value
 
 
 def _check_name(value: Any) -> Any:
+    """Require a name of lowercase letters, digits and _. Raises PydanticCustomError."""
     if not re.fullmatch(_NAME, str(value)):
         raise value_error("a name begins with a lowercase letter and contains only lowercase letters, digits and _")
     return value
 
 
 def _check_pair_name(value: Any) -> Any:
+    """Require two names joined by a hyphen. Raises PydanticCustomError."""
     if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
         raise value_error("a pair is two material names joined by a hyphen, such as glass-steel")
     return value
@@ -122,6 +129,7 @@ def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
 
 
 Tagger = Callable[[Any], str | None]
+"""Function that returns the tag of a union member for a raw value, or None if no member fits."""
 
 
 def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_tag: str = "") -> Discriminator:
@@ -149,7 +157,10 @@ def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_ta
 
 
 def choose_by(tag_of: Tagger, reason: str) -> Discriminator:
-    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON."."""
+    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON.".
+
+    The tag is a name in angle brackets.
+    """
     return _discriminator(tag_of, reason=reason)
 
 
@@ -169,7 +180,10 @@ def shorthand(key: str) -> BeforeValidator:
 
 
 def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
-    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list."""
+    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list.
+
+    `some`: example for the message. The validator raises PydanticCustomError.
+    """
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple):
@@ -184,7 +198,7 @@ def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
 
 
 def pair_list(meaning: str) -> BeforeValidator:
-    """Require a list of exactly two items."""
+    """Require a list of exactly two items; `meaning` describes them in the message. Raises PydanticCustomError."""
 
     def read(value: Any) -> Any:
         if not isinstance(value, list | tuple) or len(value) != 2:
@@ -195,6 +209,7 @@ def pair_list(meaning: str) -> BeforeValidator:
 
 
 def _flag_or_names(value: Any) -> Any:
+    """Require true, false, or a list of at least one name. Raises PydanticCustomError."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
         return value if isinstance(value, bool) else names
@@ -202,13 +217,23 @@ def _flag_or_names(value: Any) -> Any:
 
 
 Text = Annotated[str, BeforeValidator(_check_text)]
+"""Text as in the file; numbers and flags are not converted."""
+
 FileName = Annotated[str, BeforeValidator(_file_name)]
+"""Text without control, zero-width and bidirectional characters."""
+
 Flag = Annotated[bool, BeforeValidator(_check_flag)]
 FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
+"""All (true), none (false), or a list of names."""
+
 Name = Annotated[str, AfterValidator(_check_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
+"""Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
+
 PairName = Annotated[
     str, AfterValidator(_check_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
 ]
+"""Names of two materials joined by a hyphen, in either order."""
+
 
 # Lengths scale with `scale` of a scene, numbers of particles with its cube; sizes of one particle or contact do not.
 Plain = Annotated[float, Number()]
@@ -217,11 +242,17 @@ Positive = Annotated[float, Number(above=0)]
 Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
 Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_check_vector)]
 ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
+"""Number of particles, proportional to the cube of `scale`; at most LARGEST_COUNT."""
+
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 Length = Annotated[float, Number("length", scaling=1)]
+"""Length [m] of the equipment, proportional to `scale`."""
+
 PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
 NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
 UnscaledLength = Annotated[float, Number("length", above=0)]
+"""Length [m] of one particle or contact, independent of `scale`."""
+
 Time = Annotated[float, Number("time", at_least=0)]
 PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]
@@ -241,18 +272,28 @@ Density = Annotated[float, Number("density", above=0)]
 Energy = Annotated[float, Number("energy", above=0)]
 Stiffness = Annotated[float, Number("stiffness", above=0)]
 Rate = Annotated[float, Number("rate", above=0, scaling=3)]
+"""Insertion rate [1/s], proportional to the cube of `scale`."""
+
 ParticleMass = Annotated[float, Number("mass", above=0, scaling=3)]
 MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
 Share = Annotated[float, Number(noun="a fraction", at_least=0)]
 AnyQuantity = Annotated[float, Number("any")]
+"""Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""
+
 
 Vector3 = tuple[float, float, float]
+"""Three components along x, y and z."""
+
 Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_check_vector)]
+"""Position or edge vector (3,) [m], proportional to `scale`."""
+
 VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_check_vector)]
 AngularVelocityVector = Annotated[
     tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_check_vector)
 ]
 AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_check_vector)]
 Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_check_vector), AfterValidator(_check_direction)]
+"""Vector (3,) with a length above 0, which does not matter."""
+
 Names = Annotated[tuple[Text, ...], list_of(some="[fill, settle]")]
 Auto = Literal["auto"]

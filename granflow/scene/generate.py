@@ -1,6 +1,7 @@
 """Particles of a scene: initial particles, and inserters for later ones.
 
-The same scene and seed give bit-identical particles on one machine for any number of threads.
+The same scene and seed give bit-identical particles on one machine for any number of threads: each group has a separate
+random number generator (`random_for`).
 """
 
 from collections.abc import Mapping
@@ -28,8 +29,9 @@ def initial_particles(scene: Scene, earlier: Mapping[str, ParticleData] | None =
     """All particles at t = 0, group by group in the order of the scene.
 
     Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do not
-    overlap, except where given positions or files overlap. Raises SceneError with one message for each group that
-    does not fit.
+    overlap, except where given positions or files overlap. Groups with rain or inlet have no particles yet.
+
+    Raises SceneError with one message for each group that does not fit.
     """
     inserted: dict[str, ParticleData] = dict(earlier or {})
     remaining = {name: group for name, group in scene.particles.items() if name not in inserted}
@@ -46,13 +48,22 @@ def initial_particles(scene: Scene, earlier: Mapping[str, ParticleData] | None =
 
 
 def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) -> Spheres:
-    """Spheres of all groups inserted so far, with the periodic images of those that cross a periodic face."""
+    """Spheres of all groups inserted so far, with the periodic images of those that cross a periodic face.
+
+    `inserted`: particles by group, in any order.
+    """
     together = ParticleData.joined(list(inserted.values()))
     return Spheres(*periodic_box.with_images(together.position, together.radius))
 
 
 def insert_group(scene: Scene, name: str, existing: Spheres) -> ParticleData:
-    """Initial particles of one group, without overlap with `existing`. Raises RegionFullError."""
+    """Initial particles of one group, without overlap with `existing`.
+
+    Radii are drawn before positions, with the random number generator of the group. Given positions and files are not
+    checked for overlap.
+
+    Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
+    """
     group, insertion = scene.particles[name], scene.particles[name].insert
     if isinstance(insertion, FileInsertion):
         return particles_from_file(scene, name)

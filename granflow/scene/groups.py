@@ -29,52 +29,54 @@ from granflow.scene.numbers import whole_error
 
 _ROUNDING = 1e-12  # tolerance of the sum of fractions
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
+"""Diameter [m] of a particle, independent of `scale`."""
 
 
 class TruncatedSizes(Model):
-    """A size distribution that is truncated to an interval."""
+    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur [m]."""
 
     min: Diameter = Field(description="smallest diameter [m]")
     max: Diameter = Field(description="largest diameter [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The largest diameter must exceed the smallest."""
+        """Yield a fault unless the largest diameter exceeds the smallest."""
         if self.max <= self.min:
             yield Fault(("max",), f"it must be above min, {self.min:g} m")
 
     def _center_fault(self, key: str, value: float) -> Iterator[Fault]:
+        """Yield a fault unless the mean or median [m] lies between the limits."""
         if self.min < self.max and not self.min < value < self.max:
             yield Fault((key,), f"it must lie between min and max, {self.min:g} and {self.max:g} m")
 
 
 class UniformSizes(TruncatedSizes):
-    """Uniformly distributed diameters from `min` to `max`."""
+    """Uniformly distributed diameters from `min` to `max` [m]."""
 
     distribution: Literal["uniform"] = Field(description="kind of size distribution")
 
 
 class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters, truncated to [`min`, `max`]."""
+    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
 
     distribution: Literal["normal"] = Field(description="kind of size distribution")
     mean: Diameter = Field(description="mean diameter before truncation [m]")
     deviation: UnscaledLength = Field(description="standard deviation before truncation [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The mean must lie between the limits."""
+        """Yield the faults of the limits and of the mean."""
         yield from super().faults()
         yield from self._center_fault("mean", self.mean)
 
 
 class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters, truncated to [`min`, `max`]."""
+    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
 
     distribution: Literal["log_normal"] = Field(description="kind of size distribution")
     median: Diameter = Field(description="median diameter before truncation [m]")
     sigma: Positive = Field(description="standard deviation of ln(diameter) before truncation")
 
     def faults(self) -> Iterator[Fault]:
-        """The median must lie between the limits."""
+        """Yield the faults of the limits and of the median."""
         yield from super().faults()
         yield from self._center_fault("median", self.median)
 
@@ -87,7 +89,10 @@ class SizeClass(Model):
 
 
 def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
-    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is idempotent."""
+    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is idempotent.
+
+    Raises PydanticCustomError if all fractions are 0.
+    """
     total = sum(each.fraction for each in classes)
     if total == 0:
         raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
@@ -97,10 +102,14 @@ def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
 
 
 Classes = Annotated[tuple[SizeClass, ...], list_of(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)]
+"""List of diameters with fractions, which are normalized to the sum 1."""
 
 
 class ClassSizes(Model):
-    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions."""
+    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
+
+    The number of particles of each class is exact to one particle.
+    """
 
     distribution: Literal["classes"] = Field(description="kind of size distribution")
     by: Literal["number", "mass"] = Field(
@@ -110,6 +119,8 @@ class ClassSizes(Model):
 
 
 SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+"""Diameters after reading: one, one per particle, or a distribution [m]."""
+
 Sizes = Annotated[
     Annotated[Diameter, Tag("<number>")]
     | Annotated[tuple[Diameter, ...], Tag("<list>")]
@@ -120,6 +131,7 @@ Sizes = Annotated[
     | Annotated[None, Tag("<none>")],
     choose_by_key("distribution", number_tag="number", list_tag="list", none_tag="none"),
 ]
+"""Diameters as in a scene; None if a file defines them."""
 
 
 def _many_tag(value: Any) -> str:
@@ -132,17 +144,20 @@ _one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors"
 VelocityOrMany = Annotated[
     Annotated[VelocityVector, Tag("<one>")] | Annotated[tuple[VelocityVector, ...], Tag("<list>")], _one_or_many
 ]
+"""One velocity (3,) [m/s] for all particles, or one for each."""
+
 AngularVelocityOrMany = Annotated[
     Annotated[AngularVelocityVector, Tag("<one>")] | Annotated[tuple[AngularVelocityVector, ...], Tag("<list>")],
     _one_or_many,
 ]
+"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
 class Group(Model):
     """Particles of one material with one kind of insertion.
 
     Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
-    give an end time instead.
+    give an end time instead. Of several limits, the smallest number of particles applies.
     """
 
     material: Text = Field(description="name of the particles' material")
@@ -167,7 +182,10 @@ class Group(Model):
 
     @property
     def sizes(self) -> SizeSpec:
-        """Diameters [m] given in the scene. Raises ValueError if a file defines them."""
+        """Diameters [m] given in the scene: one, one per particle, or a distribution.
+
+        Raises ValueError if a file defines them.
+        """
         if self.diameter is None:
             raise ValueError("A file defines the diameters.")
         return self.diameter
@@ -183,7 +201,7 @@ class Group(Model):
         return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
 
     def faults(self) -> Iterator[Fault]:
-        """Consistent count, mass, diameter, lists and velocities; see the checks below."""
+        """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
         yield from self._amount_faults()
         yield from self._list_faults()
         if self.diameter is None and self.insert.kind != "file":
@@ -194,6 +212,7 @@ class Group(Model):
             yield from self._fixed_faults()
 
     def _amount_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
         insertion, count = self.insert, self.count_given
         rows = len(insertion.positions) if insertion.kind == "positions" else None
         if rows is not None and count != rows:
@@ -226,6 +245,7 @@ class Group(Model):
                 yield Fault((key,), "fixed is true, so the particles do not move; leave it out")
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
+        """Yield the key path and the length of each value that is given as a list, one entry per particle."""
         if isinstance(self.diameter, tuple):
             yield ("diameter",), len(self.diameter)
         for key in ("velocity", "angular_velocity"):

@@ -1,4 +1,7 @@
-"""Insertion of particles during the run: a number or mass per second, at random free positions in a region."""
+"""Insertion of particles during the run: a number or mass per second, at random free positions in a region.
+
+Inserters run on the host: `next_time` is the time of the next batch, `insert_due` returns its particles.
+"""
 
 import math
 from typing import Any
@@ -29,6 +32,8 @@ MAX_RETRIED_BATCHES = 4
 region."""
 
 SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
+"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch [s]."""
+
 
 ATTEMPTS = (8, 56)
 """Positions tried for a particle: in the first round, and in the second round after a failure of the first."""
@@ -45,8 +50,12 @@ class Inserter:
     batch. Walls are not considered. The positions depend on the seed of the scene, the number of the batch, and the
     existing particles.
 
-    radius (count,) [m]: radii in the order of insertion.  due_at (count,) [s]: due times.
-    remaining: number of particles not inserted yet.  next_time [s]: time of the next batch; infinite after the last.
+    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion, read-only.
+    `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval` [s]: mean
+    time between particles. `next_time` [s]: time of the next batch; infinite after the last.
+
+    Raises ValueError for a group without rain or inlet, and RegionFullError if the largest particle does not fit into
+    the region.
     """
 
     def __init__(self, scene: Scene, group_name: str) -> None:
@@ -76,7 +85,7 @@ class Inserter:
         self.next_time = self.start
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the insertion; the random numbers follow from the number of the batch."""
+        """State of the insertion: SAVED_FIELDS. The random numbers follow from the number of the batch."""
         return {name: getattr(self, name) for name in SAVED_FIELDS}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -99,7 +108,9 @@ class Inserter:
     def insert_due(self, time: float, position: np.ndarray, radius: np.ndarray) -> ParticleData:
         """Particles inserted at `time` [s], without overlap with existing ones or each other.
 
-        position (m, 3) [m], radius (m,) [m]: existing particles.
+        `position` (m, 3) [m], `radius` (m,) [m]: existing particles, whose periodic images are considered too.
+        Particles without a free position are added to `queued`; at most MAX_RETRIED_BATCHES batches of queued particles
+        are tried. Changes `queued`, `due_count`, `batch_count` and `next_time`.
         """
         due = int(np.searchsorted(self.due_at, time + DUE_TOLERANCE * self.interval, side="right"))
         arriving = np.arange(self.due_count, due)
@@ -119,7 +130,10 @@ class Inserter:
         return particles_of(self.scene, self.group_name, centers, self.radius[inserted])
 
     def time_after(self, time: float) -> float:
-        """Time of the next batch [s]; if only queued particles remain, one mean batch interval after `time`."""
+        """Time of the next batch [s], when its last particle is due; infinite if no particles remain.
+
+        If only queued particles remain, one mean batch interval after `time` [s].
+        """
         if self.remaining == 0:
             return math.inf
         if self.due_count == 0:
@@ -132,7 +146,11 @@ class Inserter:
     def find_positions(
         self, candidates: np.ndarray, obstacles: Spheres, random: np.random.Generator
     ) -> dict[int, np.ndarray]:
-        """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried."""
+        """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried.
+
+        `candidates` (c,) int64: particle numbers; `obstacles`: existing spheres near the region. Each particle has
+        ATTEMPTS[0] attempts in the first round, and ATTEMPTS[1] in the second if the first fails.
+        """
         positions: dict[int, np.ndarray] = {}
         for attempts in ATTEMPTS:
             unplaced = np.array([k for k in candidates if k not in positions], dtype=np.int64)
@@ -145,7 +163,10 @@ class Inserter:
         return positions
 
     def place_first_clear(self, k: int, proposed: np.ndarray, positions: dict[int, np.ndarray]) -> None:
-        """Add the first proposed center (t, 3) of particle k without overlap with the positions of this batch."""
+        """Add the first proposed center of particle `k` without overlap with those of this batch to `positions`.
+
+        `proposed` (t, 3) [m]: centers without overlap with existing particles. Nothing is added if none is clear.
+        """
         if len(proposed) and positions:
             occupied = np.array(list(positions.values()))
             limit = self.radius[k] + self.radius[list(positions)]
@@ -156,7 +177,13 @@ class Inserter:
 
 
 def batch_size(radius: np.ndarray, volume: float) -> int:
-    """Number of particles per batch."""
+    """Number of particles per batch, at least 1.
+
+        n = min(count / MAX_BATCHES, BATCH_FRACTION V / mean sphere volume)
+
+    `radius` (count,) [m]: of all particles of the group; `volume` V [m3] of the region. The second limit keeps the
+    region dilute, so that free positions are found.
+    """
     mean_volume = float(np.mean(4 / 3 * np.pi * radius**3))
     capacity = int(BATCH_FRACTION * volume / mean_volume)
     return max(1, min(math.ceil(len(radius) / MAX_BATCHES), capacity))
@@ -173,7 +200,11 @@ def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.n
 def _insertion_region(
     insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
 ) -> RegionSampler:
-    """Insertion region: as given, or the volume behind a face crossed in the time of one batch (`gathered` [s])."""
+    """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.
+
+    `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch. The depth is one
+    diameter plus the normal velocity times that time.
+    """
     if isinstance(insertion, RainInsertion):
         return sampler_of(insertion.region)
     if isinstance(insertion.face, DiscFace):
@@ -189,7 +220,10 @@ def _insertion_region(
 
 
 def inserters(scene: Scene) -> tuple[Inserter, ...]:
-    """Inserters of all groups with rain or inlet, in the order of the scene. Raises SceneError."""
+    """Inserters of all groups with rain or inlet, in the order of the scene.
+
+    Raises SceneError with one message for each group that does not fit into its region.
+    """
     inserters, problems = [], []
     for name, group in scene.particles.items():
         if isinstance(group.insert, RainInsertion | InletInsertion):

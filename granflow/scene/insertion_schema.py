@@ -30,6 +30,7 @@ from granflow.scene.fields import (
 from granflow.scene.wall_schema import side_faults
 
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
+"""Random displacement over the free gap: 0 to 1."""
 
 
 class Box(Model):
@@ -39,7 +40,7 @@ class Box(Model):
     max: Point = Field(description="corner with the largest coordinates [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The volume must be positive."""
+        """Yield a fault for each axis along which the extent is not positive."""
         for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
             if high <= low:
                 yield Fault(("max", i), f"it must be above min, {low:g} m")
@@ -53,7 +54,7 @@ class CylinderShape(Model):
     radius: PositiveLength = Field(description="radius [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The axis must have a length above 0."""
+        """Yield a fault if the axis has no length."""
         if self.from_ == self.to:
             yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
 
@@ -71,7 +72,11 @@ class CylinderRegion(Model):
 
 
 def choose_by_field(**models: type[Model]) -> Callable[[Any], str | None]:
-    """Choose a member of a union by a key of the mapping."""
+    """Choose a member of a union by a key of the mapping.
+
+    `models`: key -> model with this key; the tag is the key in angle brackets. The result is the argument of
+    `choose_by`.
+    """
 
     def tag(value: Any) -> str | None:
         for name, model in models.items():
@@ -89,10 +94,11 @@ Region = Annotated[
         "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}",
     ),
 ]
+"""A box or a cylinder, in which particles lie entirely inside."""
 
 
 class LatticeInsertion(Model):
-    """Particles on a regular lattice in a region."""
+    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits."""
 
     kind: Literal["lattice"] = Field(description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
@@ -100,14 +106,18 @@ class LatticeInsertion(Model):
 
 
 class PackInsertion(Model):
-    """Particles in a random packing without overlap in a region."""
+    """Particles in a random packing without overlap in a region; solid fraction up to about 0.55."""
 
     kind: Literal["pack"] = Field(description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
 
 
 class TimedInsertion(Model):
-    """Insertion during the run at a constant number or mass per second."""
+    """Insertion during the run at a constant number or mass per second.
+
+    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that each size
+    class has its fraction at any time.
+    """
 
     rate: Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
     mass_flow: MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
@@ -117,7 +127,7 @@ class TimedInsertion(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly one of rate and mass_flow; the end after the start."""
+        """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""
         if self.rate is None and self.mass_flow is None:
             yield Fault((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s", whole=True)
         if self.rate is not None and self.mass_flow is not None:
@@ -127,7 +137,10 @@ class TimedInsertion(Model):
 
 
 class RainInsertion(TimedInsertion):
-    """Insertion at random free positions in a region, until the count, the mass or the end time is reached."""
+    """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
+
+    Particles without a free position are queued and inserted first in the next batch. Walls are not considered.
+    """
 
     kind: Literal["rain"] = Field(description="kind of insertion")
     region: Region = Field(description="region of the insertion: a box or a cylinder")
@@ -142,7 +155,7 @@ class RectangleOutline(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """The edges must have lengths above 0 and be perpendicular."""
+        """Yield a fault unless the edges have lengths above 0 and are perpendicular."""
         yield from side_faults(self.sides)
 
 
@@ -173,10 +186,14 @@ Face = Annotated[
         "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]
+"""A rectangle or a disc through which particles enter along its normal."""
 
 
 class InletInsertion(TimedInsertion):
-    """Insertion through a face: particles appear directly behind it with the velocity of the group."""
+    """Insertion through a face: particles appear directly behind it with the velocity of the group.
+
+    The positions are random; particles without a free position are queued.
+    """
 
     kind: Literal["inlet"] = Field(description="kind of insertion")
     face: Face = Field(description="face of the inlet: a rectangle or a disc")
@@ -193,14 +210,18 @@ class FileSummary(Model):
 
 
 class FileInsertion(Model):
-    """Particles from a table: CSV, or a VTU frame."""
+    """Particles from a table: CSV, or a VTU frame.
+
+    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a material
+    column, the group gets the rows of its material.
+    """
 
     kind: Literal["file"] = Field(description="kind of insertion")
     file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
 
     def faults(self) -> Iterator[Fault]:
-        """The file must lie in the folder of the scene, or below it."""
+        """Yield a fault unless the file lies in the folder of the scene, or below it."""
         path = PurePath(self.file)
         if path.is_absolute() or ".." in path.parts or not path.parts:
             yield Fault(("file",), "the file must be in the folder of the scene or below it; give a relative path")
@@ -222,3 +243,4 @@ Insertion = Annotated[
     | Annotated[FileInsertion, Tag("<file>")],
     choose_by_key("kind"),
 ]
+"""Any kind of insertion; the key `kind` selects it."""

@@ -12,7 +12,7 @@ def json_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of scene files.
 
     Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between parts, such
-    as a missing pair.
+    as a missing pair. The result contains plain Python data only and can be written as JSON.
     """
     schema = Scene.model_json_schema(by_alias=True)
     return {"$schema": _DIALECT, **_without_titles(schema), "title": _TITLE}

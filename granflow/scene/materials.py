@@ -22,15 +22,29 @@ from granflow.scene.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
 
 YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+"""Young's modulus [Pa], above 0."""
+
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
+"""Yield strength [Pa], above 0."""
+
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
+"""Poisson ratio, above -1 and at most 0.5."""
+
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+"""Restitution coefficient in [0, 1]."""
+
 CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
+"""Cohesion energy density [J/m3], at least 0."""
+
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
+"""Friction coefficient, at least 0."""
 
 
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
-    """Name of the requested preset, None without one; an unknown preset is an error."""
+    """Name of the requested preset, None without one.
+
+    `known`: names of the presets; `kind`: noun for the message. Raises PydanticCustomError for an unknown preset.
+    """
     name = given.get("preset") if isinstance(given, dict) else None
     if name is None or name in list(known):
         return name
@@ -41,7 +55,10 @@ _OPTIONAL = ("yield_strength", "restitution_fit")  # keys of a material: an empt
 
 
 class Material(Model):
-    """Material of particles and walls. A preset supplies the values that are not given here."""
+    """Material of particles and walls. A preset supplies the values that are not given here.
+
+    Isotropic and linear elastic; a material without a yield strength never yields.
+    """
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
 
@@ -59,6 +76,10 @@ class Material(Model):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
+        """Add the values of the preset; given values have priority.
+
+        An empty optional value removes that of the preset. Raises PydanticCustomError for an unknown preset.
+        """
         name = _preset_name(given, PRESETS, "presets")
         if name is None:
             return given
@@ -73,7 +94,10 @@ class Material(Model):
 
 
 class RestitutionFit(Model):
-    """Restitution that decreases with the impact velocity: e(v) = exp(-sigma (v / (vlim - v))^psi) (Eq. 12)."""
+    """Restitution that decreases with the impact velocity v [m/s] (Zhou 2011, Eq. 12).
+
+    e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+    """
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
@@ -87,12 +111,14 @@ class RestitutionFit(Model):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
+        """Add sigma and psi of the preset; given values have priority."""
         fits = {name: preset.restitution_fit for name, preset in PRESETS.items() if preset.restitution_fit}
         name = _preset_name(given, fits, "presets with a restitution fit")
         return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
 
 
 def _restitution_tag(value: Any) -> str:
+    """Tag of a restitution: fit for a mapping, none without a value, else number."""
     if value is None:
         return "<none>"
     return "<fit>" if isinstance(value, dict | RestitutionFit) else "<number>"
@@ -104,10 +130,14 @@ Restitution = Annotated[
     | Annotated[None, Tag("<none>")],
     choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
 ]
+"""A number, a fit (Zhou 2011, Eq. 12), or None if the contact model derives it from the materials."""
 
 
 class MaterialPair(Model):
-    """Contact properties of two materials."""
+    """Contact properties of two materials, independent of their order.
+
+    Required for each two materials that can come into contact, including contacts of a material with itself.
+    """
 
     restitution: Restitution = Field(
         None,
@@ -124,7 +154,11 @@ class MaterialPair(Model):
 
 
 class Contact(Model):
-    """Contact models, the same for all pairs of materials."""
+    """Contact models, the same for all pairs of materials.
+
+    Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
+    are properties of the pairs.
+    """
 
     normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its parameters")
     tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb limit) or none")

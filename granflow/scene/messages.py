@@ -1,4 +1,7 @@
-"""Error messages of the schema: one sentence each, with source position and remedy."""
+"""Error messages of the schema: one sentence each, with source position and remedy.
+
+A message has the form `file:line:column: key.path is VALUE, but REASON.`
+"""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -28,7 +31,10 @@ def dotted(path: Iterable[str | int]) -> str:
 
 
 def problem_at(document: Document, path: KeyPath, fault: Fault) -> Problem:
-    """Error message for a fault at a path, with the position of the value if it is shown, else of the key."""
+    """Error message for a fault at a path, with the position of the value if it is shown, else of the key.
+
+    The path may contain union tags; `fault.path` is not used. The sentence ends with a period or a question mark.
+    """
     written = path_in_file(document, path)
     name = dotted(written) or "the scene"
     if fault.whole:
@@ -54,7 +60,10 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
 
 
 def problems_of(document: Document, error: ValidationError) -> list[Problem]:
-    """The errors of the schema as problems, without consequences of other errors; at most 1000."""
+    """The errors of the schema as problems, without consequences of other errors; at most 1000.
+
+    Omitted: copied defaults of invalid values, and a missing key if an unknown key is probably a misspelling of it.
+    """
     details = error.errors(include_url=False, include_input=False)[:_MAX_ERRORS]
     schema_errors = [
         _SchemaError(document, each["type"], each["loc"], each["msg"], each.get("ctx")) for each in details
@@ -68,7 +77,10 @@ def problems_of(document: Document, error: ValidationError) -> list[Problem]:
 
 
 class _SchemaError:
-    """One pydantic error, with the part of the schema at its location."""
+    """One pydantic error, with the part of the schema at its location.
+
+    `type`, `loc`, `msg`, `ctx`: as in pydantic; `path`: key path in the file.
+    """
 
     def __init__(self, document: Document, type: str, loc: KeyPath, msg: str, ctx: Any = None) -> None:
         self.document = document
@@ -87,6 +99,7 @@ class _SchemaError:
                 yield (*self.path[:-1], near)
 
     def problem(self) -> Problem:
+        """The error as one sentence with its source position; the kind of error determines the sentence."""
         if self.type == "missing":
             return self._whole(f"is missing: {self._description()}")
         if self.type == "extra_forbidden":
@@ -115,6 +128,7 @@ class _SchemaError:
         return self._whole(f"is not a known key. {remedy}")
 
     def _description(self) -> str:
+        """Description of the missing key from the schema."""
         model = model_at(Scene, self.loc[:-1])
         fields = model.model_fields.values() if model else ()
         texts = {field.alias: field.description for field in fields if field.alias}
@@ -122,7 +136,10 @@ class _SchemaError:
         return texts.get(str(self.loc[-1])) or "it is required"
 
     def _choice(self) -> Problem:
-        """A union whose member is undetermined: the key is missing or has an unknown value."""
+        """A union whose member is undetermined: the key is missing or has an unknown value.
+
+        The message lists the values of the key, or the reason that the union gives.
+        """
         key = self.context.get("key", "")
         tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
         tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]
@@ -138,12 +155,14 @@ class _SchemaError:
         return self._one_of(path, tags)
 
     def _no_mapping(self, key: str, tags: list[str]) -> Problem:
+        """A value in place of a mapping: the message gives an example with one of the possible kinds."""
         if key == "law":
             return self._one_of(self.path, tags)
         example = "{" + f"{key}: {tags[0]}, ..." + "}"
         return self._but(self.path, f"a mapping is expected, {example}, with {key} one of {', '.join(tags)}")
 
     def _one_of(self, path: KeyPath, allowed: list[str]) -> Problem:
+        """A word that is not one of `allowed`: the message lists them and suggests the closest."""
         node = self.document.find(path)
         near = nearest(node.text, allowed) if node is not None else None
         hint = f". Did you mean {near}?" if near else ""
@@ -152,18 +171,22 @@ class _SchemaError:
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
-    """The model at the location of an error; None for a plain value."""
+    """The model at the location of an error; None for a plain value.
+
+    `annotation`: type at the root, such as Scene; `loc`: location as in pydantic, with union tags.
+    """
     found = _annotation_at(annotation, loc)
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None
 
 
 def tags_at(annotation: Any, loc: KeyPath) -> list[str]:
-    """The tags of the union at the location of an error."""
+    """The tags of the union at the location of an error, with angle brackets; empty for another type."""
     members = get_args(_annotation_at(annotation, loc))
     return [meta.tag for member in members for meta in get_args(member)[1:] if isinstance(meta, Tag)]
 
 
 def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
+    """The type at a location below a type; None if the location does not exist in the schema."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _annotation_at(get_args(annotation)[0], loc)
@@ -182,6 +205,7 @@ def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
 
 
 def _in_union(annotation: Any, loc: KeyPath) -> Any:
+    """The type at a location in a union: that of the member with the tag, or of the only member."""
     members = [member for member in get_args(annotation) if member is not type(None)]
     if loc:
         for member in members:
@@ -191,6 +215,7 @@ def _in_union(annotation: Any, loc: KeyPath) -> Any:
 
 
 def _keys(model: type[BaseModel] | None) -> list[str]:
+    """The keys of a model as written in scenes; empty without a model."""
     return [field.alias or name for name, field in model.model_fields.items()] if model else []
 
 

@@ -11,7 +11,10 @@ from granflow.scene.fields import Model, Number, ShortForm, choose_by, choose_by
 
 
 class LawSettings(Model):
-    """A normal contact model and its parameters; base class of one schema class per contact model."""
+    """A normal contact model and its parameters; base class of one schema class per contact model.
+
+    The catalog `granflow.laws.catalog` defines names, parameters and bounds.
+    """
 
     law: str
 
@@ -21,7 +24,7 @@ class LawSettings(Model):
         return NORMAL_LAWS[self.law]
 
     def settings(self) -> dict[str, Any]:
-        """The parameters by key, without the name of the contact model."""
+        """The parameters by key, in SI units, without the name of the contact model."""
         return self.model_dump(exclude={"law"})
 
     def fixed_by_numbers(self) -> dict[str, str]:
@@ -37,6 +40,7 @@ def known_laws() -> str:
 
 
 def _model(kind: LawKind) -> type[LawSettings]:
+    """The schema class of one contact model, with a field for each of its parameters."""
     fields: dict[str, Any] = {"law": (Literal[kind.name], Field(description="name of the normal contact model"))}
     for key, setting in kind.settings.items():
         fields[key] = (_annotation(setting, f"{kind.name}_{key}"), _field(setting))
@@ -64,6 +68,7 @@ def _annotation(setting: Setting, name: str) -> Any:
 
 
 def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
+    """The schema class of a parameter value that is a mapping with a single key and a number."""
     fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
     return create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
 
@@ -74,6 +79,11 @@ def _either(setting: Choice) -> str:
 
 
 def _tagger(words: tuple[str, ...], models: dict[str, type[Model]]) -> Callable[[Any], str | None]:
+    """Function that returns the tag of a parameter value: its word, or the key of its mapping.
+
+    None if neither matches.
+    """
+
     def tag(value: Any) -> str | None:
         if isinstance(value, str):
             return f"<{value}>" if value in words else None
@@ -90,6 +100,8 @@ def _camel(name: str) -> str:
 
 
 MODELS: dict[str, type[LawSettings]] = {name: _model(kind) for name, kind in NORMAL_LAWS.items()}
+"""Schema class of each normal contact model, by name."""
+
 
 if TYPE_CHECKING:
     Normal = LawSettings

@@ -27,7 +27,12 @@ def whole_error(reason: str) -> PydanticCustomError:
 
 @dataclass(frozen=True)
 class Number:
-    """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range."""
+    """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range.
+
+    `noun`: for messages, default is that of the dimension. `above`, `at_least`, `at_most`: bounds in SI units. `words`:
+    texts that are accepted in place of a number. `whole`: the number is an int without a unit. Used as metadata of a
+    pydantic field.
+    """
 
     dimension: str = "number"
     noun: str = ""
@@ -40,7 +45,10 @@ class Number:
     """Exponent of `scale` of a scene in this number."""
 
     def read(self, value: Any) -> float | int | str:
-        """Convert a value from the file to a number within the bounds, or to one of the words."""
+        """Convert a value from the file to a number within the bounds (SI), or to one of the words.
+
+        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of bounds.
+        """
         if isinstance(value, str) and value in self.words:
             return value
         number = self._number(value)
@@ -53,6 +61,10 @@ class Number:
         return self._count(number) if self.whole else number
 
     def _number(self, value: Any) -> float:
+        """The SI value of a number or text; infinite for an integer beyond the range of float.
+
+        Raises PydanticCustomError.
+        """
         if isinstance(value, str) and not self.whole:
             try:
                 return to_si(value, self.dimension)
@@ -66,6 +78,7 @@ class Number:
             return math.inf
 
     def _count(self, number: float) -> int:
+        """The number as an int. Raises PydanticCustomError if it has a fraction or exceeds 32 bits."""
         if number != int(number):
             raise value_error(f"{self._noun} must be a whole number")
         if number > LARGEST_COUNT:
@@ -73,6 +86,7 @@ class Number:
         return int(number)
 
     def _inside(self, number: float) -> bool:
+        """Whether a number satisfies the bounds; False for NaN if there are any."""
         return (
             (self.above is None or number > self.above)
             and (self.at_least is None or number >= self.at_least)
@@ -93,6 +107,7 @@ class Number:
         return f", or {' or '.join(self.words)}" if self.words else ""
 
     def _bounds(self) -> str:
+        """Text of the bounds for a message."""
         if self.at_least is not None and self.at_most is not None:
             return f"must be in [{self.at_least:g}, {self.at_most:g}]"
         parts = [
@@ -107,7 +122,10 @@ class Number:
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word."""
+        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word.
+
+        Text must match a pattern of a number and one of the units of the dimension.
+        """
         number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
         bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
         number.update({key: bound for key, bound in bounds.items() if bound is not None})

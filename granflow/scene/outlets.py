@@ -53,3 +53,4 @@ Outlet = Annotated[
         "{disc: {center: [..], normal: [..], radius: ..}}",
     ),
 ]
+"""An outlet of any shape: box, half space or disc, selected by its key."""

@@ -15,7 +15,12 @@ class _Refused(Exception):
 
 
 def apply(document: Document, override: str) -> list[Problem]:
-    """Apply one override to the document; return its problems."""
+    """Apply one override to the document; return its problems.
+
+    `override`: key.path=value, where the value is YAML and list items have indices from 0. Missing parents that the
+    schema knows are created. The root of the document is replaced by a modified copy. Problems have the override as
+    their position.
+    """
     source = f"--set {override}"
     position = SourcePosition(source)
     path, equals, text = override.partition("=")
@@ -35,7 +40,10 @@ def apply(document: Document, override: str) -> list[Problem]:
 
 
 def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
-    """Copy of the tree with the value at keys[depth:] below this node; nodes shared by aliases do not change."""
+    """Copy of the tree with the value at keys[depth:] below this node; nodes shared by aliases do not change.
+
+    Raises _Refused if the path does not exist in the scene or the schema.
+    """
     if depth == len(keys):
         return value
     if node.items is not None:
@@ -53,6 +61,7 @@ def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition
 
 
 def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
+    """Copy of a list node with one item replaced. Raises _Refused for an invalid index."""
     items = list(node.items or ())
     index = keys[depth]
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
@@ -69,7 +78,10 @@ def _key(entries: dict[str, MappingEntry], key: str) -> str:
 
 
 def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition) -> Node:
-    """An empty mapping for a part that is missing in the file, such as `numerics`."""
+    """An empty mapping for a part that is missing in the file, such as `numerics`.
+
+    Raises _Refused for an unknown part.
+    """
     if model_at(Scene, tuple(keys[: depth + 1])) is None or (depth and model_at(Scene, tuple(keys[:depth])) is None):
         known = list(entries) if depth else list(Scene.model_fields)
         parent = dotted(keys[:depth]) or "the scene"

@@ -1,4 +1,7 @@
-"""Packing of spheres in a region: on a lattice, or at random without overlap."""
+"""Packing of spheres in a region: on a lattice, or at random without overlap.
+
+Both avoid existing spheres. The results depend on the random number generator only, not on the number of threads.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,12 +18,15 @@ SWELLING = 0.02
 """Relative increase of the radii during separation, so that no overlap remains."""
 
 MAX_SWEEPS = 2000
+"""Number of sweeps after which overlapping spheres are reported as not fitting."""
+
 
 OVERSHOOT = 1.4
 """Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2, 1.4)."""
 
 
 Sites = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function of the spacing [m] that returns the sites (n, 3) [m] of a lattice and displacement vectors (3, 3) [m]."""
 
 
 class RegionFullError(Exception):
@@ -34,7 +40,7 @@ class RegionFullError(Exception):
 
 @dataclass(frozen=True)
 class Spheres:
-    """A set of spheres: position (n, 3) [m], radius (n,) [m]."""
+    """A set of n spheres: position (n, 3) [m], radius (n,) [m]."""
 
     position: np.ndarray
     radius: np.ndarray
@@ -45,12 +51,12 @@ class Spheres:
         return cls(np.empty((0, 3)), np.empty(0))
 
     def near(self, region: RegionSampler) -> "Spheres":
-        """The spheres that intersect the region."""
+        """The spheres that may intersect the region, in the same order."""
         inside = region.reaches(self.position, self.radius)
         return Spheres(self.position[inside], self.radius[inside])
 
     def joined(self, other: "Spheres") -> "Spheres":
-        """Both sets of spheres, `other` last."""
+        """Both sets of spheres, `other` last: n + m spheres."""
         return Spheres(np.concatenate([self.position, other.position]), np.concatenate([self.radius, other.radius]))
 
 
@@ -63,8 +69,11 @@ def fill_lattice(
 ) -> np.ndarray:
     """Centers (n, 3) [m] on the widest square lattice with a site for each sphere, filled in layers from the bottom.
 
-    `jitter`: largest random displacement along each axis, as a fraction of the gap around the largest sphere in its
-    cell. Sites that overlap existing spheres are skipped. Raises RegionFullError.
+    `radius` (n,) [m]. `jitter`: largest random displacement along each axis, as a fraction of the gap around the
+    largest sphere in its cell. Sites that overlap spheres in `existing` are skipped. The order of `radius` is kept:
+    sizes are not sorted.
+
+    Raises RegionFullError with the number of sites if there are fewer than spheres.
     """
     margin = radius.max()
     check_width(region, margin)
@@ -83,7 +92,11 @@ def fill_lattice(
 
 
 def widest_spacing(free_sites: Sites, count: int, least: float, guess: float) -> float:
-    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if no spacing has enough sites."""
+    """The widest spacing [m] with at least `count` sites, to about 0.1 %; `least` if no spacing has enough sites.
+
+    `free_sites`: spacing [m] -> (sites (k, 3) [m], displacements); `least`, `guess` [m]. The number of sites is assumed
+    to decrease with the spacing; bisection between a sufficient and an insufficient spacing.
+    """
     spacing = max(guess, least)
     while spacing > least and len(free_sites(spacing)[0]) < count:
         spacing = max(0.9 * spacing, least)
@@ -102,7 +115,11 @@ def pack_at_random(
 ) -> np.ndarray:
     """Centers (n, 3) [m] of a random packing: random initial positions, then separation until no overlap remains.
 
-    Reaches a solid fraction of about 0.55 (0.5 or less in regions only a few diameters wide). Raises RegionFullError.
+    `radius` (n,) [m]; `existing`: spheres that do not move. Reaches a solid fraction of about 0.55 (0.5 or less in
+    regions only a few diameters wide).
+
+    Raises RegionFullError if the solid fraction would exceed MAX_PACKING_FRACTION, or if overlaps remain after
+    MAX_SWEEPS sweeps.
     """
     check_width(region, radius.max())
     obstacles = existing.near(region)
@@ -127,7 +144,7 @@ def only_fit(count: int) -> str:
 
 
 def packing_remedy(solid_fraction: float) -> str:
-    """Advice for a packing that is too dense."""
+    """Advice for a packing that is too dense; `solid_fraction`: requested."""
     return (
         f"They would fill {solid_fraction:.0%} of it, and a random packing reaches about 50%. "
         "Lower it or enlarge the region."
@@ -149,7 +166,8 @@ def separate_overlapping(
 
     The sweeps end if no overlap remains, or after `MAX_SWEEPS`. Each sweep separates every overlapping pair by its
     overlap, with displacements proportional to the inverse square of the radii; the remaining spheres are fixed.
-    The list of close pairs is rebuilt when a displacement exceeds half the skin.
+    The list of close pairs is rebuilt when a displacement exceeds half the skin. `swelling`: factor of the radii during
+    the sweeps, above 1, so that the result has gaps.
     """
     position, radius = spheres.position.copy(), spheres.radius * swelling
     mobility = np.where(np.arange(len(radius)) < mobile_count, radius**-2.0, 0.0)
@@ -169,7 +187,10 @@ def separate_overlapping(
 def mobile_pairs(
     position: np.ndarray, radius: np.ndarray, reach: float, mobile_count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs with a gap below `reach` [m] and at least one sphere among the first `mobile_count`."""
+    """Pairs (p,), (p,) with a gap below `reach` [m] and at least one sphere among the first `mobile_count`.
+
+    `position` (n, 3), `radius` (n,) [m].
+    """
     first, second = near_pairs(position, radius, reach)
     matters = np.minimum(first, second) < mobile_count
     return first[matters], second[matters]
@@ -178,7 +199,13 @@ def mobile_pairs(
 def separation(
     position: np.ndarray, radius: np.ndarray, mobility: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, float]:
-    """Displacements (n, 3) [m] that separate each overlapping pair by its overlap, and the largest relative overlap."""
+    """Displacements (n, 3) [m] that separate each overlapping pair by its overlap, and the largest relative overlap.
+
+        d_i = b_i (R_i + R_j - |r|) / (b_i + b_j) r / |r|,      r = x_i - x_j
+
+    `mobility` b (n,), 0 for fixed spheres; `pairs` (p,), (p,): indices of candidate pairs, of which at least one sphere
+    is mobile. The relative overlap is over the sum of the radii; 0 without overlapping pairs.
+    """
     first, second = pairs
     branch = position[first] - position[second]
     contact_distance = radius[first] + radius[second]
@@ -207,7 +234,10 @@ def overlapping_pairs(spheres: Spheres, mobile_count: int) -> np.ndarray:
 
 
 def greedy_cover(pairs: np.ndarray, mobile_count: int) -> int:
-    """Number of mobile spheres to remove, those with most overlaps first, until no overlapping pair remains."""
+    """Number of mobile spheres to remove, those with most overlaps first, until no overlapping pair remains.
+
+    `pairs` (p, 2): indices, at least one of each pair below `mobile_count`. An upper bound of the necessary number.
+    """
     removed = 0
     while len(pairs):
         worst = np.bincount(pairs.ravel())[:mobile_count].argmax()

@@ -14,8 +14,8 @@ from granflow.scene.schema import Scene
 class ParticleData:
     """Arrays of n new particles.
 
-    position (n, 3) [m], velocity (n, 3) [m/s], angular_velocity (n, 3) [rad/s], radius (n,) [m], all float64;
-    material (n,) int32 index into list(scene.materials), group (n,) int32 index into list(scene.particles).
+    `position` (n, 3) [m], `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s], `radius` (n,) [m], all float64;
+    `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into list(scene.particles).
     """
 
     position: np.ndarray
@@ -38,7 +38,11 @@ class ParticleData:
 
 
 def particles_of(scene: Scene, group_name: str, position: np.ndarray, radius: np.ndarray) -> ParticleData:
-    """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group."""
+    """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group.
+
+    A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles. Raises KeyError for an
+    unknown group.
+    """
     group = scene.particles[group_name]
     count = len(radius)
     return ParticleData(
@@ -57,7 +61,7 @@ def seeds_of(scene: Scene, group_name: str) -> tuple[int, int]:
 
 
 def random_for(scene: Scene, group_name: str) -> np.random.Generator:
-    """The random number generator of one group, independent of all other groups."""
+    """The random number generator of one group (PCG64), independent of all other groups and of their order."""
     return np.random.default_rng(np.random.SeedSequence(seeds_of(scene, group_name)))
 
 

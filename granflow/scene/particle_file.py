@@ -13,7 +13,11 @@ from granflow.scene.schema import Scene
 
 
 def table_of(scene: Scene, name: str) -> ParticleTable:
-    """All rows of the file of a group. Raises SceneError."""
+    """All rows of the file of a group.
+
+    Raises ValueError for a group without a file, and SceneError if the file cannot be read, is invalid, or lies outside
+    the folder of the scene, also by a symbolic link.
+    """
     insertion = scene.particles[name].insert
     if not isinstance(insertion, FileInsertion):
         raise ValueError(f"{name} is not read from a file.")
@@ -31,7 +35,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
 def rows_of(scene: Scene, name: str) -> ParticleTable:
     """The rows of a group: all, or those of its material (name or number) if the file has a material column.
 
-    Raises SceneError if no row matches.
+    Raises SceneError if no row matches, or if the file cannot be read.
     """
     table = table_of(scene, name)
     if table.material is None:
@@ -45,7 +49,7 @@ def rows_of(scene: Scene, name: str) -> ParticleTable:
 
 
 def unassigned_rows(scene: Scene) -> list[str]:
-    """An error message for each file with rows of a material that no group uses."""
+    """An error message for each file with rows of a material that no group uses; missing files are skipped."""
     files: dict[str, list[str]] = {}
     for name, group in scene.particles.items():
         if isinstance(group.insert, FileInsertion) and (scene.folder / group.insert.file).exists():
@@ -65,7 +69,11 @@ def unassigned_rows(scene: Scene) -> list[str]:
 
 
 def particles_from_file(scene: Scene, name: str) -> ParticleData:
-    """The particles of a group from its file. Raises SceneError if the file has changed."""
+    """The particles of a group from its file, in the order of its rows.
+
+    Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at rest. Raises
+    SceneError if the number of rows has changed since the scene was resolved.
+    """
     rows, group = rows_of(scene, name), scene.particles[name]
     if len(rows) != group.count:
         raise SceneError(

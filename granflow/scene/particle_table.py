@@ -29,8 +29,14 @@ COLUMN_NAMES = {
     "velocity": ("v", "vel", "velocity"),
     "angular_velocity": ("w", "omega", "spin", "angular_velocity", "angvel", "angularvelocity"),
 }
+"""Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis alone."""
+
 SIZE_NAMES = {"radius": ("r", "rad", "radius"), "diameter": ("d", "dia", "diam", "diameter")}
+"""Names of the column with the size of the particles."""
+
 MATERIAL_NAMES = ("material", "mat", "materialname", "materialid")
+"""Names of the column with the material: its name, or its number in the scene."""
+
 DIMENSIONS = {
     "position": "length",
     "radius": "length",
@@ -38,6 +44,8 @@ DIMENSIONS = {
     "velocity": "velocity",
     "angular_velocity": "angular_velocity",
 }
+"""Dimension of each quantity, in which the unit of its columns is converted to SI."""
+
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 
@@ -45,8 +53,9 @@ _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 class ParticleTable:
     """Arrays of the n particles of a file.
 
-    position (n, 3) [m], radius (n,) [m]; velocity (n, 3) [m/s], angular_velocity (n, 3) [rad/s] and material (n,)
-    (text), or None if the file does not have them; line (n,): line number, or for a frame the point number from 0.
+    `position` (n, 3) [m], `radius` (n,) [m]; `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s] and `material`
+    (n,) (text), or None if the file does not have them; `line` (n,): line number from 1, or for a frame the point
+    number from 0. Floats are float64.
     """
 
     path: Path
@@ -60,23 +69,30 @@ class ParticleTable:
     def __len__(self) -> int:
         return len(self.radius)
 
-    def subset(self, choose_by: np.ndarray) -> "ParticleTable":
-        """The rows selected by indices or by a mask."""
+    def subset(self, selection: np.ndarray) -> "ParticleTable":
+        """The rows selected by indices (k,) or by a mask (n,) bool, as a new table."""
         optional = (self.velocity, self.angular_velocity, self.material)
-        velocity, angular_velocity, material = (None if each is None else each[choose_by] for each in optional)
+        velocity, angular_velocity, material = (None if each is None else each[selection] for each in optional)
         return ParticleTable(
             self.path,
-            self.position[choose_by],
-            self.radius[choose_by],
+            self.position[selection],
+            self.radius[selection],
             velocity,
             angular_velocity,
             material,
-            self.line[choose_by],
+            self.line[selection],
         )
 
 
 def read_table(path: Path) -> ParticleTable:
-    """The particles in a file. Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`."""
+    """The particles in a file: text (CSV or columns separated by semicolons, tabs or spaces), or a VTU frame.
+
+    Numbers are converted to SI by the units in the header; without a unit they are SI. A file is read once per
+    modification time and size (cache).
+
+    Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`, or one message if the file is not
+    readable, too large, or has no particles.
+    """
     try:
         status = path.stat()
         if not path.is_file():
@@ -92,7 +108,10 @@ def read_table(path: Path) -> ParticleTable:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int, size: int) -> ParticleTable:
-    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B]."""
+    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B].
+
+    Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
+    """
     table, problems = _frame(path) if path.suffix.lower() == ".vtu" else _text(path)
     problems = [*problems, *_value_problems(table)]
     if problems:
@@ -115,7 +134,10 @@ def _value_problems(table: ParticleTable) -> Iterator[RowProblem]:
 
 
 def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
-    """Particles of a VTU file: points with `radius` or `diameter`, optionally velocities and `material`."""
+    """Particles of a VTU file: points with `radius` or `diameter`, optionally velocities and `material`.
+
+    `radius` has priority. Raises SceneError for a missing array or one with another number of components.
+    """
     try:
         mesh = read_vtu(path, LARGEST_FILE)
     except VtuError as error:
@@ -143,7 +165,10 @@ def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
 
 @dataclass(frozen=True)
 class _Heading:
-    """Content of the header line: separator, column names, columns of each quantity, and factors to SI."""
+    """Content of the header line: separator, column names, columns of each quantity, and factors to SI.
+
+    `separator`: None for white space; `columns`, `factors`: quantity -> one entry per component.
+    """
 
     separator: str | None
     names: list[str]
@@ -157,6 +182,7 @@ class _Heading:
 
 
 def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
+    """Particles of a text file, and the problems of its rows, sorted by line. Lines that begin with # are comments."""
     lines = read_regular_text(path, LARGEST_FILE).splitlines()
     heading, first = _heading(path, lines)
     numbered = [(n, line) for n, line in enumerate(lines[first:], first + 1) if line.strip() and line.strip()[0] != "#"]
@@ -187,7 +213,10 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
 def _column(
     rows: Sequence[tuple[int, list[str]]], column: int, heading: _Heading, problems: list[RowProblem]
 ) -> np.ndarray:
-    """One column as numbers (n,); an invalid cell becomes 0 and adds a problem."""
+    """One column as numbers (n,), not yet in SI; an invalid cell becomes 0 and adds a problem.
+
+    If the separator is not a comma, a decimal comma is accepted.
+    """
     cells = [row[column] for _, row in rows]
     if heading.separator != ",":
         cells = [cell.replace(",", ".") for cell in cells]
@@ -200,6 +229,7 @@ def _column(
 
 
 def _number(cell: str, row: tuple[int, list[str]], name: str, problems: list[RowProblem]) -> float:
+    """A cell as a number; 0 and a problem if it is none."""
     try:
         return float(cell)
     except ValueError:
@@ -208,7 +238,11 @@ def _number(cell: str, row: tuple[int, list[str]], name: str, problems: list[Row
 
 
 def _heading(path: Path, lines: Sequence[str]) -> tuple[_Heading, int]:
-    """The header line, with or without a leading #, and the number of lines up to and including it."""
+    """The header line, with or without a leading #, and the number of lines up to and including it.
+
+    Separators are tried in the order semicolon, comma, tab, white space. Raises SceneError if the first line that is
+    not a comment is not a header, or if a unit is invalid.
+    """
     nonempty = [(n, line) for n, line in enumerate(lines) if line.strip()]
     for n, line in islice(nonempty, 100):
         text = line.strip().lstrip("#")
@@ -235,7 +269,11 @@ def _names(text: str, separator: str | None) -> list[str]:
 
 
 def _columns(names: Sequence[str]) -> dict[str, list[int]]:
-    """Column numbers of each quantity whose components are complete."""
+    """Column numbers of each quantity whose components are complete.
+
+    Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]" are
+    recognized; see COLUMN_NAMES.
+    """
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", name).lower()) for name in names]
     wanted = {
         quantity: [
@@ -254,7 +292,10 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _factor(path: Path, line: int, name: str, quantity: str) -> float:
-    """Factor of a column to SI, from the unit after its name."""
+    """Factor of a column to SI, from the unit after its name; 1 without a unit.
+
+    Raises SceneError for an invalid unit.
+    """
     unit = _UNIT.search(name)
     if unit is None or quantity == "material" or not unit[1].strip():
         return 1.0

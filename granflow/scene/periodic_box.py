@@ -8,11 +8,15 @@ import numpy as np
 from granflow.scene.schema import Domain
 
 AXES = "xyz"
+"""Names of the axes 0, 1 and 2."""
 
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """Lees-Edwards shear: flow and gradient axes (0 to 2), velocity of the image above [m/s], start time [s]."""
+    """Lees-Edwards shear: flow and gradient axes (0 to 2), velocity of the image above [m/s], start time [s].
+
+    The velocity is the shear rate times the width of the box along the gradient axis.
+    """
 
     flow: int
     gradient: int
@@ -24,7 +28,8 @@ class ImageMotion:
 class PeriodicBox:
     """Periodic axes of a box, its lower corner (3,) [m] and its widths (3,) [m].
 
-    `offset` [m]: displacement of the image above in a Lees-Edwards box; see `at`.
+    `axes`: 0 to 2 for x to z. `offset` [m]: displacement of the image above in a Lees-Edwards box, along the flow axis;
+    see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.)
     """
 
     axes: tuple[int, ...]
@@ -48,7 +53,10 @@ class PeriodicBox:
         return self if self.image_motion is None else replace(self, offset=float(self.offsets(np.array([time]))[0]))
 
     def offsets(self, times: np.ndarray) -> np.ndarray:
-        """Displacements (n,) [m] of the image above at times (n,) [s], modulo the width of the box."""
+        """Displacements (n,) [m] of the image above at times (n,) [s], in [-width/2, width/2].
+
+        The displacement is periodic with the width of the box along the flow axis.
+        """
         if self.image_motion is None:
             return np.zeros(len(times))
         width = self.width[self.image_motion.flow]
@@ -56,7 +64,7 @@ class PeriodicBox:
         return np.asarray(moved - width * np.round(moved / width))
 
     def speeds(self, times: np.ndarray) -> np.ndarray:
-        """Velocities (n,) [m/s] of the image above at times (n,) [s]."""
+        """Velocities (n,) [m/s] of the image above at times (n,) [s]; 0 up to the start of the shear."""
         return (
             np.zeros(len(times))
             if self.image_motion is None
@@ -64,7 +72,10 @@ class PeriodicBox:
         )
 
     def strain(self, time: float) -> float:
-        """Shear strain since the start."""
+        """Shear strain at a time [s]: shear rate times the time since the start of the shear.
+
+        Negative for a negative shear rate, 0 without shear.
+        """
         return (
             0.0
             if self.image_motion is None
@@ -73,17 +84,24 @@ class PeriodicBox:
 
     @property
     def _height(self) -> float:
+        """Width of the box along the gradient axis [m]."""
         assert self.image_motion is not None
         return float(self.width[self.image_motion.gradient])
 
     def wrap(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset."""
+        """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset.
+
+        Each periodic coordinate is then in [low, low + width), except for rounding; the input is not modified.
+        """
         return self._shifted(points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis]))[0]
 
     def wrap_with_velocity(
         self, points: np.ndarray, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) [m] wrapped into the box, and their velocities (n, 3) [m/s] in it, at a time [s]."""
+        """Points (n, 3) [m] wrapped into the box, and their velocities (n, 3) [m/s] in it, at a time [s].
+
+        A point that crosses a Lees-Edwards face upward gets the velocity v - speed along the flow axis.
+        """
         shifted, image_counts = self.at(time)._shifted(
             points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
         )
@@ -94,7 +112,7 @@ class PeriodicBox:
         return shifted, shifted_velocity
 
     def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
-        """Periodic images (n, 3) [m] of points (n, 3) nearest to the reference points (n, 3)."""
+        """Periodic images (n, 3) [m] of points (n, 3) [m] nearest to the reference points (n, 3), row by row."""
         return self._shifted(
             points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
         )[0]
@@ -102,7 +120,11 @@ class PeriodicBox:
     def _shifted(
         self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points shifted by image counts along every axis, the gradient axis first, and the counts along that axis."""
+        """Points shifted by image counts along every axis, and the counts (n,) along the gradient axis.
+
+        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down. The gradient
+        axis comes first, because its shift changes the coordinate along the flow axis.
+        """
         shifted, gradient_counts = np.array(points), np.zeros(len(points))
         for axis in sorted(self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient):
             image_counts = image_counts_of(axis, shifted[:, axis])
@@ -113,7 +135,10 @@ class PeriodicBox:
         return shifted, gradient_counts
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face."""
+        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face.
+
+        The given spheres come first. At an edge or corner, all images of a sphere are included. Without shear.
+        """
         for axis in self.axes:
             height = position[:, axis] - self.low[axis]
             below, above = height < radius, height > self.width[axis] - radius

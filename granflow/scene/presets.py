@@ -12,7 +12,11 @@ _GLASS = "soda-lime silicate glass, EN 572-1: Young's modulus 70 GPa, Poisson ra
 
 @dataclass(frozen=True)
 class Preset:
-    """A material in SI units. `restitution_fit`: (sigma, psi) of Eq. 12 for contacts within the material, if known."""
+    """A material in SI units.
+
+    Moduli and strength [Pa], density [kg/m3]. `restitution_fit`: (sigma, psi) of Zhou (2011), Eq. 12, for contacts
+    within the material, if known. `source`: reference.
+    """
 
     young_modulus: float
     poisson_ratio: float
@@ -29,3 +33,4 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "glass": Preset(70e9, 0.20, 2500.0, None, None, _GLASS),
     }
 )
+"""Materials by the name that `preset` of a material accepts."""

@@ -24,10 +24,12 @@ _MAX_SHOWN = 100  # problems
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
-    """Read the scene in a YAML file.
+    """Read the scene in a YAML file and resolve it.
 
-    The path in `start_from` is relative to the folder of the file. Each override, "key.path=value", replaces or adds
-    a value (YAML) before validation. Raises `SceneError` with all problems in the order of the file.
+    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each override,
+    "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and in SI units.
+
+    Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
     """
     scene = scene_in(_document(Path(path)), overrides, Path(path).parent)
     scene._path = Path(path)
@@ -38,7 +40,10 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
 
 
 def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene file."""
+    """The directory in `start_from`, relative to the folder of the scene file.
+
+    Raises SceneError if it cannot be read.
+    """
     try:
         return resolved(Path(path).parent / str(scene.start_from))
     except OSError as error:
@@ -49,7 +54,7 @@ def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
 
-    Raises the same errors as `load`.
+    Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
     """
     try:
         return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
@@ -58,9 +63,10 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
 
 
 def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> Scene:
-    """The validated scene of a document; paths are relative to `folder`. Raises the same errors as `load`.
+    """The validated scene of a document; paths are relative to `folder` (default: the working directory).
 
-    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet.
+    The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises the same
+    errors as `load`.
     """
     problems = list(document.problems)
     for override in overrides:
@@ -83,6 +89,7 @@ def _not_shown(problems: Sequence[Problem]) -> list[str]:
 
 
 def _document(path: Path) -> Document:
+    """The tree of a file. Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping."""
     try:
         document = parse(_text(path), str(path))
     except DocumentError as error:
@@ -95,6 +102,10 @@ def _document(path: Path) -> Document:
 
 
 def _text(path: Path) -> str:
+    """The text of a file.
+
+    Raises SceneError for a directory, a file that is missing, special, too large or unreadable.
+    """
     try:
         if path.is_dir():
             raise SceneError(f"{path}: this is a directory; give the scene file in it.")
@@ -113,6 +124,7 @@ def _text(path: Path) -> str:
 
 
 def _similar(path: Path) -> str:
+    """A sentence with the scene file in the same folder that has the most similar name, or an empty text."""
     try:
         near = nearest(path.name, [each.name for each in path.parent.glob("*.y*ml")])
     except OSError:
@@ -121,6 +133,7 @@ def _similar(path: Path) -> str:
 
 
 def _decoded(raw: bytes, path: Path) -> str:
+    """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary data."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
     try:
@@ -135,6 +148,7 @@ def _decoded(raw: bytes, path: Path) -> str:
 
 
 def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
+    """The scene, or None if it does not satisfy the schema, and all problems of schema and consistency."""
     data = document.root.data()
     try:
         scene = _resolved_law(Scene.model_validate(data))

@@ -11,23 +11,29 @@ SLACK = 1e-9
 
 
 class RegionSampler(Protocol):
-    """An insertion region; arguments are points (n, 3) [m] and radii (n,) [m]."""
+    """An insertion region; arguments are points (n, 3) [m] and radii (n,) [m].
+
+    `volume` [m3]; `radius_max` [m]: radius of the largest sphere that fits.
+    """
 
     volume: float
     radius_max: float  # of the largest sphere that fits
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside."""
+        """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside.
+
+        `radius` (n,) [m]: each at most `radius_max`. Spheres may overlap each other.
+        """
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false negatives."""
 
 
 class PackingRegion(RegionSampler, Protocol):
-    """A region that a lattice or a random packing fills."""
+    """A region that a lattice or a random packing fills: a box or a cylinder."""
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) [m] with the spheres entirely inside."""
+        """The nearest centers (n, 3) [m] with the spheres of radii (n,) [m] entirely inside."""
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
         """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
@@ -38,7 +44,7 @@ class PackingRegion(RegionSampler, Protocol):
 
 
 class BoxSampler:
-    """A box with edges along the coordinate axes."""
+    """A box with edges along the coordinate axes from `low` to `high` (3,) [m]."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         self.low = np.asarray(low, dtype=np.float64)
@@ -47,16 +53,19 @@ class BoxSampler:
         self.radius_max = float((self.high - self.low).min()) / 2
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See `PackingRegion`."""
+        """Uniformly distributed centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         margin = radius[:, None]
         return self.low + margin + random.random((len(radius), 3)) * (self.high - self.low - 2 * margin)
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """See `PackingRegion`."""
+        """The nearest centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `PackingRegion`; the cells are stretched to fill the box."""
+        """Centers (n, 3) and displacement vectors (3, 3) [m] as in `PackingRegion`.
+
+        The cells are stretched to fill the box.
+        """
         size = self.high - self.low
         cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
         cell = size / np.maximum(cells, 1)
@@ -65,13 +74,16 @@ class BoxSampler:
         return centers, np.diag(jitter * np.maximum(cell / 2 - margin, 0.0))
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See `PackingRegion`."""
+        """Whether spheres of radius `reach` (n,) [m] may intersect the box, enlarged by each radius."""
         margin = reach[:, None]
         return np.all((points > self.low - margin) & (points < self.high + margin), axis=1)
 
 
 class CylinderSampler:
-    """A solid cylinder between the two ends of its axis."""
+    """A solid cylinder of `radius` [m] between the two ends (3,) [m] of its axis.
+
+    `frame` (3, 3): rows are the local axes; the last is the axis of the cylinder.
+    """
 
     def __init__(self, start: np.ndarray, end: np.ndarray, radius: float) -> None:
         self.start = np.asarray(start, dtype=np.float64)
@@ -87,11 +99,11 @@ class CylinderSampler:
         return (points - self.start) @ self.frame.T
 
     def from_local(self, local: np.ndarray) -> np.ndarray:
-        """The inverse of `to_local`."""
+        """Points (n, 3) [m] from local coordinates (n, 3) [m]: the inverse of `to_local`."""
         return self.start + local @ self.frame
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See `PackingRegion`."""
+        """See `PackingRegion`; the distance from the axis is (R - r) sqrt(u), with u uniform in [0, 1]."""
         share, turn, height = random.random((3, len(radius)))
         r = (self.radius - radius) * np.sqrt(share)
         angle = 2 * np.pi * turn
@@ -99,7 +111,7 @@ class CylinderSampler:
         return self.from_local(np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1))
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """See `PackingRegion`."""
+        """The nearest centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         local = self.to_local(points)
         r = np.linalg.norm(local[:, :2], axis=1)
         clearance = self.radius - radius
@@ -109,7 +121,10 @@ class CylinderSampler:
         return self.from_local(local)
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `PackingRegion`; layers are square lattices around the axis, stretched to fill the length."""
+        """Centers (n, 3) and displacement vectors (3, 3) [m] as in `PackingRegion`.
+
+        Layers are square lattices around the axis, stretched to fill the length.
+        """
         axes = int(2 * self.radius / spacing * (1 + SLACK))
         layers = int(self.length / spacing * (1 + SLACK))
         height = self.length / max(layers, 1)
@@ -117,18 +132,21 @@ class CylinderSampler:
         step = (np.arange(axes) - (axes - 1) / 2) * spacing
         z, y, x = np.meshgrid((np.arange(layers) + 0.5) * height, step, step, indexing="ij")
         farthest = np.hypot(np.abs(x) + shift[0], np.abs(y) + shift[1])
-        box = farthest + margin <= self.radius * (1 + SLACK)
-        return self.from_local(np.stack([x, y, z], axis=-1)[box]), shift[:, None] * self.frame
+        fits = farthest + margin <= self.radius * (1 + SLACK)
+        return self.from_local(np.stack([x, y, z], axis=-1)[fits]), shift[:, None] * self.frame
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See `PackingRegion`."""
+        """Whether spheres of radius `reach` (n,) [m] may intersect the cylinder, enlarged by each radius."""
         local = self.to_local(points)
         is_within_radius = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
         return is_within_radius & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
 
 
 class SlabSampler:
-    """A box on a rectangle of any orientation: `depth` [m] along the cross product of the two sides."""
+    """A box on a rectangle of any orientation: `depth` [m] along the cross product of the two sides.
+
+    `corner` (3,) [m]; `first`, `second` (3,) [m]: perpendicular edge vectors.
+    """
 
     def __init__(self, corner: np.ndarray, first: np.ndarray, second: np.ndarray, depth: float) -> None:
         lengths = np.array([np.linalg.norm(first), np.linalg.norm(second)])
@@ -138,23 +156,26 @@ class SlabSampler:
         self.volume, self.radius_max = self.box.volume, self.box.radius_max
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See `RegionSampler`."""
+        """Uniformly distributed centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         return np.asarray(self.corner + self.box.sample(radius, random) @ self.frame)
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """See `RegionSampler`."""
+        """Whether spheres of radius `reach` (n,) [m] may intersect the slab, enlarged by each radius."""
         return self.box.reaches((points - self.corner) @ self.frame.T, reach)
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis."""
+    """Right-handed orthonormal frame (3, 3) as rows; the last row is the given axis, a unit vector (3,).
+
+    `frame @ v` gives the components of a vector v in the frame.
+    """
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(axis, first), axis])
 
 
 def sampler_of(region: BoxRegion | CylinderRegion) -> BoxSampler | CylinderSampler:
-    """The sampler of a region in the scene."""
+    """The sampler of a region in the scene, in SI units."""
     if isinstance(region, BoxRegion):
         return BoxSampler(np.array(region.box.min), np.array(region.box.max))
     tube = region.cylinder

@@ -28,9 +28,12 @@ ROUNDING_SHARE = 1e-9
 
 
 def resolve_scene(scene: Scene, read: bool = False) -> Scene:
-    """The scene with all counts, at scale 1. Raises SceneError.
+    """The scene with all counts, at scale 1.
 
-    `read`: read existing particle files again even if the scene has their summary.
+    `read`: read existing particle files again even if the scene has their summary, and check that each of their rows
+    belongs to a group. Remarks for the user are in `Scene.remarks`. The argument is not modified.
+
+    Raises SceneError with the problems of all groups.
     """
     scene, remarks = _at_scale_1(scene)
     groups: dict[str, Group] = {}
@@ -50,7 +53,7 @@ def resolve_scene(scene: Scene, read: bool = False) -> Scene:
 
 
 def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[str]]:
-    """One group with its count, and remarks for the user."""
+    """One group with its count, and remarks for the user. Raises SceneError."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if not isinstance(insertion, FileInsertion):
         return _with_count(scene, name), []
@@ -60,7 +63,10 @@ def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[st
 
 
 def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
-    """The scaled scene at scale 1, and remarks; only expectations with `any_scale` remain."""
+    """The scaled scene at scale 1, and remarks; only expectations with `any_scale` remain.
+
+    Raises SceneError for groups with given positions, which cannot be scaled.
+    """
     if scene.scale == 1.0:
         return scene, []
     for name, group in scene.particles.items():
@@ -86,7 +92,8 @@ def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
 def scaled(part: Any, factor: float) -> Any:
     """A part of a scene with lengths multiplied by `factor`, and numbers of particles by its cube.
 
-    The types of the schema define the exponent of each number (`Number.scaling`).
+    The types of the schema define the exponent of each number (`Number.scaling`). Numbers of particles are rounded, and
+    are at least 1.
     """
     changes = {
         name: _scaled_value(getattr(part, name), _power(field), factor)
@@ -96,6 +103,7 @@ def scaled(part: Any, factor: float) -> Any:
 
 
 def _scaled_value(value: Any, power: int, factor: float) -> Any:
+    """A value with all its numbers multiplied by `factor` to the given power; texts, flags and None are unchanged."""
     if isinstance(value, Model):
         return scaled(value, factor)
     if isinstance(value, dict):
@@ -104,8 +112,8 @@ def _scaled_value(value: Any, power: int, factor: float) -> Any:
         return tuple(_scaled_value(each, power, factor) for each in value)
     if not power or isinstance(value, bool | str) or value is None:
         return value
-    scaled_scene = value * factor**power
-    return max(round(scaled_scene), 1) if isinstance(value, int) else scaled_scene
+    scaled_number = value * factor**power
+    return max(round(scaled_number), 1) if isinstance(value, int) else scaled_number
 
 
 def _power(field: FieldInfo) -> int:
@@ -121,7 +129,10 @@ def _power(field: FieldInfo) -> int:
 
 
 def _with_count(scene: Scene, name: str) -> Group:
-    """A group with a count, a mass or an end time: its count is the smallest of the resulting counts."""
+    """A group with a count, a mass or an end time: its count is the smallest of the resulting counts.
+
+    Raises SceneError if the count exceeds LARGEST_COUNT.
+    """
     group = scene.particles[name]
     counts = {key: count for key, count in _counts(scene, name)}
     key = min(counts, key=lambda key: counts[key])
@@ -135,7 +146,10 @@ def _with_count(scene: Scene, name: str) -> Group:
 
 
 def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
-    """Number of particles that follows from each of the keys count, mass and insert.end, if given."""
+    """Number of particles that follows from each of the keys count, mass and insert.end, if given.
+
+    insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
+    """
     group, insertion = scene.particles[name], scene.particles[name].insert
     if group.count_given is not None:
         yield "count", group.count_given
@@ -150,13 +164,17 @@ def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
 
 
 def _count_of_mass(scene: Scene, name: str, mass: float) -> int:
+    """Number of particles with a total mass [kg] nearest to the given one, for the sizes and the material of a group.
+
+    sum d^3 = 6 m / (pi rho)
+    """
     group = scene.particles[name]
     density = scene.materials[group.material].density
     return count_for_volume(group.sizes, 6.0 / pi * mass / density, lambda: random_for(scene, name))
 
 
 def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
-    """A group from a file with the summary of the file, and remarks."""
+    """A group from a file with the summary of the file, and remarks. Raises SceneError for an inconsistent group."""
     group = scene.particles[name]
     rows = rows_of(scene, name)
     problems = [*_inconsistencies(scene, name, rows)]
@@ -173,7 +191,7 @@ def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group
 
 
 def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[str]:
-    """Contradictions between a group in the scene and the rows of its file."""
+    """Contradictions between a group in the scene and the rows of its file, one sentence each."""
     group = scene.particles[name]
     if group.count_given not in (None, len(rows)) and scene.is_given("particles", name, "count"):
         location = scene.locate("particles", name, "count")
@@ -190,7 +208,10 @@ def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[s
 
 
 def _overlap(scene: Scene, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
-    """Largest overlap over the smaller radius, and remarks; 0 for fixed particles."""
+    """Largest overlap over the smaller radius, and remarks; 0 for fixed particles.
+
+    (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
+    """
     if scene.particles[name].fixed:
         return 0.0, []
     first, second = near_pairs(rows.position, rows.radius, 0.0)

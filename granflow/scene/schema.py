@@ -144,10 +144,20 @@ LARGEST_OVERLAP = 0.8
 """Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.travel`)."""
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
+"""Fraction above 0 and at most 1."""
+
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
+"""Overlap over radius, above 0 and at most LARGEST_OVERLAP."""
+
 AdaptiveOrFixedTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
+"""Time step [s], above 0, or auto or adaptive."""
+
 ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
+"""Shear rate [1/s] of either sign."""
+
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+"""Length [m], above 0, or auto."""
+
 LARGEST_CHUNK = 1_000_000
 """Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
 
@@ -155,13 +165,21 @@ LARGEST_ANGLE = 0.9
 """Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
 
 UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
+"""Unloading angle, above 0 and at most LARGEST_ANGLE."""
+
 ChunkSize = Annotated[
     int | Auto, Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",))
 ]
+"""Number of particles per chunk, at most LARGEST_CHUNK, or auto."""
 
 
 class LeesEdwards(Model):
-    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis."""
+    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis.
+
+        velocity of the image above = rate * width of the box along the gradient axis      [m/s]
+
+    Walls, flow meters and insertion during the run are not supported.
+    """
 
     flow: Literal["x", "y", "z"] = Field(description="flow axis, the direction of the velocity")
     gradient: Literal["x", "y", "z"] = Field(description="gradient axis, along which the velocity changes")
@@ -169,13 +187,16 @@ class LeesEdwards(Model):
     start: Time = Field(0.0, description="time at which the shear begins [s]")
 
     def faults(self) -> Iterator[Fault]:
-        """The flow and gradient axes must differ."""
+        """Yield a fault unless the flow and gradient axes differ."""
         if self.flow == self.gradient:
             yield Fault(("gradient",), "flow is the same axis; give another axis")
 
 
 class Domain(Box):
-    """The simulated box."""
+    """The simulated box: particles outside are deleted, wrapped (periodic axes) or followed, or end the run.
+
+    Walls may extend beyond it.
+    """
 
     periodic: Annotated[tuple[Literal["x", "y", "z"], ...], list_of(one=True)] = Field(
         (), description="axes with periodic boundary conditions, such as [x, y]"
@@ -189,7 +210,10 @@ class Domain(Box):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Positive volume, unique periodic axes, periodic axes of Lees-Edwards shear."""
+        """Yield a fault unless the volume is positive and the periodic axes are unique.
+
+        Both axes of Lees-Edwards shear must be periodic.
+        """
         yield from super().faults()
         for index, axis in enumerate(self.periodic):
             if axis in self.periodic[:index]:
@@ -202,7 +226,10 @@ class Domain(Box):
 
 
 class Stage(Model):
-    """A part of the run that ends after a duration, or when the particles are at rest."""
+    """A part of the run that ends after a duration, or when the particles are at rest.
+
+    Walls and motions may be limited to stages.
+    """
 
     name: Name = Field(description="name of the stage")
     duration: PositiveTime | None = Field(None, description="duration [s]")
@@ -212,7 +239,7 @@ class Stage(Model):
     max_duration: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
 
     def faults(self) -> Iterator[Fault]:
-        """Either a duration, or an energy with a maximum duration."""
+        """Yield a fault unless the stage has either a duration, or an energy with a maximum duration."""
         if self.duration is None and self.kinetic_energy_below is None:
             yield Fault((), "has no end: give duration, or kinetic_energy_below with max_duration", whole=True)
         elif self.duration is not None and self.kinetic_energy_below is not None:
@@ -228,7 +255,10 @@ class Stage(Model):
 
 
 class RunSettings(Model):
-    """Duration, time step and precision of a run."""
+    """Duration, time step and precision of a run.
+
+    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in `numerics`.
+    """
 
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
     time_step: AdaptiveOrFixedTime = Field(
@@ -244,7 +274,10 @@ class RunSettings(Model):
 
 
 class Numerics(Model):
-    """Numerical parameters, all with defaults."""
+    """Numerical parameters, all with defaults.
+
+    They limit numerical errors and do not represent physical properties.
+    """
 
     time_step_fraction: Fraction = Field(0.05, description="largest time step over the shortest contact phase")
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
@@ -257,7 +290,10 @@ class Numerics(Model):
 
 
 class FlowMeterSpec(Model):
-    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there."""
+    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
+
+    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+    """
 
     point: Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
     normal: Direction = Field(description="direction of positive flow; its length does not matter")
@@ -271,7 +307,7 @@ class FlowMeterSpec(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Either a disc or a rectangle; sides perpendicular to each other and to the normal."""
+        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
         if self.sides is None:
             return
         if self.radius is not None:
@@ -289,7 +325,10 @@ class FlowMeterSpec(Model):
 
 
 class Checkpoints(Model):
-    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end."""
+    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
+
+    A checkpoint is due at simulated or wall-clock times, whichever is first.
+    """
 
     wall_clock: PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
     interval: PositiveTime | None = Field(
@@ -299,7 +338,10 @@ class Checkpoints(Model):
 
 
 class Output(Model):
-    """Selection and intervals of the output."""
+    """Selection and intervals of the output.
+
+    Times are simulated times [s]; the energy budget and wall forces cost time in each step.
+    """
 
     interval: PositiveTime = Field(description="time between VTU frames [s]")
     timeseries_interval: PositiveTime = Field(
@@ -321,7 +363,10 @@ class Output(Model):
 
 
 class ExpectationSpec(Model):
-    """An expectation for the results of a run: one comparison of one quantity, in SI units."""
+    """An expectation for the results of a run: one comparison of one quantity, in SI units.
+
+    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and groups.
+    """
 
     quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
     between: Annotated[tuple[AnyQuantity, AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
@@ -334,7 +379,7 @@ class ExpectationSpec(Model):
     any_scale: Flag = Field(False, description="true: evaluate at every scale of the scene; false: only at scale 1")
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly one comparison, with a tolerance for equals."""
+        """Yield a fault unless the expectation has exactly one comparison, with a tolerance for equals."""
         given = [key for key in ("between", "below", "above", "equals") if getattr(self, key) is not None]
         if len(given) != 1:
             found = f"has {' and '.join(given)}" if given else "has no comparison"
@@ -349,7 +394,11 @@ class ExpectationSpec(Model):
 
 
 class Scene(Model):
-    """A complete scene, the input of a run, in SI units."""
+    """A complete scene, the input of a run, in SI units.
+
+    Immutable. `load` reads it from a file; `text` writes it with all defaults. Methods `locate` and `where` give source
+    positions for messages.
+    """
 
     title: Text = Field(description="title of the scene, one line")
     description: Text | None = Field(None, description="description of the scene and its expected behavior")
@@ -413,7 +462,10 @@ class Scene(Model):
         return self.stages or (Stage(name="run", duration=self.run.duration),)
 
     def flow_meter_parts(self, name: str) -> tuple[str, ...]:
-        """Names of the materials or groups with separate counts in a flow meter."""
+        """Names of the materials or groups with separate counts in a flow meter; empty without `group_by`.
+
+        Raises KeyError if the scene has no such flow meter.
+        """
         group_by = self.output.flow_meters[name].group_by
         return () if group_by is None else tuple(self.materials if group_by == "material" else self.particles)
 
@@ -428,20 +480,27 @@ class Scene(Model):
         return self.pairs[self.pair_key(first, second)]
 
     def pair_key(self, first: str, second: str) -> str:
-        """The key in `pairs` for two materials in either order."""
+        """The key in `pairs` for two materials in either order; "second-first" if the scene does not have the pair."""
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
 
     def text(self) -> str:
-        """The resolved scene as YAML with all defaults; the text loads to an equal scene."""
+        """The resolved scene as YAML with all defaults, in SI units; the text loads to an equal scene."""
         return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
 
     def is_given(self, *key_path: str | int) -> bool:
-        """Whether the file or an override gives this key; False for values from a default or a preset."""
+        """Whether the file or an override gives this key; False for values from a default or a preset.
+
+        `key_path`: keys and list indices, such as ("stages", 0, "duration").
+        """
         return self._document is not None and self._document.find(key_path) is not None
 
     def locate(self, *key_path: str | int) -> str:
-        """Source position of the value of a key, as `file:line:column`, for error messages."""
+        """Source position of the value of a key, as `file:line:column`, for error messages.
+
+        For a missing key, that of the nearest existing parent key; without a file, the name of the scene file or
+        "scene".
+        """
         if self._document is None:
             return self.path.name or "scene"
         return str(self._document.value_position(key_path))

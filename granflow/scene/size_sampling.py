@@ -1,4 +1,7 @@
-"""Sampling of diameters from the size distributions of the scene."""
+"""Sampling of diameters from the size distributions of the scene.
+
+Numbers of particles, not masses, follow the distribution, except for classes with fractions by mass.
+"""
 
 import math
 from collections.abc import Callable
@@ -12,12 +15,14 @@ MAX_COUNTED = 10_000_000
 """Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""
 
 SAMPLE = 10_000
+"""Number of diameters in a sample from which the mean cube is estimated."""
 
 
 def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> np.ndarray:
     """Exactly `count` diameters (count,) [m] in random order; a list keeps its order.
 
-    Normal and log-normal distributions are truncated: values beyond the limits are excluded, not clamped.
+    Normal and log-normal distributions are truncated: values beyond the limits are excluded, not clamped. A single
+    diameter is repeated. Classes have the exact number of `class_counts`. float64.
     """
     if isinstance(sizes, ClassSizes):
         diameter = np.array([each.diameter for each in sizes.classes])
@@ -35,9 +40,10 @@ def draw_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) -> 
 
 
 def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.random.Generator]) -> int:
-    """Number of diameters from `draw_diameters` whose sum of cubes is nearest to `cubes` [m^3]; at least 1.
+    """Number of diameters from `draw_diameters` whose sum of cubes is nearest to `cubes` [m3]; at least 1.
 
-    `random` returns a new generator with the seed of the later draw at each call.
+    `random` returns a new generator with the seed of the later draw at each call, so that the sum is that of the later
+    particles. Above MAX_COUNTED particles, and for one size, the count follows from the mean cube.
     """
     if isinstance(sizes, ClassSizes):
         return max(round(min(cubes / mean_cube(sizes), 1e18)), 1)
@@ -50,13 +56,16 @@ def count_for_volume(sizes: SizeSpec, cubes: float, random: Callable[[], np.rand
 
 
 def mean_cube(sizes: ClassSizes) -> float:
-    """Mean cube of the diameter of size classes [m^3]."""
+    """Mean cube of the diameter of size classes, weighted by number [m3]."""
     share = number_shares(sizes)
     return float(share @ np.array([each.diameter for each in sizes.classes]) ** 3)
 
 
 def number_shares(sizes: ClassSizes) -> np.ndarray:
-    """Number fractions (k,) of the classes, with the sum 1; mass fractions w are converted by n ~ w / d^3."""
+    """Number fractions (k,) of the classes, with the sum 1.
+
+    Mass fractions w of classes with diameter d are converted by n ~ w / d^3.
+    """
     share = np.array([each.fraction for each in sizes.classes])
     if sizes.by == "mass":
         share = share / np.array([each.diameter for each in sizes.classes]) ** 3
@@ -79,7 +88,12 @@ def ordered_diameters(sizes: SizeSpec, count: int, random: np.random.Generator) 
 def truncated_normal(
     normal: NormalDist, low: float, high: float, count: int, random: np.random.Generator
 ) -> np.ndarray:
-    """Values (count,) of a normal distribution truncated to [low, high], by inversion of the distribution function."""
+    """Values (count,) of a normal distribution truncated to [low, high].
+
+        x = F^-1(u),      u uniform in [F(low), F(high)]
+
+    F: distribution function of `normal`. One uniform number per value, so that no value is rejected.
+    """
     share = random.uniform(normal.cdf(low), normal.cdf(high), count)
     inside = np.clip(share, np.finfo(float).tiny, 1 - np.finfo(float).epsneg)  # inv_cdf is undefined at 0 and 1
     drawn = np.fromiter(map(normal.inv_cdf, inside.tolist()), dtype=np.float64, count=count)

@@ -1,4 +1,7 @@
-"""Suggestions for unknown names, and the table of renamed keys."""
+"""Suggestions for unknown names, and the table of renamed keys.
+
+Similarity is that of difflib (Ratcliff and Obershelp), between 0 and 1.
+"""
 
 import difflib
 from collections.abc import Iterable
@@ -36,20 +39,23 @@ RENAMED_KEYS = {
 
 
 def renamed(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, if it is one of the known names."""
+    """The present name of a renamed key, if it is one of the known names; None otherwise."""
     new = RENAMED_KEYS.get(word)
     return new if new in list(known) else None
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, else the known name closest to the word, if one is close."""
+    """The present name of a renamed key, else the known name closest to the word, if one is close; None otherwise."""
     names = list(known)
     matches = difflib.get_close_matches(word, names, n=1, cutoff=_CLOSE)
     return renamed(word, names) or (matches[0] if matches else None)
 
 
 def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
-    """Remedy for an unknown word: its new name, the closest known word, or a list of all known words."""
+    """Remedy for an unknown word: its new name, the closest known word, or a list of all known words.
+
+    `kind`: plural noun for the list. The list is a sentence without a period.
+    """
     names = list(known)
     if new := renamed(word, names):
         return f"{word} was renamed to {new}."

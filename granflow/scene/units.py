@@ -18,7 +18,10 @@ _LARGEST = Fraction(10) ** 300
 
 @dataclass(frozen=True)
 class Dimension:
-    """A physical dimension: noun and example for messages, and its units as multiples of the SI unit."""
+    """A physical dimension: noun and example for messages, and its units as multiples of the SI unit.
+
+    The factors are exact fractions; the one of the SI unit is 1.
+    """
 
     noun: str
     example: str
@@ -67,6 +70,8 @@ DIMENSIONS: dict[str, Dimension] = {
     "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
 }
+"""Dimensions by name; the first unit of each is the SI unit."""
+
 _ANY = Dimension("a number or text with a unit", "2 t/h", {})
 
 
@@ -75,15 +80,17 @@ class UnitError(ValueError):
 
 
 def dimension_of(name: str) -> Dimension:
-    """The dimension with the given name; "any" accepts all units."""
+    """The dimension with the given name; "any" accepts all units. Raises KeyError for an unknown name."""
     return _ANY if name == "any" else DIMENSIONS[name]
 
 
 def to_si(text: str, dimension: str) -> float:
     """Convert text such as "4 mm" to an SI number of the given dimension; text without a unit is SI.
 
-    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004.
-    Raises `UnitError` if the text is not a number, or the unit is unknown or of another dimension.
+    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004. The result may be infinite
+    or NaN (".inf", ".nan", or a magnitude above 1e300).
+
+    Raises UnitError if the text is not a number, or the unit is unknown or of another dimension.
     """
     expected = dimension_of(dimension)
     if _COMMA.search(text):
@@ -101,6 +108,7 @@ def to_si(text: str, dimension: str) -> float:
 
 
 def _factor(unit: str, dimension: str) -> Fraction:
+    """Exact factor of a unit to SI; 1 without a unit. Raises UnitError."""
     if not unit:
         return Fraction(1)
     if dimension == "any":
@@ -112,6 +120,7 @@ def _factor(unit: str, dimension: str) -> Fraction:
 
 
 def _any_factor(unit: str) -> Fraction:
+    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between dimensions."""
     factors = {d.units[unit] for d in DIMENSIONS.values() if unit in d.units}
     if len(factors) == 1:
         return factors.pop()
@@ -120,6 +129,7 @@ def _any_factor(unit: str) -> Fraction:
 
 
 def _wrong_unit(unit: str, expected: Dimension) -> str:
+    """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known unit."""
     matching = [d.noun for d in DIMENSIONS.values() if unit in d.units]
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"

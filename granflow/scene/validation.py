@@ -16,7 +16,9 @@ from granflow.scene.schema import Scene
 class PartialScene:
     """A scene that may lack parts.
 
-    `scene` has the sections in `complete`, and the valid entries of sections with named entries.
+    `scene` has the sections in `complete`, and the valid entries of sections with named entries. `parts`: key path ->
+    valid part, for checks within each part. The instance of Scene may lack required fields and must not be used for a
+    run.
     """
 
     document: Document
@@ -31,19 +33,25 @@ class PartialScene:
         return cls(document, scene, frozenset(Scene.model_fields), sections)
 
     def names(self, section: str) -> tuple[str, ...]:
-        """All names in a section of the file, including invalid entries, and names in lowercase."""
+        """All names in a section of the file, including invalid entries, and names in lowercase.
+
+        Checks of references use them, so that an invalid entry does not cause an error wherever it is named.
+        """
         node = self.document.root.child(section)
         names = tuple(node.entries) if node is not None and node.entries else ()
         return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
 
     def faults(self) -> Iterator[tuple[KeyPath, Fault]]:
-        """Inconsistencies between the fields of each valid part."""
+        """Inconsistencies between the fields of each valid part, with the full key path of the fault."""
         for path, part in self.parts.items():
             yield from _faults(part, path)
 
 
 def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScene:
-    """Validate each section, or each entry of a section, separately and keep the valid parts."""
+    """Validate each section, or each entry of a section, separately and keep the valid parts.
+
+    `data`: plain data of the document. Never raises ValidationError; the invalid parts are reported elsewhere.
+    """
     parts: dict[KeyPath, Any] = {}
     sections: dict[str, Any] = {}
     complete = set()
@@ -67,7 +75,10 @@ def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScen
 
 
 def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
-    """The valid parts of a section by key, and whether the section is complete."""
+    """The valid parts of a section by key, and whether the section is complete.
+
+    The key is () for a section that is one part, (name,) or (index,) for an entry of a mapping or list.
+    """
     origin = get_origin(Scene.model_fields[name].annotation)
     entries: list[tuple[KeyPath, Any]] = [((), value)]
     if origin is dict:
@@ -85,6 +96,7 @@ def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
 
 @cache
 def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
+    """The pydantic validator of a section, or of one entry of it."""
     field = Scene.model_fields[section]
     if not is_entry:
         kind: Any = field.annotation
@@ -96,7 +108,7 @@ def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
 
 
 def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
-    """Faults of a value and of all models in it."""
+    """Faults of a value and of all models in it, depth first, with key paths from the root."""
     if isinstance(value, Model):
         for fault in value.faults():
             yield (*path, *fault.path), fault

@@ -1,4 +1,7 @@
-"""Results of the consistency checks between the parts of a scene."""
+"""Results of the consistency checks between the parts of a scene.
+
+A violation is a key path with a fault; `messages.problem_at` converts it to a message with a source position.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 
@@ -8,7 +11,10 @@ from granflow.scene.suggest import nearest
 from granflow.scene.validation import PartialScene
 
 Violation = tuple[KeyPath, Fault]
+"""Key path of a part of the scene, and its fault."""
+
 Check = Callable[[PartialScene], Iterator[Violation]]
+"""Consistency check between the parts of a scene."""
 
 
 def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Violation:

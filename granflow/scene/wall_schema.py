@@ -40,11 +40,13 @@ from granflow.scene.fields import (
 )
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
+"""Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
+
 _PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
 
 
 def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
-    """Faults of the two `sides` of a rectangle: they must have lengths above 0 and be perpendicular."""
+    """Faults of the two `sides` of a rectangle, vectors [m]: they must have lengths above 0 and be perpendicular."""
     a, b = sides
     lengths = math.hypot(*a), math.hypot(*b)
     for i, length in enumerate(lengths):
@@ -56,11 +58,15 @@ def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
 
 
 def _dot(a: Vector3, b: Vector3) -> float:
+    """Scalar product of two vectors."""
     return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 class TimedMotion(Model):
-    """A motion from `start` to `end` or during stages; by default during the whole run."""
+    """A motion from `start` to `end` or during stages; by default during the whole run.
+
+    Motions of the same wall are superposed; a wall has at most one rotation.
+    """
 
     kind: str = Field(description="kind of motion")
     start: Time | None = Field(None, description="time at which the motion begins [s]; default: start of the run")
@@ -68,7 +74,7 @@ class TimedMotion(Model):
     stages: Names | None = Field(None, description="stages with this motion; its time starts at the first of them")
 
     def faults(self) -> Iterator[Fault]:
-        """Either times or stages; the end after the start."""
+        """Yield a fault unless either times or stages are given, and the end is after the start."""
         if self.stages is not None and (self.start is not None or self.end is not None):
             yield Fault(("stages",), "start or end is given too: keep either the times or the stages")
         elif self.end is not None and self.end <= (self.start or 0.0):
@@ -96,7 +102,7 @@ class VibrationSpec(TimedMotion):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly two of amplitude, frequency (of either kind) and gamma."""
+        """Yield a fault unless exactly two of amplitude, frequency (of either kind) and gamma are given."""
         yield from super().faults()
         if self.frequency is not None and self.angular_frequency is not None:
             yield Fault(("angular_frequency",), "frequency is given too: keep one of them")
@@ -108,7 +114,12 @@ class VibrationSpec(TimedMotion):
             yield Fault((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them", whole=True)
 
     def amplitude_and_angular_frequency(self, gravity: Vector3) -> tuple[float, float]:
-        """Amplitude [m] and angular frequency [rad/s], from gamma = amplitude angular_frequency^2 / |gravity|."""
+        """Amplitude A [m] and angular frequency w [rad/s], from those given and gamma.
+
+            gamma = A w^2 / |g|
+
+        `gravity` g (3,) [m/s2].
+        """
         omega = self.angular_frequency
         if omega is None and self.frequency is not None:
             omega = 2 * math.pi * self.frequency
@@ -120,14 +131,17 @@ class VibrationSpec(TimedMotion):
 
 
 class TranslationSpec(TimedMotion):
-    """Motion at a constant velocity."""
+    """Motion at a constant velocity [m/s]."""
 
     kind: Literal["translation"] = Field(description="kind of motion")
     velocity: VelocityVector = Field(description="velocity [m/s]")
 
 
 class RotationSpec(TimedMotion):
-    """Rotation about an axis at a constant rate, right-handed."""
+    """Rotation about an axis at a constant rate, right-handed.
+
+    The torque on the wall refers to `point`.
+    """
 
     kind: Literal["rotation"] = Field(description="kind of motion")
     point: Point = Field(description="a point on the axis [m]")
@@ -136,7 +150,12 @@ class RotationSpec(TimedMotion):
 
 
 class ServoSpec(TimedMotion):
-    """A servo wall: its velocity is proportional to the difference between prescribed and measured force."""
+    """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
+
+        v = gain (F - f),      |v| <= velocity_max
+
+    F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
+    """
 
     kind: Literal["servo"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the force on the particles; its length does not matter")
@@ -150,7 +169,7 @@ class ServoSpec(TimedMotion):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Exactly one of force and pressure."""
+        """Yield a fault unless exactly one of force and pressure is given."""
         yield from super().faults()
         if self.force is None and self.pressure is None:
             yield Fault((), "has no prescribed force: give force or pressure", whole=True)
@@ -159,7 +178,12 @@ class ServoSpec(TimedMotion):
 
 
 class FreeWallSpec(TimedMotion):
-    """A free wall: a rigid body that contact forces, gravity and a given force move along one direction."""
+    """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
+
+        M dv/dt = f + M g + force - damping v
+
+    f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
+    """
 
     kind: Literal["free"] = Field(description="kind of motion")
     direction: Direction = Field(description="direction of the motion; its length does not matter")
@@ -176,10 +200,14 @@ MotionSpec = Annotated[
     | Annotated[FreeWallSpec, Tag("<free>")],
     choose_by_key("kind"),
 ]
+"""Any kind of motion; the key `kind` selects it."""
 
 
 class Wall(Model):
-    """Properties of walls of every shape."""
+    """Properties of walls of every shape.
+
+    Shapes other than a plane have no thickness, and particles may be on both sides.
+    """
 
     shape: str = Field(description="shape of the wall")
     material: Text = Field(description="name of the wall's material")
@@ -191,7 +219,7 @@ class Wall(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Either times or stages; at most one rotation."""
+        """Yield a fault unless either times or stages are given, or if the wall has two rotations."""
         if self.stages is not None and (self.appears_at is not None or self.vanishes_at is not None):
             yield Fault(("stages",), "appears_at or vanishes_at is given too: keep either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
@@ -202,7 +230,10 @@ class Wall(Model):
 
 
 class Plane(Wall):
-    """An infinite plane; the half space behind it is solid, the particles are on the side of the normal."""
+    """An infinite plane; the half space behind it is solid, the particles are on the side of the normal.
+
+    Its area is infinite: it has forces, but no pressure.
+    """
 
     shape: Literal["plane"] = Field(description="shape of the wall")
     point: Point = Field(description="a point on the plane [m]")
@@ -210,7 +241,7 @@ class Plane(Wall):
 
 
 class Rectangle(Wall):
-    """A thin, flat, two-sided rectangle."""
+    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
 
     shape: Literal["rectangle"] = Field(description="shape of the wall")
     corner: Point = Field(description="one corner [m]")
@@ -219,40 +250,40 @@ class Rectangle(Wall):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """The edges must have lengths above 0 and be perpendicular."""
+        """Yield a fault unless the edges have lengths above 0 and are perpendicular."""
         yield from super().faults()
         yield from side_faults(self.sides)
 
 
 class AxialWall(Wall):
-    """A surface of revolution about the line from `from` to `to`."""
+    """A surface of revolution about the line from `from` to `to` [m]."""
 
     from_: Point = Field(alias="from", description="one end of the axis [m]")
     to: Point = Field(description="the other end of the axis [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The axis must have a length above 0."""
+        """Yield a fault if the axis has no length."""
         yield from super().faults()
         if self.from_ == self.to:
             yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
 
 
 class Cylinder(AxialWall):
-    """A thin two-sided cylinder without end faces."""
+    """A thin two-sided cylinder without end faces, with the length of the axis."""
 
     shape: Literal["cylinder"] = Field(description="shape of the wall")
     radius: PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
-    """A thin two-sided cone frustum without end faces."""
+    """A thin two-sided cone frustum without end faces; one radius may be 0."""
 
     shape: Literal["cone"] = Field(description="shape of the wall")
     radius_from: NotNegativeLength = Field(description="radius at `from` [m]")
     radius_to: NotNegativeLength = Field(description="radius at `to` [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """At least one radius must be above 0."""
+        """Yield a fault unless at least one radius is above 0."""
         yield from super().faults()
         if self.radius_from == self.radius_to == 0:
             yield Fault(("radius_to",), "radius_from is 0 too: one of them must be above 0")
@@ -268,7 +299,7 @@ class Disc(Wall):
     hole_radius: NotNegativeLength = Field(0.0, description="radius of the hole [m]; 0: no hole")
 
     def faults(self) -> Iterator[Fault]:
-        """The hole must be smaller than the disc."""
+        """Yield a fault unless the hole is smaller than the disc."""
         yield from super().faults()
         if self.hole_radius >= self.radius:
             yield Fault(("hole_radius",), f"the hole must be smaller than the disc of radius {self.radius:g} m")
@@ -282,7 +313,10 @@ class RotationStep(Model):
 
 
 class MeshWall(Wall):
-    """Two-sided triangles from a file, transformed in this order: scale, rotate, translate."""
+    """Two-sided triangles from a file, transformed in this order: scale, rotate, translate.
+
+    The orientation of the triangles has no effect; open edges are valid.
+    """
 
     shape: Literal["mesh"] = Field(description="shape of the wall")
     file: FileName = Field(
@@ -295,7 +329,7 @@ class MeshWall(Wall):
     translate: Point = Field((0.0, 0.0, 0.0), description="displacement of the mesh [m]")
 
     def faults(self) -> Iterator[Fault]:
-        """The file must lie in the folder of the scene, or below it."""
+        """Yield a fault unless the file lies in the folder of the scene, or below it."""
         yield from super().faults()
         path = PurePath(self.file)
         if path.is_absolute() or ".." in path.parts or not path.parts:
@@ -311,3 +345,4 @@ AnyWall = Annotated[
     | Annotated[MeshWall, Tag("<mesh>")],
     choose_by_key("shape"),
 ]
+"""A wall of any shape; the key `shape` selects it."""

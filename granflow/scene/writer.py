@@ -1,4 +1,7 @@
-"""Writes a scene as YAML with all defaults; the text loads to an equal scene."""
+"""Writes a scene as YAML with all defaults; the text loads to an equal scene.
+
+Numbers are plain SI values with all digits that they need.
+"""
 
 import json
 import re
@@ -11,7 +14,11 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
 
 
 def to_yaml(value: Any, indent: int = 0) -> str:
-    """YAML text of plain data (dict, list or tuple, str, bool, int, float); short values are on one line."""
+    """YAML text of plain data (dict, list or tuple, str, bool, int, float); short values are on one line.
+
+    `indent`: number of leading spaces. Floats have as many digits as their value requires; text that YAML would read as
+    another type is quoted.
+    """
     pad = " " * indent
     if isinstance(value, dict):
         return "".join(f"{pad}{key}:{_below(each, indent)}" for key, each in value.items())
@@ -27,6 +34,7 @@ def _below(value: Any, indent: int) -> str:
 
 
 def _in_list(value: Any, indent: int) -> str:
+    """An item of a list: on the same line if it fits, else its first line after the hyphen."""
     line = _inline(value)
     if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
         return f"{line}\n"
@@ -34,6 +42,7 @@ def _in_list(value: Any, indent: int) -> str:
 
 
 def _inline(value: Any) -> str:
+    """A value on one line, in the notation of YAML flow collections."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_inline(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):

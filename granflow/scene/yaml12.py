@@ -45,13 +45,19 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
     """Read YAML 1.2 text. Without `with_positions`, all positions are the source only (for overrides).
 
-    Raises `DocumentError` for errors that prevent reading: syntax errors, tags, recursive aliases, several documents.
+    `source`: name of the file for positions. Duplicate keys are in `Document.problems`; the first one applies.
+
+    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, several documents, and
+    more values, keys or levels than a scene can have.
     """
     return _Composer(source, with_positions).compose(text)
 
 
 class _Composer:
-    """Builds the tree from the parser's events."""
+    """Builds the tree from the parser's events.
+
+    `anchors`: nodes by anchor, None while the node is incomplete. `aliased`, `count`: numbers of values for the limits.
+    """
 
     def __init__(self, source: str, with_positions: bool) -> None:
         self.source = source
@@ -62,6 +68,10 @@ class _Composer:
         self.problems: list[Problem] = []
 
     def compose(self, text: str) -> Document:
+        """The document with positions, aliases resolved. Raises DocumentError.
+
+        Aliased nodes are shared, not copied; their number is limited.
+        """
         root: Node | None = None
         self._printable(text)
         try:
@@ -79,7 +89,7 @@ class _Composer:
         return Document(self.source, root or Node(self._position(1, 1)), self.problems)
 
     def _printable(self, text: str) -> None:
-        """Reject characters that YAML does not allow."""
+        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first one."""
         if found := _FORBIDDEN.search(text):
             lines = text[: found.start()].splitlines() or [""]
             position = self._position(len(lines), len(lines[-1]) + 1)
@@ -96,6 +106,7 @@ class _Composer:
         return DocumentError(Problem(self._at(event), sentence + "."))
 
     def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
+        """The problem of a syntax error of the parser, at the position that helps most."""
         mark = error.problem_mark or error.context_mark
         if error.context_mark and _starts_helps_more(error):
             mark = error.context_mark
@@ -104,6 +115,10 @@ class _Composer:
         return Problem(position, _syntax_sentence(error, "".join(line).strip()))
 
     def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        """The node that begins with an event; consumes its events.
+
+        Raises DocumentError above the limits, or for a tag.
+        """
         if isinstance(event, AliasEvent):
             return self._alias(event)
         if depth > MAX_DEPTH:
@@ -122,6 +137,7 @@ class _Composer:
         return node
 
     def _untagged(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        """The node of a value, list or mapping without a tag."""
         if isinstance(event, ScalarEvent):
             value = resolve(event.value) if event.style is None else self._quoted(event)
             return Node(self._at(event), scalar=value, text=event.value)
@@ -130,7 +146,10 @@ class _Composer:
         return self._mapping(event, events, depth)
 
     def _quoted(self, event: ScalarEvent) -> str:
-        """Quoted text; pairs of escaped surrogates (as in JSON) are joined to one character."""
+        """Quoted text; pairs of escaped surrogates (as in JSON) are joined to one character.
+
+        Raises DocumentError for a surrogate without its pair.
+        """
         try:
             return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
         except UnicodeDecodeError:
@@ -139,6 +158,10 @@ class _Composer:
             ) from None
 
     def _alias(self, event: AliasEvent) -> Node:
+        """The node of an anchor.
+
+        Raises DocumentError for an unknown anchor, a recursive alias, or too many aliased values.
+        """
         if event.anchor not in self.anchors:
             raise self._error(event, f"the alias *{event.anchor} has no anchor &{event.anchor} above it")
         node = self.anchors[event.anchor]
@@ -150,12 +173,14 @@ class _Composer:
         return node
 
     def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
+        """The node of a list."""
         items: list[Node] = []
         while not isinstance(event := next(events), SequenceEndEvent):
             items.append(self._node(event, events, depth + 1))
         return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
 
     def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
+        """The node of a mapping; a duplicate key is a problem. Raises DocumentError above the limit of keys."""
         entries: dict[str, MappingEntry] = {}
         for count in itertools.count():
             if isinstance(event := next(events), MappingEndEvent):
@@ -177,6 +202,7 @@ class _Composer:
         return Node(self._at(start), entries=entries, size=size)
 
     def _key(self, event: Any) -> str:
+        """The text of a key. Raises DocumentError for a key that is not plain text, and for the merge key <<."""
         if not isinstance(event, ScalarEvent) or event.tag:
             raise self._error(event, "a key must be plain text, such as radius")
         if event.value == "<<" and event.style is None:
@@ -185,7 +211,10 @@ class _Composer:
 
 
 def resolve(text: str) -> Any:
-    """The YAML 1.2 value of plain text: `012` is 12, `1e-5` is 0.00001, `yes` is text."""
+    """The YAML 1.2 value of plain text (core schema): `012` is 12, `1e-5` is 0.00001, `yes` is text.
+
+    None, bool, int, float or str; an integer with more than 400 digits is infinity.
+    """
     if _NULL.fullmatch(text):
         return None
     if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
@@ -208,6 +237,7 @@ def _starts_helps_more(error: MarkedYAMLError) -> bool:
 
 
 def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
+    """A sentence on a syntax error with its remedy; `line`: text of the line with the error."""
     problem, context = str(error.problem or error.context), str(error.context)
     if r"\t" in problem or "'\t'" in problem:
         return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."

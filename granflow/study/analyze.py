@@ -20,14 +20,16 @@ from granflow.snapshot import Snapshot
 from granflow.study.render.frames import Frame, frames_of, is_empty, read_mesh, read_particles
 
 MetricRow = dict[str, float | str]
+"""Row of metrics.csv by column name."""
 
 
 def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
     """Compute the metrics of `scene` for each frame of a run; write its fields and `metrics.csv` to `out`.
 
     `scene` is that of the run; its `output.metrics` and `output.fields` may differ. A row contains the time [s], the
-    stage and each value as `NAME.METRIC`. Raises GranflowError if the scene requests nothing, or if frames lack
-    contacts.
+    stage and each value under its column name with the unit. Frames without particles are skipped.
+
+    Raises GranflowError if the scene requests nothing, if frames lack contacts, or if files cannot be read.
     """
     meters = metric_meters(scene)
     fields = [field_frames(scene, name, spec, out) for name, spec in scene.output.fields.items()]
@@ -50,7 +52,10 @@ def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
 
 
 def snapshots_of(directory: Path, scene: Scene) -> Iterator[Snapshot]:
-    """Snapshots from the frames of a run, with contacts if they were written; masses follow from the scene."""
+    """Snapshots from the frames of a run, with contacts if they were written; masses [kg] follow from the scene.
+
+    In order of time; without walls and totals, and with step number 0.
+    """
     stage_at = _stages(directory / "timeseries.csv", scene)
     density = np.array([material.density for material in scene.materials.values()])
     for frame in frames_of(directory):
@@ -65,7 +70,7 @@ def snapshots_of(directory: Path, scene: Scene) -> Iterator[Snapshot]:
 
 
 def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
-    """Contacts of a frame, or None if the run did not write them."""
+    """Contacts of a frame as in a Snapshot, or None if the run did not write them."""
     if frame.contacts is None:
         return None
     mesh = read_mesh(frame.contacts)
@@ -76,7 +81,10 @@ def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
 
 
 def _stages(path: Path, scene: Scene) -> "_StageAt":
-    """Stage as a function of time [s]: that of the last row of the time series at or before it."""
+    """Stage as a function of time [s]: that of the last row of the time series at or before it.
+
+    Without a time series, the first stage. Raises GranflowError if the file cannot be read.
+    """
     if not path.exists():
         return _StageAt([0.0], [scene.schedule[0].name])
     try:
@@ -98,6 +106,7 @@ class _StageAt:
 
 
 def _refuse_without_contacts(directory: Path, snapshot: Snapshot, readers: list[MetricMeter | FieldFrames]) -> None:
+    """Raise GranflowError if a metric or field requires contacts that the run did not write."""
     if snapshot.contacts is None and any(CONTACTS in each.wants for each in readers):
         raise GranflowError(
             f"{directory} has no frames of contacts, which fabric and contact stress require: run the scene with "
@@ -106,6 +115,7 @@ def _refuse_without_contacts(directory: Path, snapshot: Snapshot, readers: list[
 
 
 def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
+    """Row of metrics.csv: time [s], stage, and the readings of all metrics for a snapshot."""
     row: MetricRow = {"time [s]": snapshot.time, "stage": snapshot.stage}
     for name, meter in meters.items():
         meter.update(snapshot)
@@ -114,6 +124,7 @@ def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
 
 
 def _write(path: Path, rows: list[MetricRow]) -> None:
+    """Write rows as CSV; the directory is created if necessary."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else ["time [s]"], lineterminator="\n")

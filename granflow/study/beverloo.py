@@ -2,8 +2,9 @@
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
-with the orifice D, the particle diameter d and the bulk density rho. Fitted is ln W, so that small flows count as much
-as large ones; for every k the best C, and the best exponent if that is asked for, follow from a straight line.
+with the orifice D, the particle diameter d and the bulk density rho. The fitted quantity is ln W, so that small flows
+have the same weight as large ones; for each k the best C, and the best exponent if it is free, follow from a straight
+line.
 """
 
 import csv
@@ -19,6 +20,8 @@ from granflow.regular_files import read_regular_text
 from granflow.scene.units import UnitError, to_si
 
 EXPONENT = 2.5
+"""Exponent of Beverloo's law."""
+
 GRAVITY = 9.81
 """Default gravitational acceleration [m/s2]."""
 
@@ -26,15 +29,18 @@ K_LOWEST = -10.0
 """Smallest k of the search; published values lie between 1 and 3."""
 
 K_VALUES = 400
+"""Values of k per search round."""
+
 SEARCH_ROUNDS = 6
-"""Values of k per search round; each round covers the interval between the neighbors of the previous best value."""
+"""Number of search rounds; each covers the interval between the neighbors of the previous best value."""
 
 COLUMNS = {"orifice": "length", "mass_flow": "mass_flow"}
+"""Columns of a table of flows, with the dimension of their units."""
 
 
 @dataclass(frozen=True)
 class Discharge:
-    """Mass flows [kg/s] (n,) through orifices (n,) [m]."""
+    """Mass flows [kg/s] (n,) through orifices of diameter (n,) [m]."""
 
     orifice: np.ndarray
     mass_flow: np.ndarray
@@ -66,8 +72,12 @@ def fit_beverloo(
 ) -> BeverlooFit:
     """Fit C and k, and the exponent if it is None, to mass flow rates.
 
-    W = C rho sqrt(g) d^(5/2) (D/d - k)^n, which is Beverloo's law for n = 5/2, with d = `particle_diameter` [m] and
-    rho = `bulk_density` [kg/m3]. Raises GranflowError if the flows are too few or not positive.
+        W = C rho sqrt(g) d^(5/2) (D/d - k)^n
+
+    This is Beverloo's law for n = 5/2, with d = `particle_diameter` [m], rho = `bulk_density` [kg/m3], g = `gravity`
+    [m/s2].
+
+    Raises GranflowError if the flows are not positive or if there are fewer different orifices than parameters.
     """
     orifices = len(np.unique(data.orifice))
     needed = 2 if exponent is not None else 3
@@ -87,7 +97,10 @@ def fit_beverloo(
 
 
 def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> float:
-    """Value of k below all D/d with the least sum of squares, by successively refined grid search."""
+    """Value of k below all D/d with the least sum of squares, by successively refined grid search.
+
+    `ratio`: D/d (n,); `height` (n,): ln of the dimensionless flow.
+    """
     low, high = K_LOWEST, float(ratio.min())
     best = low
     for _ in range(SEARCH_ROUNDS):
@@ -101,7 +114,10 @@ def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> fl
 def _line(
     ratio: np.ndarray, height: np.ndarray, k: np.ndarray, exponent: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Best ln C and exponent (m,) for each k (m,), and the residuals (m, n) of `height` (n,)."""
+    """Best ln C and exponent (m,) for each k (m,), and the residuals (m, n) of `height` (n,).
+
+    height = ln C + n ln(D/d - k)
+    """
     along = np.log(ratio - k[:, None])
     middle = along.mean(axis=1)
     offset = along - middle[:, None]
@@ -111,7 +127,10 @@ def _line(
 
 
 def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Standard errors from the residuals of the fit."""
+    """Standard errors (p,) of the parameters from the residuals (n,) of the fit; nan without degrees of freedom.
+
+    `derivatives` (n, p): of the fitted values with respect to the parameters.
+    """
     degrees_of_freedom = len(residual) - derivatives.shape[1]
     if degrees_of_freedom < 1:
         return np.full(derivatives.shape[1], np.nan)
@@ -123,7 +142,9 @@ def read_discharges(sources: Sequence[Path]) -> Discharge:
     """Read flows from runs (directories written by `granflow run`) and CSV files.
 
     Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `orifice` and
-    `mass_flow`, in SI or with units. Raises GranflowError for what has neither.
+    `mass_flow`, in SI or with units.
+
+    Raises GranflowError for a run without exactly one flow meter with a radius, or for an invalid table.
     """
     rows = [row for source in sources for row in (_of_run(source) if source.is_dir() else _of_table(source))]
     table = np.array(rows, dtype=float).reshape(-1, 2)
@@ -131,6 +152,7 @@ def read_discharges(sources: Sequence[Path]) -> Discharge:
 
 
 def _of_run(source: Path) -> list[tuple[float, float]]:
+    """Orifice [m] and mass flow [kg/s] of a run. Raises GranflowError."""
     from granflow.scene import load
 
     path = source / "result.json"
@@ -152,6 +174,7 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
 
 
 def _of_table(source: Path) -> list[tuple[float, float]]:
+    """Orifices [m] and mass flows [kg/s] of a CSV file. Raises GranflowError with the line number."""
     reader = csv.DictReader(read_regular_text(source).splitlines())
     try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
@@ -170,7 +193,7 @@ def _of_table(source: Path) -> list[tuple[float, float]]:
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
-    """Table rows of several fits: name, then value and standard error for each fit."""
+    """Table rows of several fits: name, then value and standard error for each fit; last the relative scatter."""
     rows = []
     for name in ("c", "k", "exponent"):
         cells = [_with_error(getattr(fit, name), getattr(fit, f"{name}_error")) for fit in fits]

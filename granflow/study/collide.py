@@ -26,6 +26,8 @@ from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
 WALL = "wall"
+"""Name of the wall in the scene."""
+
 HALVINGS = 60
 """Number of bisection steps; sufficient for float64 precision of the overlap."""
 SHORT = 1e-3
@@ -60,12 +62,16 @@ def collide(
 ) -> dict[str, float]:
     """Collide two spheres, or a sphere and a wall, head on. All values are in SI units.
 
-    `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8"; the example of the catalog
-    supplies the others.
+    `law`: contact model; `material`, `material2`: presets; `diameter`, `diameter2` [m]; `velocity` [m/s]: approach
+    velocity. `settings` are those of the contact model as "key=value", such as "yield_ratio=2.8"; the example of the
+    catalog supplies the others. `steps_per_contact`: expected duration over time step; automatic time step without it.
 
-    Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m], `force_max` [N], the
-    same with `_restitution_given` or `_theory`, `spring_equation19` [N/m] and `time_step` [s]. Raises GranflowError if
-    the restitution is neither given nor known, or if the time step is not stable.
+    Returns the simulated `restitution`, `duration` [s], `overlap_max` and `overlap_residual` [m] and `force_max` [N];
+    the expected values under the same names with `_theory`, and the requested restitution with `_asked`; `velocity`
+    [m/s], `spring_equation19` [N/m] (Zhou 2011, Eq. 19) and `time_step` [s].
+
+    Raises GranflowError for an unknown preset or contact model, values that are not positive, a restitution that is
+    neither given nor known, an overlap of more than a radius, or an unstable time step.
     """
     sizes = (diameter, diameter2 or diameter)
     materials = (material, material2 or material)
@@ -91,6 +97,7 @@ def collide(
 
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
+    """Raise GranflowError for an unknown contact model or preset, with a suggestion."""
     if law not in NORMAL_LAWS:
         raise GranflowError(
             f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'contact models'))}"
@@ -105,6 +112,7 @@ def _sentence(remedy: str) -> str:
 
 
 def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_contact: float | None) -> None:
+    """Raise GranflowError for a diameter [m], velocity [m/s] or number of steps that is not above 0."""
     for name, value in (("diameter", min(sizes)), ("velocity", velocity), ("steps_per_contact", steps_per_contact)):
         if value is not None and not value > 0.0:
             raise GranflowError(f"{name} is {value:g}, but must be above 0.")
@@ -119,7 +127,10 @@ def _refuse_deep(sizes: tuple[float, float], velocity: float, overlap_max: float
 
 
 def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float | None) -> None:
-    """Raise GranflowError for a restitution that the contact model does not support or that is missing."""
+    """Raise GranflowError for a restitution that the contact model does not support or that is missing.
+
+    Depending on the model, a restitution is required, must be above 0, or must not be given.
+    """
     kind = NORMAL_LAWS[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
         raise GranflowError(f"restitution is {restitution:g}, but must be in [0, 1].")
@@ -139,7 +150,10 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
 
 
 def _read(described: dict[str, Any], settings: Sequence[str]) -> Scene:
-    """Scene from its description and the settings of its contact model; errors are reported as for a scene file."""
+    """Scene from its description and the settings of its contact model.
+
+    Raises SceneError as for a scene file; positions refer to the source "collide".
+    """
     return scene_in(parse(to_yaml(described), "collide"), [f"contact.normal.{each}" for each in settings])
 
 
@@ -151,7 +165,11 @@ def _scene_of(
     wall: bool,
     restitution: float | None,
 ) -> dict[str, Any]:
-    """Scene of the collision, validated like a scene file."""
+    """Scene of the collision, as a mapping in the structure of a scene file.
+
+    `sizes` [m]; `velocity` [m/s]: approach velocity, half of it for each sphere, or all of it toward a wall. The
+    spheres touch at the start. Raises GranflowError if the restitution is unknown.
+    """
     first, second = ("first", "second")
     pair = {"friction": 0} | _restitution_given(law, materials, restitution)
     share = 1.0 if wall else 0.5
@@ -186,7 +204,10 @@ def _scene_of(
 
 
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
-    """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials."""
+    """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials.
+
+    Raises GranflowError if it is neither given nor known for the preset.
+    """
     if NORMAL_LAWS[law].restitution == "nothing":
         return {}
     if restitution is not None:
@@ -199,6 +220,7 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
 
 
 def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: bool) -> CollisionInput:
+    """Effective radius [m] and mass [kg] of the collision; a wall has infinite radius and mass."""
     pair = pair_material(scene, "first", "second")
     radii = 0.5 * np.array(sizes)
     densities = np.array([scene.materials[name].density for name in ("first", "second")])
@@ -219,7 +241,13 @@ def _expected(law: NormalLaw, impact: CollisionInput) -> dict[str, float]:
 
 
 def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy."""
+    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy.
+
+        int_0^dmax F dd = M v^2 / 2
+
+    The integral is a sum of trapezoids, `steps` of them in the loading time at the approach velocity; the last one is
+    interpolated.
+    """
     bodies = (impact.radius_eff, impact.mass_eff)
     loading, unloading = law.phase_durations(impact.pair, *bodies, impact.velocity)
     constants, history = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
@@ -243,7 +271,10 @@ def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[s
 def _end_overlap(
     law: NormalLaw, impact: CollisionInput, time_step: float, overlap: float, history: np.ndarray
 ) -> float:
-    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive."""
+    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive.
+
+    `overlap` [m]: upper end of the search, with a repulsive force; `history`: fields of the contact model.
+    """
     constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
     for _ in range(HALVINGS if not law.attracts else 0):
         middle = 0.5 * (low + high)
@@ -254,7 +285,10 @@ def _end_overlap(
 
 
 def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """Duration, maximum overlap and force of M d'' = -F(d, d') by the classical Runge-Kutta method in numpy."""
+    """Duration [s], maximum overlap [m] and force [N] of M d'' = -F(d, d').
+
+    Classical Runge-Kutta method (fourth order) in numpy with `steps` steps of the expected duration.
+    """
     constants = np.array(law.pair_constants(impact.pair))
     step = sum(law.phase_durations(impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / steps
     history = np.zeros(max(law.history_count, 1))
@@ -284,7 +318,10 @@ def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> di
 
 
 def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> dict[str, float]:
-    """Run the collision and record the maximum overlap and force, the rebound velocity and the duration."""
+    """Run the collision and record the maximum overlap and force, the rebound velocity and the duration.
+
+    Raises GranflowError if the contact does not end within LONGEST times its expected duration.
+    """
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
@@ -328,7 +365,10 @@ def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: flo
 
 @dataclass(frozen=True)
 class _ContactSample:
-    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step."""
+    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step.
+
+    `history` (fields,): of the contact model; the overlap is negative before and after the contact.
+    """
 
     overlap: float
     rate: float
@@ -337,6 +377,7 @@ class _ContactSample:
 
 
 def _sample(engine: Engine, plan: Plan) -> _ContactSample:
+    """State of the contact at the present step; positions and velocities are synchronized."""
     arrays = engine.synchronized(("position", "velocity", "force", "mass", "radius"))
     history_field = engine.state.neighbors.history.get("normal")
     history = np.zeros(3) if history_field is None else history_field.to_numpy()[0]

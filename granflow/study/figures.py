@@ -13,6 +13,8 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 """Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
+"""Markers by index of the series."""
+
 POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}
 """Style of simulated points: open markers without a line."""
 
@@ -20,6 +22,8 @@ WIDTH = 6.7
 """Width of a figure [inch]: two journal columns."""
 
 RESOLUTION = 300
+"""Resolution of a figure [dots per inch]."""
+
 
 STYLE: dict[str, Any] = {
     "font.family": "serif",
@@ -45,6 +49,7 @@ STYLE: dict[str, Any] = {
     "savefig.bbox": "tight",
     "savefig.pad_inches": 0.04,
 }
+"""Settings of matplotlib that all figures share."""
 
 
 def require_plotting() -> None:
@@ -58,7 +63,7 @@ def require_plotting() -> None:
 def draw_to(path: Path, draw: Any, height: float) -> None:
     """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
 
-    Raises GranflowError if matplotlib is not installed.
+    The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     import matplotlib
@@ -73,7 +78,10 @@ def draw_to(path: Path, draw: Any, height: float) -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV with a header line, numbers in full precision."""
+    """Write columns of equal length as CSV with a header line, numbers in full precision.
+
+    `columns`: name -> array (rows,). Raises ValueError for columns of different length.
+    """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

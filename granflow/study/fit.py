@@ -19,7 +19,11 @@ from granflow.study.figures import COLORS, POINTS, draw_to, write_columns
 from granflow.study.measurements import Measurements
 
 NAMES = ("sigma", "psi", "limit_velocity")
+"""Parameters of Eq. 12, in the order of parameter vectors."""
+
 ITERATIONS = 500
+"""Maximum number of Levenberg-Marquardt iterations."""
+
 SMALLEST_STEP = 1e-10
 """Convergence tolerance of the parameters (relative)."""
 START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)
@@ -32,7 +36,10 @@ HEIGHT = 4.2
 
 @dataclass(frozen=True)
 class Fit:
-    """Parameters of Eq. 12 with standard errors; the error of a given limit velocity is 0."""
+    """Parameters of Eq. 12 with standard errors; the error of a given limit velocity is 0.
+
+    `curve`: sigma, psi and limit velocity [m/s]; `errors`: their standard errors in the same fields.
+    """
 
     curve: VelocityRestitution
     errors: VelocityRestitution
@@ -52,8 +59,11 @@ class Fit:
 def fit(data: Measurements, limit: float | None = None) -> Fit:
     """Fit Eq. 12; if no limit velocity [m/s] is given, fit it as well.
 
-    Standard errors follow from the residuals, or from the standard deviations in the file if it has them. Raises
-    GranflowError if the data do not determine the parameters.
+    The weighted sum of squares of the restitution errors is minimized, from several initial limit velocities if that is
+    free. Standard errors follow from the residuals, or from the standard deviations in the file if it has them.
+
+    Raises GranflowError if the data do not determine the parameters, or if a measured restitution above 0 contradicts
+    the limit velocity.
     """
     _check_determined(data, limit)
     starts = _starts(data, limit)
@@ -75,6 +85,7 @@ def fit(data: Measurements, limit: float | None = None) -> Fit:
 
 
 def _check_determined(data: Measurements, limit: float | None) -> None:
+    """Raise GranflowError if the data are too few, or contradict the limit velocity [m/s]."""
     fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
     count = 2 if limit else 3
     if len(data) <= count:
@@ -95,7 +106,10 @@ def _check_determined(data: Measurements, limit: float | None) -> None:
 
 
 def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
-    """Initial parameters by linear regression: ln(-ln e) = ln sigma + psi ln(v / (vlim - v))."""
+    """Initial parameters (3,) by linear regression: ln(-ln e) = ln sigma + psi ln(v / (vlim - v)).
+
+    One start for a given limit velocity, otherwise one for each of START_MARGINS.
+    """
     informative = (data.restitution > 0.0) & (data.restitution < 1.0)
     velocity = data.velocity[informative]
     height = np.log(-np.log(data.restitution[informative]))
@@ -107,9 +121,10 @@ def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
 
 
 def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Parameters and sum of squares, by Levenberg-Marquardt in the logarithms of the parameters, which keeps them > 0.
+    """Parameters (3,) and sum of squares, by Levenberg-Marquardt in the logarithms of the parameters.
 
-    The limit velocity is represented by its difference from the largest velocity with a rebound.
+    The logarithms keep sigma and psi above 0. The limit velocity is represented by its difference from the largest
+    velocity with a rebound.
     """
     fastest = 0.0 if limit else float(data.velocity[data.restitution > 0.0].max())
     free = 2 if limit else 3
@@ -124,11 +139,11 @@ def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tup
         step[:free] = np.linalg.lstsq(
             normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual, rcond=None
         )[0].clip(-1.0, 1.0)  # fmt: skip
-        build_scene = floor + (point - floor) * np.exp(step)
-        new_residual, new_slopes = _linearized(data, build_scene)
+        proposed = floor + (point - floor) * np.exp(step)
+        new_residual, new_slopes = _linearized(data, proposed)
         new_cost = float(new_residual @ new_residual)
         if new_cost <= cost:
-            point, residual, slopes, cost, damping = build_scene, new_residual, new_slopes, new_cost, 0.3 * damping
+            point, residual, slopes, cost, damping = proposed, new_residual, new_slopes, new_cost, 0.3 * damping
         else:
             damping *= 4.0
         if np.abs(step).max() < SMALLEST_STEP:
@@ -152,7 +167,11 @@ def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray,
 
 
 def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | None) -> np.ndarray:
-    """Square roots of the diagonal of (J^T J)^-1, times the residual scatter unless standard deviations are given."""
+    """Standard errors (3,): square roots of the diagonal of (J^T J)^-1, from the singular values of J.
+
+    Multiplied by the residual scatter unless standard deviations are given. Raises GranflowError if the error of the
+    limit velocity exceeds its value.
+    """
     free = 2 if limit else 3
     residual, slopes = _linearized(data, parameters)
     jacobian = slopes[:, :free] * parameters[:free]
@@ -171,7 +190,7 @@ def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | 
 
 
 def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarray) -> float:
-    """Weighted correlation coefficient."""
+    """Weighted correlation coefficient of measured and predicted restitution (n,); nan if either is constant."""
     a = measured - np.average(measured, weights=weights)
     b = predicted - np.average(predicted, weights=weights)
     size = float(np.sqrt((weights @ a**2) * (weights @ b**2)))
@@ -179,7 +198,7 @@ def _correlation(measured: np.ndarray, predicted: np.ndarray, weights: np.ndarra
 
 
 def write_fit(out: Path, data: Measurements, result: Fit) -> None:
-    """Write `fit.csv`, then `fit.png`. Raises GranflowError if matplotlib is not installed."""
+    """Write `fit.csv`, then `fit.png` into `out`. Raises GranflowError if matplotlib is not installed."""
     out.mkdir(parents=True, exist_ok=True)
     table = {"velocity": data.velocity, "measured": data.restitution, "fitted": result.curve(data.velocity)}
     write_columns(out / "fit.csv", table | {"residual": result.residual})

@@ -21,17 +21,20 @@ HEADINGS = {
 """Accepted names of each column; the first one is preferred."""
 
 DIMENSION = {"velocity": "velocity", "restitution": "number", "deviation": "number", "weight": "number"}
+"""Dimension of each column, in which units of values are converted to SI."""
+
 LARGEST_FILE = 2**26
 """Maximum size of a file in bytes; sufficient for more than a million measurements."""
 
 SEPARATORS = (";", "\t", ",")
+"""Separators of cells, in the order of precedence."""
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Rows of a file: approach velocity [m/s], restitution, and uncertainty of the restitution.
+    """Rows of a file: approach velocity (n,) [m/s], restitution (n,), and uncertainty of the restitution (n,).
 
-    `uncertainty` (n,) is the standard deviation; if `absolute` is False, only its ratios are meaningful.
+    `uncertainty` is the standard deviation; if `absolute` is False, only its ratios are meaningful.
     """
 
     velocity: np.ndarray
@@ -47,7 +50,9 @@ def read_measurements(path: Path) -> Measurements:
     """Read a table with the columns `velocity` and `restitution`, and optionally `deviation` or `weight`.
 
     Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored; a value
-    may have a unit. Raises FileError with all invalid rows as `file:line: sentence`.
+    may have a unit. Velocities are converted to m/s.
+
+    Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not UTF-8 text.
     """
     rows = list(_rows(path, _text(path)))
     if not rows:
@@ -67,12 +72,14 @@ def read_measurements(path: Path) -> Measurements:
 
 
 def _spread(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Uncertainty (n,) of each row: the given deviation, 1 / sqrt(weight), or 1."""
     if "deviation" in table:
         return table["deviation"]
     return 1.0 / np.sqrt(table["weight"]) if "weight" in table else np.ones(len(table["velocity"]))
 
 
 def _text(path: Path) -> str:
+    """Text of a UTF-8 file, without a byte order mark. Raises GranflowError for another encoding."""
     try:
         return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -80,7 +87,10 @@ def _text(path: Path) -> str:
 
 
 def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and stripped cells of each row; the separator is that of the header."""
+    """Line number and stripped cells of each row; the separator is that of the header.
+
+    Empty lines and lines that begin with # are skipped. Raises FileError for a row that is not CSV.
+    """
     nonempty = [
         (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"
     ]
@@ -96,7 +106,11 @@ def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
-    """Index of each known column. Raises FileError if one is missing or duplicated."""
+    """Index of each known column by its name in HEADINGS.
+
+    Units in brackets are ignored in the names. Raises FileError if a column is missing or duplicated, or if the
+    velocities have another unit than m/s.
+    """
     names = [cell.split("[")[0].split("(")[0].strip().lower().replace(" ", "_") for cell in cells]
     found: dict[str, int] = {}
     for name, aliases in HEADINGS.items():
@@ -148,6 +162,7 @@ def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dic
 
 
 def _number(name: str, text: str) -> float:
+    """Number of a cell in SI units. Raises UnitError if it is missing, not finite or out of range."""
     value = to_si(text, DIMENSION[name]) if text else float("nan")
     if not isfinite(value):
         raise UnitError("a number is required; remove the row if nothing was measured")

@@ -11,6 +11,8 @@ from typing import Any
 from granflow.visible_text import visible
 
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
+"""Media type of each file type that a page can embed."""
+
 
 STYLE = """
 :root { color-scheme: light; }
@@ -85,6 +87,7 @@ class Code:
 
 
 PagePart = str | PageTable | Picture | Gallery | Plot | Code
+"""Content of a section."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +121,19 @@ for (const plot of document.querySelectorAll("figure.plot")) {
   Plotly.newPlot(plot.querySelector("div"), data, layout, look);
 }
 """
+"""JavaScript that draws all plots of a page."""
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write the page. Raises KeyError for an image format that is not supported."""
+    """Write the page as UTF-8.
+
+    Raises KeyError for an image format that is not supported, OSError if an image is missing.
+    """
     path.write_text(html_of(page), encoding="utf-8")
 
 
 def html_of(page: Page) -> str:
-    """The page as HTML with embedded images."""
+    """The page as HTML with embedded images, without references to other files except `linked_files`."""
     links = "".join(f'<a href="#{_anchor(n)}">{escape(s.title)}</a>' for n, s in enumerate(page.sections))
     sections = "\n".join(_section(number, section) for number, section in enumerate(page.sections))
     scripts = f"<script>{page.script}</script>\n<script>{DRAW_PLOTS}</script>\n" if page.script else ""
@@ -144,11 +151,13 @@ def _anchor(number: int) -> str:
 
 
 def _section(number: int, section: Section) -> str:
+    """HTML of a section with its anchor."""
     parts = "\n".join(_part(part) for part in section.parts)
     return f'<section id="{_anchor(number)}">\n<h2>{escape(section.title)}</h2>\n{parts}\n</section>'
 
 
 def _part(part: PagePart) -> str:
+    """HTML of one part; the type of the part determines the element."""
     match part:
         case PageTable():
             return _table(part)
@@ -164,6 +173,7 @@ def _part(part: PagePart) -> str:
 
 
 def _plot(plot: Plot) -> str:
+    """HTML of an interactive plot: its data as JSON, which the script of the page draws."""
     figure = json.dumps(plot.figure, separators=(",", ":")).replace("</", "<\\/")
     return (
         f'<figure class="plot"><div></div><script type="application/json">{figure}</script>'
@@ -180,6 +190,7 @@ def _code(code: Code) -> str:
 
 
 def _picture(picture: Picture) -> str:
+    """HTML of an image or film, embedded in base64. Raises KeyError for a file type that is not in MEDIA_TYPES."""
     data = b64encode(picture.image.read_bytes()).decode("ascii")
     kind = MEDIA_TYPES[picture.image.suffix]
     links = "".join(f' <a href="{escape(name)}">{escape(name)}</a>' for name in picture.linked_files)
@@ -191,6 +202,7 @@ def _picture(picture: Picture) -> str:
 
 
 def _table(table: PageTable) -> str:
+    """HTML of a table; a column of numbers only is aligned right."""
     text_columns = [not all(_is_figure(row[column]) for row in table.rows) for column in range(len(table.heads))]
     heads = "".join(_cell("th", head, is_text) for head, is_text in zip(table.heads, text_columns, strict=True))
     rows = "\n".join(

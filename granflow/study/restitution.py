@@ -24,8 +24,10 @@ from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
+"""Velocities of the collisions per decade."""
+
 DECADES = 3
-"""Velocities of the collisions relative to the largest expected velocity."""
+"""Decades of velocity below the largest expected one."""
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Phases of first touch within a time step."""
 SPACING = 2.5
@@ -41,6 +43,8 @@ TOLERANCE = 0.01
 QUICK_VELOCITIES = (1.0, 0.3, 0.1)
 """Velocities of the warning relative to the largest velocity, in the order of evaluation."""
 QUICK_PHASES = (0.25, 0.75)
+"""Phases of first touch within a time step for the warning."""
+
 QUICK_STEPS = 8000
 """Maximum number of steps of the reference implementation for the warning."""
 HALVINGS = 6
@@ -49,7 +53,10 @@ HALVINGS = 6
 
 @dataclass(frozen=True)
 class MaterialPairing:
-    """Two materials that can be in contact, and the radii [m] of their smallest spheres; a wall has no radius."""
+    """Two materials that can be in contact, and the radii [m] of their smallest spheres.
+
+    `other_radius` is None for a wall.
+    """
 
     first: str
     second: str
@@ -62,7 +69,7 @@ class MaterialPairing:
         return f"{self.first}-{self.second}" + (" wall" if self.other_radius is None else "")
 
     def reduced(self, scene: Scene) -> tuple[float, float]:
-        """Effective radius [m] and mass [kg]."""
+        """Effective radius [m] and mass [kg] of the contact; a wall has infinite radius and mass."""
         mass = _mass(self.radius, scene.materials[self.first].density)
         if self.other_radius is None:
             return self.radius, mass
@@ -76,7 +83,7 @@ def _mass(radius: float, density: float) -> float:
 
 
 def pairings(scene: Scene) -> list[MaterialPairing]:
-    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii."""
+    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii [m]."""
     smallest: dict[str, float] = {}
     for group in scene.particles.values():
         radius = 0.5 * diameter_range(group)[0]
@@ -119,7 +126,9 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected one.
 
     All collisions are at the far side of the domain, where single precision is coarsest; each velocity is repeated for
-    several phases of first touch. Also returns the time step [s].
+    several phases of first touch. The velocities span DECADES decades. Also returns the time step [s].
+
+    Raises SceneError if the scene has no valid plan.
     """
     backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
@@ -141,13 +150,16 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
 
 
 def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
-    """Maximum number of steps of the slowest collision."""
+    """Maximum number of steps of the slowest collision; `velocity` [m/s]: the lowest."""
     longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
     return int(LONGEST * longest / plan.time_step) + 10
 
 
 def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
-    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair."""
+    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair.
+
+    `velocities` (v,) [m/s]. Without friction and gravity; contacts are at the largest coordinate of the domain.
+    """
     radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
     spacing = SPACING * 2.0 * max(radii)
     contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
@@ -203,7 +215,7 @@ def _add_row(
 
 
 def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
-    """Rebound velocity [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
+    """Rebound velocity (n,) [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
@@ -223,7 +235,7 @@ def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
 
 
 def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Approach rate [m/s] and force [N] of each collision."""
+    """Approach rate (n,) [m/s] and force (n,) [N] of each collision, in the order of the scene."""
     arrays = engine.synchronized(("id", "velocity", "force", "mass"))
     order = np.argsort(arrays["id"])
     velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
@@ -289,8 +301,9 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
 def warnings(plan: Plan) -> list[str]:
     """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
 
-    Each warning describes the collision of the pair with the largest error. Collisions that cannot occur, and
-    collisions for which the plan has a warning already, are excluded.
+    Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if one is
+    found. Collisions that cannot occur, and collisions for which the plan has a warning already, are excluded.
+    QUICK_STEPS limits the total number of steps of all collisions.
     """
     worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
     steps = 0
@@ -333,6 +346,7 @@ class _Impact:
 
 
 def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
+    """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
     collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
     return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
 
@@ -346,13 +360,16 @@ def _unreachable(plan: Plan, impact: _Impact) -> bool:
 
 
 def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
-    """Reference restitution that differs most from the given one, over a few phases of a time step."""
+    """Reference restitution that differs most from the given one, over QUICK_PHASES of a time step [s]."""
     found = [_reference_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
     return max(found, key=lambda e: abs(e - impact.requested))
 
 
 def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
-    """Restitution of one collision with the reference implementation, in the leapfrog scheme of the device."""
+    """Restitution of one collision with the reference implementation, in the leapfrog scheme of the device.
+
+    `step` [s]; `phase`: time of first touch before the first force, over the step. 0 if the spheres stick.
+    """
     law, mass = plan.law, impact.mass_eff
     constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
     rate = rate_now = impact.velocity
@@ -370,6 +387,7 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
 
 
 def _sentence(plan: Plan, pair: MaterialPairing, impact: _Impact) -> str:
+    """Warning with the given and the simulated restitution, and the remedy."""
     reached = _worst_restitution(plan, impact, plan.time_step)
     remedy = next(_remedies(plan, impact), None)
     advice = f"Use run.time_step: {remedy:.2g} s." if remedy else "A smaller run.time_step reduces the difference."

@@ -20,8 +20,10 @@ from granflow.observe.coarse_graining.kernel import GaussianKernel
 from granflow.observe.particle_selection import mobile_particles
 
 PARTICLE_FIELDS = {"mass": 1, "volume": 1, "number": 1, "touching": 1, "momentum": 3, "momentum_flux": 9}
+"""Quantities accumulated over particles, with their numbers of components."""
+
 CONTACT_ACCUMULATED = {"contact_stress": 9, "contact_number": 1, "fabric": 9}
-"""Accumulated quantities, with their numbers of components."""
+"""Quantities accumulated over contacts, with their numbers of components."""
 
 CONTACT_FIELDS = ("contact_stress", "pressure", "fabric")
 """Fields that require contacts."""
@@ -34,7 +36,7 @@ class AccumulatedFields:
     arrays: dict[str, np.ndarray]
 
     def __add__(self, other: "AccumulatedFields") -> "AccumulatedFields":
-        """Add the sums of each cell."""
+        """Add the sums of each cell; both operands must have the same names and grid."""
         return AccumulatedFields({name: array + other.arrays[name] for name, array in self.arrays.items()})
 
     def __truediv__(self, number: float) -> "AccumulatedFields":
@@ -48,7 +50,12 @@ def accumulate(
     grid: CoarseGrid,
     kernel: GaussianKernel,
 ) -> AccumulatedFields:
-    """Return the sums over the particles of a snapshot, and over its contacts unless None."""
+    """Return the sums over the particles of a snapshot, and over its contacts unless None.
+
+    `particles`: arrays `mass` [kg], `radius` [m], `coordination_number` (n,), `position` [m], `velocity` [m/s] (n, 3),
+    and `fixed` (n,) if the scene has fixed particles, which are excluded. `contacts`: arrays `position_i`, `position_j`
+    [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
+    """
     found = _accumulate_particles(particles, grid, kernel)
     if contacts is not None:
         found |= _accumulate_contacts(contacts, grid, kernel)
@@ -58,7 +65,11 @@ def accumulate(
 def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
     """Return all fields that follow from the sums, by name in FIELD_QUANTITIES; NaN in cells without particles.
 
-    For time-averaged sums, fluctuations are those about the mean velocity in space and time.
+    Scalars (cells,), vectors (cells, 3), tensors (cells, 9) in the order xx, xy, xz, yx, ...; stresses [Pa]. The
+    granular temperature is a third of the mean square of v - V [m2/s2]; it is 0 where rounding makes it negative.
+
+    For time-averaged sums, fluctuations are those about the mean velocity in space and time (Goldhirsch 2010).
+    `contact_stress`, `pressure` and `fabric` are absent without contacts.
     """
     s = accumulated.arrays
     density = s["mass"]
@@ -84,6 +95,7 @@ def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
 def _accumulate_particles(
     particles: Mapping[str, np.ndarray], grid: CoarseGrid, kernel: GaussianKernel
 ) -> dict[str, np.ndarray]:
+    """Return the sums of PARTICLE_FIELDS over the mobile particles, per cell volume: name -> (cells, components)."""
     particles = mobile_particles(particles)
     mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
     momentum = mass[:, None] * velocity
@@ -96,6 +108,11 @@ def _accumulate_particles(
 def _accumulate_contacts(
     contacts: Mapping[str, np.ndarray], grid: CoarseGrid, kernel: GaussianKernel
 ) -> dict[str, np.ndarray]:
+    """Return the sums of CONTACT_ACCUMULATED over the contacts, per cell volume: name -> (cells, components).
+
+    The mean of the kernel along the branch vector, L, is a quadrature (Goldhirsch 2010). For a contact with a wall, the
+    branch vector ends at the contact point (Weinhart et al. 2012).
+    """
     start, end, force = (contacts[name].astype(float) for name in ("position_i", "position_j", "force"))
     branch = end - start
     length = np.linalg.norm(branch, axis=1)
@@ -123,14 +140,16 @@ def _dyads(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _trace(tensor: np.ndarray) -> np.ndarray:
+    """Return the traces (n,) of tensors (n, 9)."""
     return tensor[:, 0] + tensor[:, 4] + tensor[:, 8]
 
 
 def _ratio(number: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Return the quotient; NaN where `total` is 0."""
+    """Return the quotient of arrays that broadcast to the shape of `number`; NaN where `total` is 0."""
     return np.divide(number, total, out=np.full_like(number, np.nan), where=total > 0.0)
 
 
 def _split(sizes: Mapping[str, int], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of `values` (cells, components) by name; `sizes`: number of components of each name."""
     ends = np.cumsum(list(sizes.values()))
     return dict(zip(sizes, np.split(values, ends[:-1], axis=1), strict=True))

@@ -21,7 +21,9 @@ from granflow.snapshot import Snapshot
 class FieldFrames(Frames):
     """`fields_NAME_NNNN.vtu`: hexahedra with the fields `quantities`; at the end `fields_NAME_mean.vtu`.
 
-    Only in `stages`, or in all stages if empty. The mean weights all frames equally.
+    `interval` [s] of simulated time between frames; `grid`, `kernel`: of the coarse graining; `quantities`: names in
+    FIELD_QUANTITIES, which determine whether contacts are requested; `stages`: stages with frames, all if empty. The
+    mean weights all frames equally.
     """
 
     def __init__(
@@ -44,7 +46,7 @@ class FieldFrames(Frames):
         self._count = 0
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Write one frame if the stage is one of `stages`."""
+        """Write one frame if the stage is one of `stages`; otherwise skip the due time."""
         if self._stages and snapshot.stage not in self._stages:
             self._schedule.mark_done(snapshot.time)
         else:
@@ -65,7 +67,7 @@ class FieldFrames(Frames):
             write_vtu(path, self._mesh_of(self._accumulated / self._count))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the list of frames, the accumulated sums and the number of frames."""
+        """Return the list of frames, the accumulated sums (cells, components) and the number of frames."""
         total = {} if self._accumulated is None else dict(self._accumulated.arrays)
         return super().state_dict() | {"total": total, "count": self._count}
 

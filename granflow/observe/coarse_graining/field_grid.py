@@ -29,7 +29,7 @@ CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1,
 class CoarseGrid:
     """A box from `low` to `high` (3,) [m] with `counts` cells along x, y and z.
 
-    Cells are numbered with x fastest, as in VTK. Along a `periodic` axis the box is one period.
+    Cell (i, j, k) has the index i + nx (j + ny k): x fastest, as in VTK. Along a `periodic` axis the box is one period.
     """
 
     low: tuple[float, float, float]
@@ -53,7 +53,7 @@ class CoarseGrid:
         return int(np.prod(self.counts))
 
     def centers(self) -> np.ndarray:
-        """Return the centers of all cells (cells, 3) [m]."""
+        """Return the centers of all cells (cells, 3) [m], in the order of the cell indices."""
         x, y, z = (
             low + (np.arange(n) + 0.5) * h for low, n, h in zip(self.low, self.counts, self.cell_size, strict=True)
         )
@@ -64,7 +64,8 @@ class CoarseGrid:
         """Return the integrals (cells, k) over each cell of the values (n, k) distributed around points (n, 3) [m].
 
         Contributions outside the grid are omitted, or wrap around along periodic axes. The integrals are exact: if the
-        grid contains the whole support of the kernels, the sum over the cells is the sum of the values.
+        grid contains the whole support of the kernels, the sum over the cells is the sum of the values. Division by
+        `cell_volume` gives densities [1/m3]. The memory is bounded: CHUNK_POINTS points are processed at a time.
         """
         low, width = np.array(self.low), np.array(self.high) - self.low
         points = np.where(self.periodic, low + np.mod(points - low, width), points)
@@ -78,13 +79,16 @@ class CoarseGrid:
         return padded_grid.fold()
 
     def cells_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cell index (n,) of points (n, 3) [m], and whether each point is inside the grid (n,)."""
+        """Return the cell index (n,) of points (n, 3) [m], and whether each point is inside the grid (n,).
+
+        The index of a point outside the grid is meaningless. Points are not wrapped along periodic axes.
+        """
         index = np.floor((points - np.array(self.low)) / self.cell_size).astype(np.int64)
         inside = ((index >= 0) & (index < self.counts)).all(axis=1)
         return index @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
 
     def mesh(self, arrays: dict[str, np.ndarray]) -> meshio.Mesh:
-        """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k)."""
+        """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k), in the order of the cell indices."""
         nx, ny, nz = self.counts
         axes = [np.linspace(low, high, n + 1) for low, high, n in zip(self.low, self.high, self.counts, strict=True)]
         z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
@@ -95,7 +99,11 @@ class CoarseGrid:
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:
-    """Return the grid that the scene specifies; the default region is the domain."""
+    """Return the grid that the scene specifies; the default region is the domain.
+
+    `spec`: entry of `output.fields` or of `output.metrics` with a grid. Axes that are periodic in the domain are
+    periodic in the grid.
+    """
     box = spec.region or domain
     x, y, z = (axis in domain.periodic for axis in AXES)
     return CoarseGrid(box.min, box.max, spec.cell_counts(domain), (x, y, z))
@@ -138,7 +146,10 @@ class _Padded:
         )
 
     def fold(self) -> np.ndarray:
-        """Return the cells of the grid (cells, k); along periodic axes, the margin is added to them."""
+        """Return the cells of the grid (cells, k); along periodic axes, the margin is added to them.
+
+        Along other axes, the margin is dropped.
+        """
         total = self.total
         for axis, (count, pad) in enumerate(zip(self.grid.counts[::-1], self.reached_cells[::-1], strict=True)):
             total = np.moveaxis(total, axis, 0)

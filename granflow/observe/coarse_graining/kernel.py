@@ -10,11 +10,12 @@ NODES = 2**14
 
 
 class GaussianKernel:
-    """The weight of a point at r: W(r) = g(x) g(y) g(z), which integrates to 1.
+    """The weight of a point at r [1/m3]: W(r) = g(x) g(y) g(z), which integrates to 1.
 
         g(s) = exp(-s^2 / 2 w^2) / (sqrt(2 pi) w erf(c / sqrt(2)))      |s| < c w, else 0
 
-    `width`: w [m]; `cutoff`: c, in widths. Within the cutoff, W depends only on the distance.
+    `width`: w [m]; `cutoff`: c, in widths; `reach`: c w [m], half the edge of the cube outside which W is 0. Within the
+    cutoff, W depends only on the distance, since the product of the three Gaussians does.
     """
 
     def __init__(self, width: float, cutoff: float) -> None:
@@ -30,7 +31,10 @@ class GaussianKernel:
         return float(self.width**2 * (1.0 - tail))
 
     def cumulative(self, distance: np.ndarray) -> np.ndarray:
-        """Return the integral of g from minus infinity to `distance` [m], an array of any shape."""
+        """Return the integral of g from minus infinity to `distance` [m], an array of any shape; from 0 to 1.
+
+        A cell gets the share cumulative(upper edge) - cumulative(lower edge) along each axis.
+        """
         nodes, shares = self._table
         return np.interp(distance / self.width, nodes, shares)
 

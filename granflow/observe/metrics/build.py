@@ -28,13 +28,14 @@ NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
 
 
 def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
-    """Return a meter for each metric of the scene, by name."""
+    """Return a meter for each metric of the scene, by name in `output.metrics`, in the order of the scene."""
     return {name: _metric_meter(scene, spec) for name, spec in scene.output.metrics.items()}
 
 
 def _metric_meter(
     scene: Scene, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
 ) -> MetricMeter:
+    """Return the meter of one metric of the scene; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
         return _lacey_metric_meter(scene, spec)
     if isinstance(spec, ReposeMetric):
@@ -47,6 +48,7 @@ def _metric_meter(
 
 
 def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
+    """Return a meter of the Lacey index. Kind A: given groups or materials, or diameters below `smaller_than` [m]."""
     grid: CoarseGrid = grid_for(scene.domain, spec)
     groups = [list(scene.particles).index(name) for name in spec.groups or ()]
     materials = [list(scene.materials).index(name) for name in spec.materials or ()]
@@ -62,6 +64,10 @@ def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
 
 
 def _repose_meter(scene: Scene, spec: ReposeMetric) -> MetricMeter:
+    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is inclined.
+
+    Particles with fewer than MIN_HEAP_CONTACTS contacts are not part of the heap.
+    """
     upwards = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
     frame = frame_along(upwards)
     edge = COLUMN_WIDTH * max(diameter_range(group)[1] for group in scene.particles.values())
@@ -82,6 +88,7 @@ def _repose_meter(scene: Scene, spec: ReposeMetric) -> MetricMeter:
 
 
 def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the region."""
     contacts = snapshot.contacts or {}
     middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
     tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
@@ -90,11 +97,13 @@ def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
 
 
 def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the coordination numbers of the mobile particles with centers inside the region."""
     particles = mobile_particles(snapshot.particles)
     return coordination(particles["coordination_number"][_inside(particles["position"], region)])
 
 
 def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
+    """Return number, mass [kg] and volume [m3] of the mobile particles with centers inside the region."""
     particles = mobile_particles(snapshot.particles)
     selected_particles = selected(particles, _inside(particles["position"], region))
     volume = 4.0 / 3.0 * np.pi * float((selected_particles["radius"].astype(float) ** 3).sum())

@@ -7,7 +7,10 @@ from granflow.snapshot import Snapshot
 
 
 class MetricMeter:
-    """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES."""
+    """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES.
+
+    The mean restarts with each stage. Values that are NaN (not defined for the present state) do not enter the mean.
+    """
 
     def __init__(self, measure: Callable[[Snapshot], Mapping[str, float]], wants: frozenset[str]) -> None:
         self.wants = wants
@@ -18,7 +21,7 @@ class MetricMeter:
         self._counts: dict[str, int] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Evaluate the metric."""
+        """Evaluate the metric with a snapshot, which must have the parts `wants`."""
         if snapshot.stage != self._stage:
             self._stage, self._sums, self._counts = snapshot.stage, {}, {}
         self._last = dict(self._measure(snapshot))
@@ -28,7 +31,7 @@ class MetricMeter:
             self._counts[name] = self._counts.get(name, 0) + known
 
     def readings(self) -> dict[str, float]:
-        """Return the last values."""
+        """Return the values of the last snapshot, in the units of METRIC_QUANTITIES; empty before the first."""
         return self._last
 
     def result(self) -> dict[str, float]:

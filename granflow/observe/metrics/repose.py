@@ -16,13 +16,14 @@ FEWEST = 4
 
 @dataclass(frozen=True)
 class Slope:
-    """Angle to the horizontal and its standard error from the scatter about the fit [rad]."""
+    """Angle to the horizontal and its standard error from the scatter about the fit [rad]; NaN without a fit."""
 
     angle: float
     error: float
 
 
 NO_SLOPE = Slope(float("nan"), float("nan"))
+"""Result if the surface has too few points for a fit."""
 
 
 def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.ndarray | None = None) -> Slope:
@@ -30,7 +31,8 @@ def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.
 
     `edge` [m]: of the columns, about two diameters; `axis` (2,) [m]: of the cone, the mean of all centers if None. The
     flank is where the mean height of a ring around the axis is between 0.8 and 0.2 of the largest; a straight line is
-    fitted to the height over the distance from the axis.
+    fitted to the height over the distance from the axis by least squares. The angle is not negative. NaN without
+    particles, or with fewer than FEWEST surface points on the flank.
     """
     if not len(points):
         return NO_SLOPE
@@ -50,7 +52,8 @@ def slope_of_cone(points: np.ndarray, radius: np.ndarray, edge: float, axis: np.
 def slope_of_plane(points: np.ndarray, radius: np.ndarray, edge: float) -> Slope:
     """Return the slope of the plane fitted to the surface of spheres with centers (n, 3), z upward, and radii (n,) [m].
 
-    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum.
+    `edge` [m]: of the columns. For one side of a wedge, or for the middle of a drum. NaN without particles, with fewer
+    than FEWEST surface points, or if these lie on a line.
     """
     if not len(points):
         return NO_SLOPE
@@ -76,7 +79,12 @@ def surface_points(points: np.ndarray, radius: np.ndarray, edge: float) -> np.nd
 
 
 def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
-    """Return the angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, 1 or 2) [m]."""
+    """Return the angle of the line or plane fitted to heights (n,) [m] over horizontal positions (n, 1 or 2) [m].
+
+        angle = arctan |g|,      error = sqrt(d C d) / (1 + |g|^2)
+
+    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit.
+    """
     if len(height) < FEWEST:
         return NO_SLOPE
     offsets = position - position.mean(axis=0)

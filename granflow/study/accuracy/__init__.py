@@ -1,4 +1,7 @@
-"""Error against run time: collisions of two particles, and complete scenes."""
+"""Error against run time: collisions of two particles, and complete scenes.
+
+`measure_*` returns the results, `write_*` writes CSV, figures and a page.
+"""
 
 from granflow.study.accuracy.report import measure_two_bodies, write_two_bodies
 from granflow.study.accuracy.scene_points import measure_scene

@@ -13,6 +13,8 @@ from granflow.study.paper.cases import PaperCase
 from granflow.study.paper.head_on_collisions import HeadOnCollision
 
 PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
+"""Precisions of the study, the most accurate first."""
+
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)
 """Steps per collision: duration of the collision over the time step."""
 FULL_STEPS = tuple(float(f"{steps:.3g}") for steps in np.geomspace(5.0, 5000.0, 31))
@@ -37,7 +39,10 @@ Representative of a hopper: single precision resolves fewer digits of the overla
 
 @dataclass(frozen=True)
 class StudiedLaw:
-    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to reproduce."""
+    """A contact model of the study: its label, its `contact.normal` in a scene, and the restitutions to reproduce.
+
+    `normal`: name of the contact model, or a mapping with `law` and its parameters.
+    """
 
     name: str
     normal: Any
@@ -72,12 +77,15 @@ class CollisionKind:
 
 
 RESTITUTIONS = (0.2, 0.5, 0.9)
+"""Target restitutions of the contact models with dissipation."""
+
 STUDIED_LAWS = (
     StudiedLaw("zhou", "zhou", RESTITUTIONS),
     StudiedLaw("hertz", "hertz", RESTITUTIONS),
     StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
     StudiedLaw("hertz, elastic", "hertz", (1.0,)),
 )
+"""Contact models of the study; an elastic contact separates errors of the integrator from those of damping."""
 
 
 INTEGRATORS = (Integrator("leapfrog"),)
@@ -85,21 +93,28 @@ INTEGRATORS = (Integrator("leapfrog"),)
 
 
 def reference_case() -> PaperCase:
-    """Two particles of softened glass."""
+    """Two particles of softened glass, with the diameter DIAMETER [m] and Young's modulus YOUNG_MODULUS [Pa].
+
+    Density and Poisson ratio are those of the preset glass.
+    """
     glass = PRESETS["glass"]
     solid = Solid(YOUNG_MODULUS, glass.poisson_ratio, glass.density)
     return PaperCase("glass", "glass", solid, {"preset": "glass", "young_modulus": YOUNG_MODULUS}, diameter=DIAMETER)
 
 
 def common_duration() -> float:
-    """Duration of every collision of the study [s]."""
+    """Duration of every collision of the study [s]: that of an elastic collision of the reference case at 1 m/s.
+
+    It is Zhou's duration (2011, Eq. 13) with e = 1.
+    """
     return reference_case().duration(1.0, 1.0)
 
 
 def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
-    """All kinds of collision of one contact model.
+    """All kinds of collision of one contact model: each restitution at each velocity.
 
-    The diameters make all durations equal: the duration is proportional to the diameter.
+    The diameters make all durations equal: at given restitution and velocity, the duration is proportional to the
+    diameter.
     """
     case, found = reference_case(), []
     for e in law.restitutions:
@@ -111,12 +126,15 @@ def kinds_of(law: StudiedLaw) -> tuple[CollisionKind, ...]:
 
 
 def exact_of(law: str, case: PaperCase, e: float, velocity: float, diameter: float) -> Exact:
-    """Exact solution for two particles of a diameter [m] that collide at a velocity [m/s]."""
+    """Exact solution for two particles of a diameter [m] that collide at a velocity [m/s].
+
+    `law`: key of EXACT; `e`: restitution. Raises KeyError for a contact model without an exact solution.
+    """
     return EXACT[law](e, case.stiffness(diameter), case.mass_eff(diameter), velocity)
 
 
 def collisions_of(kinds: tuple[CollisionKind, ...]) -> list[HeadOnCollision]:
-    """Every kind of collision, repeated `PHASES` times."""
+    """Every kind of collision, repeated `PHASES` times: (kinds * PHASES,) in the order of the kinds."""
     case = reference_case()
     return [case.head_on(kind.restitution, kind.velocity, kind.diameter) for kind in kinds for _ in range(PHASES)]
 

@@ -62,7 +62,11 @@ class CollisionResults:
 
 
 class CollisionBench:
-    """All collisions of one contact model and integrator in one scene; compiled once for all time steps."""
+    """All collisions of one contact model and integrator in one scene; compiled once for all time steps.
+
+    `velocity` (pairs,): approach velocities [m/s]; `pair_ids` (pairs, 2): ids of the particles of each pair. Call
+    `free` after use.
+    """
 
     def __init__(self, studied_law: StudiedLaw, integrator: Integrator, backend: Backend) -> None:
         self.studied_law, self.integrator, self.backend = studied_law, integrator, backend
@@ -73,7 +77,10 @@ class CollisionBench:
         self.engine.set_walls([], [])
 
     def run(self, steps: float, repeats: int = REPEATS) -> CollisionResults:
-        """Run the collisions with `steps` time steps per duration. Raises SceneError if that time step is unstable."""
+        """Run the collisions with `steps` time steps per duration, then time them `repeats` times.
+
+        Raises SceneError if that time step is unstable.
+        """
         scene, plan, _ = self._planned(steps)
         self._use_time_step(plan)
         numbers, samples = self._sample_contacts(scene, steps)
@@ -87,7 +94,7 @@ class CollisionBench:
         self.engine.free()
 
     def _planned(self, steps: float) -> tuple[Scene, Plan, np.ndarray]:
-        """Scene with a time step, its plan, and the indices of the two particles of each pair.
+        """Scene with a time step, its plan, and the ids (pairs, 2) of the two particles of each pair.
 
         The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind
         at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
@@ -124,7 +131,10 @@ class CollisionBench:
         return np.array(numbers), np.array(samples)
 
     def _sampled_steps(self, steps: float) -> list[int]:
-        """Numbers of steps after which the state is sampled."""
+        """Numbers of steps after which the state is sampled, in ascending order.
+
+        All steps up to MAX_FULLY_SAMPLED_STEPS per collision; else those around the maximum overlap and the end.
+        """
         last = ceil(MAX_DURATIONS * steps) + SAMPLES_AROUND
         if steps <= MAX_FULLY_SAMPLED_STEPS:
             return list(range(last + 1))
@@ -134,7 +144,7 @@ class CollisionBench:
         return sorted({0, *near, last})
 
     def _timed(self, scene: Scene, steps: float) -> float:
-        """Wall time of one collision [s]."""
+        """Wall time of one collision [s]: that of all simultaneous collisions, divided by their number."""
         self._start(scene)
         whole = ceil(steps) + 1
         began = perf_counter()
@@ -142,7 +152,11 @@ class CollisionBench:
         return (perf_counter() - began) * steps / whole / len(self.velocity)
 
     def _measured(self, numbers: np.ndarray, samples: np.ndarray, pair: int) -> tuple[float, float, float]:
-        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated."""
+        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated.
+
+        `numbers` (samples,): step numbers; `samples` (samples, 3): overlap [m], overlap rate [m/s], force [N]. The
+        duration is nan if the steps at the end were not sampled.
+        """
         overlap, rate, force = samples.T
         parted = force[-1] == 0.0 and rate[-1] < 0.0
         restitution = float(-rate[-1] / self.velocity[pair]) if parted else 0.0
@@ -162,7 +176,10 @@ class CollisionBench:
 
 
 def _parabola_max(overlap: np.ndarray) -> float:
-    """Maximum overlap [m]: vertex of the parabola through the largest sample and its two neighbors."""
+    """Maximum overlap [m]: vertex of the parabola through the largest sample and its two neighbors.
+
+    `overlap` (samples,) [m], equally spaced around the maximum; the largest sample itself at an end.
+    """
     index = int(np.argmax(overlap))
     if not 0 < index < len(overlap) - 1:
         return float(overlap[index])

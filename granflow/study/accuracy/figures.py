@@ -12,9 +12,16 @@ from granflow.study.figures import COLORS, MARKERS
 LINE_STYLES = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
 """Line style and marker of each precision; contact models and integrators have colors."""
 LOWEST = 1e-9
+"""Smaller errors are drawn at this value."""
+
 HIGHEST = 3.0
+"""Upper end of the error axis."""
+
 WORK_HEIGHT = 3.9
+"""Height of the figure of error and wall time [inch]."""
+
 QUANTITY_HEIGHT = 5.6
+"""Height of the figure of all errors [inch]."""
 
 
 def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
@@ -47,7 +54,10 @@ def _plot(
 
 
 def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
-    """Draw the restitution error against wall time, and against the time step with fitted slopes."""
+    """Draw the restitution error against wall time, and against the time step with fitted slopes.
+
+    `target`: relative error, drawn as a dotted line. The result is the argument of `figures.draw_to`.
+    """
 
     def draw(figure: Any) -> None:
         work, steps = figure.subplots(1, 2, sharey=True)

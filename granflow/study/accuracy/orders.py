@@ -1,4 +1,9 @@
-"""Orders of convergence, fitted where errors decrease with the time step and exceed the round-off floor."""
+"""Orders of convergence, fitted where errors decrease with the time step and exceed the round-off floor.
+
+    error = C steps^-p
+
+p: order of convergence; the leapfrog scheme has p = 2 for smooth forces.
+"""
 
 from dataclasses import dataclass
 
@@ -17,7 +22,7 @@ MIN_POINTS = 4
 
 @dataclass(frozen=True)
 class Order:
-    """error = prefactor * steps^-order from `first` to `last` steps per collision."""
+    """error = prefactor * steps^-order from `first` to `last` steps per collision: a fitted order of convergence."""
 
     order: float
     first: float
@@ -25,7 +30,7 @@ class Order:
     prefactor: float
 
     def at(self, steps: np.ndarray) -> np.ndarray:
-        """Fitted error."""
+        """Fitted error (n,) at numbers of steps per collision (n,)."""
         return self.prefactor * steps**-self.order
 
     @property
@@ -35,7 +40,11 @@ class Order:
 
 
 def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
-    """Least-squares line through the logarithms; None if fewer than MIN_POINTS points decrease."""
+    """Least-squares line through the logarithms of `error` (n,) over `steps` (n,), in ascending order of steps.
+
+    The fit begins at the first error below ASYMPTOTIC and ends where the errors stop decreasing. None if fewer than
+    MIN_POINTS points decrease. Errors of nan are not below any bound.
+    """
     below = np.flatnonzero(error < ASYMPTOTIC)
     if not len(below):
         return None
@@ -50,7 +59,7 @@ def fitted_order(steps: np.ndarray, error: np.ndarray) -> Order | None:
 
 
 def _next_decreasing(error: np.ndarray, last: int) -> int | None:
-    """Index of the next clearly smaller error.
+    """Index of the next clearly smaller error after `last`; None if the errors no longer decrease.
 
     One outlier is permitted: the largest error may change from one kind of collision to another.
     """

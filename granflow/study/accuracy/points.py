@@ -18,12 +18,15 @@ from granflow.study.accuracy.axes import STEPS, CollisionKind, Integrator, Studi
 from granflow.study.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
+"""Quantities with an error relative to the exact solution."""
+
 QUANTITY_LABELS = {
     "restitution": "restitution",
     "duration": "duration",
     "overlap_max": "maximum overlap",
     "energy": "energy",
 }
+"""Titles of the quantities in figures and tables."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class StudyLine:
-    """All points of one contact model, integrator and precision."""
+    """All points of one contact model, integrator and precision: each number of steps for each kind of collision."""
 
     law: str
     integrator: str
@@ -73,11 +76,14 @@ class StudyLine:
         return np.array(sorted({point.steps for point in self.points}))
 
     def error(self, quantity: str) -> np.ndarray:
-        """Largest error of all kinds of collision (n,); nan where the end of a collision was not observed."""
+        """Largest error of all kinds of collision (n,); nan where the end of a collision was not observed.
+
+        `quantity`: one of QUANTITIES. The order is that of `steps`.
+        """
         return self._over_kinds(f"{quantity}_error")
 
     def seconds(self, which: str = "median") -> np.ndarray:
-        """Wall time per collision [s] (n,); `which`: median, min or max."""
+        """Wall time per collision [s] (n,); `which`: median, min or max over the repeats."""
         return self._over_kinds(f"seconds_{which}")
 
     def kinds(self) -> list[list[StudyPoint]]:
@@ -97,7 +103,7 @@ def max_or_nan(values: Iterable[float]) -> float:
 
 
 def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
-    """Columns of the CSV."""
+    """Columns of the CSV, one array (points,) per field of StudyPoint."""
     names = [each.name for each in fields(StudyPoint)]
     return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
 
@@ -106,7 +112,8 @@ def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
 def worker_process() -> Iterator[ProcessPoolExecutor]:
     """One worker process: Taichi supports one precision per process.
 
-    The process ends with the `with` block, also on an interrupt. Raises GranflowError if the process dies.
+    The process is started with the method spawn and ends with the `with` block, also on an interrupt. Raises
+    GranflowError if the process dies.
     """
     process = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
     try:
@@ -137,7 +144,10 @@ def measured_line(
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
 ) -> tuple[StudyLine, list[str]]:
-    """Measure all points of one line; the second result describes the steps rejected as unstable."""
+    """Measure all points of one line; the second result describes the steps rejected as unstable.
+
+    `steps`: numbers of steps per collision; `repeats`: number of timings of each.
+    """
     bench = CollisionBench(studied_law, integrator, backend)
     points: list[StudyPoint] = []
     refused: list[float] = []
@@ -154,7 +164,10 @@ def measured_line(
 
 
 def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
-    """One point per kind of collision, with errors over the phases (PHASES,) and wall times."""
+    """One point per kind of collision, with errors over the phases (PHASES,) and wall times.
+
+    Wall times are equal for all kinds, because all collisions run simultaneously.
+    """
     seconds = results.seconds
     shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
@@ -172,7 +185,10 @@ def _points(bench: CollisionBench, results: CollisionResults, precision: str) ->
 
 
 def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple[np.ndarray, ...]:
-    """Errors in the order of QUANTITIES, each (phases,)."""
+    """Errors in the order of QUANTITIES, each (phases,): relative, except the energy.
+
+    energy error = e^2 - e_exact^2, over the initial kinetic energy
+    """
     exact, e = kind.exact, results.restitution[index]
     return (
         e / exact.restitution - 1.0,
@@ -183,7 +199,10 @@ def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple
 
 
 def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
-    """Shorter of loading and unloading time of a kind of collision [s], by the formula of the plan."""
-    matching = [m for m in pair_cases_of(bench.plan.scene) if m.pair.restitution == kind.restitution]
+    """Shorter of loading and unloading time of a kind of collision [s], by the formula of the plan.
+
+    The time of the pair case is scaled with the diameter, to which it is proportional.
+    """
+    matching = [case for case in pair_cases_of(bench.plan.scene) if case.pair.restitution == kind.restitution]
     scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
     return scaled * kind.diameter

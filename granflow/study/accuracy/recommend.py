@@ -1,4 +1,7 @@
-"""Steps and cost that each line of the study requires for a target error, and the resulting recommendation."""
+"""Steps and cost that each line of the study requires for a target error, and the resulting recommendation.
+
+A line is one contact model with one integrator and precision.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -32,7 +35,7 @@ class Requirement:
 def requirement_of(line: StudyLine, target: float) -> Requirement | None:
     """Longest time step of a line with a restitution error within the target for every kind of collision.
 
-    None if no time step of the line suffices.
+    `target`: relative error. None if no time step of the line suffices.
     """
     index = first_within(line.error("restitution"), target)
     if index is None:
@@ -43,7 +46,10 @@ def requirement_of(line: StudyLine, target: float) -> Requirement | None:
 
 
 def first_within(error: np.ndarray, target: float) -> int | None:
-    """First index with this error and the next within the target; a single one may be accidental."""
+    """First index with this error and the next within the target; a single one may be accidental.
+
+    `error` (n,) in the order of decreasing time steps. None without such an index.
+    """
     good = error <= target
     good = good & np.append(good[1:], True)
     return int(np.argmax(good)) if good.any() else None
@@ -62,7 +68,7 @@ def cheapest(requirements: Iterable[Requirement | None]) -> Requirement | None:
 
 
 def recommendation(lines: Sequence[StudyLine], target: float) -> str:
-    """Concluding sentence of the study."""
+    """Concluding sentence of the study: the cheapest time step and precision with errors within the target."""
     best = cheapest(requirement_of(line, target) for line in lines)
     if best is None:
         return f"No time step of this study limits the restitution error to {target:.3g} with {FOR_LAW}."
@@ -75,21 +81,27 @@ def recommendation(lines: Sequence[StudyLine], target: float) -> str:
 
 
 def default_sentence(lines: Sequence[StudyLine], target: float) -> str:
-    """Restitution error with the default of `numerics.time_step_fraction`."""
+    """Sentence on the restitution error with the default of `numerics.time_step_fraction`.
+
+    For FOR_LAW in double precision; empty without such a line.
+    """
     default = float(Numerics().time_step_fraction)
     line = next((line for line in lines if line.law == FOR_LAW and line.precision == "f64"), None)
     if line is None:
         return ""
     worst = max(_error_at(points, default) for points in line.kinds())
-    verdict = "finer than" if worst <= target else "coarser than"
+    relation = "finer than" if worst <= target else "coarser than"
     return (
         f"The default, time_step_fraction {default:g}, limits the restitution error of {FOR_LAW} in f64 to "
-        f"{100.0 * worst:.2g} %: it is {verdict} the target requires."
+        f"{100.0 * worst:.2g} %: it is {relation} the target requires."
     )
 
 
 def _error_at(points: Sequence[StudyPoint], share: float) -> float:
-    """Restitution error at a share, by linear interpolation of the logarithms of the measured values."""
+    """Restitution error at a share, by linear interpolation of the logarithms of the measured values.
+
+    `share`: time step over the shortest phase; outside the measured range, the nearest value.
+    """
     shares = np.array([point.share for point in points])[::-1]
     errors = np.array([point.restitution_error for point in points])[::-1]
     return float(np.exp(np.interp(np.log(share), np.log(shares), np.log(np.maximum(errors, 1e-300)))))
@@ -105,7 +117,7 @@ def table_heads(target: float) -> tuple[str, ...]:
 
 
 def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...]]:
-    """Table rows, one per line."""
+    """Table rows, one per line: order of convergence, smallest error, and the requirement for the target."""
     rows: list[tuple[str, ...]] = []
     for line in lines:
         error, requirement = line.error("restitution"), requirement_of(line, target)
@@ -122,7 +134,10 @@ def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...
 
 
 def velocity_rows(lines: Iterable[StudyLine], target: float) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and rows of the steps that each line requires per approach velocity, over all restitutions."""
+    """Headings and rows of the steps that each line requires per approach velocity, over all restitutions.
+
+    `target`: relative error; a dash where no number of steps suffices.
+    """
     lines = list(lines)
     velocities = sorted({point.velocity for line in lines for point in line.points})
     rows = []

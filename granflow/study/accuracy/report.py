@@ -42,12 +42,17 @@ from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE = "accuracy.html"
 POINTS = "accuracy.csv"
+"""CSV file with one row per point."""
+
 WORK, ERRORS = "accuracy.png", "accuracy_quantities.png"
+"""Figures of error against wall time, and of all errors."""
+
 
 LEAD = (
     "Accuracy against cost: collisions of two particles for every contact model, integrator and precision, with time "
     "steps over three decades, compared with the exact solution, and their wall time."
 )
+"""First paragraph of the page."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,8 @@ def measure_two_bodies(
     """Measure every combination, each precision in a separate process.
 
     `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages.
+    messages. `steps`: numbers of steps per collision instead of the default ones. Raises GranflowError if a process
+    dies.
     """
     counts = steps or (FULL_STEPS if full else STEPS)
     repeats = 3 * REPEATS if full else REPEATS
@@ -93,7 +99,10 @@ def measure_two_bodies(
 
 
 def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
-    """Write CSV and page, with figures if matplotlib is installed; otherwise raise GranflowError at the end."""
+    """Write CSV and page, with figures if matplotlib is installed.
+
+    Raises GranflowError at the end if it is not, after all other files are written.
+    """
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, columns([point for line in study.lines for point in line.points]))
     missing = _draw(out, study)

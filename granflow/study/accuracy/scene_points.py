@@ -1,4 +1,8 @@
-"""Errors of the runs of a scene, their statistical noise, and the recommended time step."""
+"""Errors of the runs of a scene, their statistical noise, and the recommended time step.
+
+Granular flow is chaotic: a difference between two runs is an error of the time step only if it exceeds the scatter over
+several seeds.
+"""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -30,20 +34,26 @@ SINGLE_SHARES = (0.2,)
 REFERENCE = 0.05
 """Share of the reference run in double precision."""
 SEEDS = 3
+"""Number of seeds of each combination; the noise is estimated from their scatter."""
+
 FULL_SEEDS = 5
+"""Number of seeds with `full`."""
+
 FINER = 0.5
 """Factor on the time step of the reference with `full`."""
 SIGMAS = 2.0
 """Reported noise, in standard errors."""
 ENERGY_ERROR = "energy_error"
+"""Quantity with an absolute target instead of a comparison with the reference run."""
 
 
 @dataclass(frozen=True)
 class ScenePoint:
     """Results of a scene with one time step and precision.
 
-    `time_step` [s]; `values` and relative `errors` by quantity; `seconds` (seeds,): wall time of each run [s];
-    `simulated` time [s]; `stopped`: reason of an abort, otherwise empty.
+    `share`: time step over the shortest phase; `time_step` [s]; `values` and relative `errors` by quantity, empty after
+    an abort; `seconds` (seeds,): wall time of each run [s]; `simulated` time [s]; `stopped`: reason of an abort,
+    otherwise empty.
     """
 
     family: str
@@ -137,8 +147,10 @@ def measure_scene(
 ) -> SceneStudy:
     """Run the scene with every time step and precision, the finest first.
 
-    `full`: more seeds and a finer reference. `precisions` begin with f64. Raises SceneError for an invalid scene,
-    GranflowError if the run with the finest time step aborts.
+    `target`: relative error; `full`: more seeds and a finer reference; `shares`: time steps over the shortest phase.
+    `precisions` begin with f64. `report` receives progress messages.
+
+    Raises SceneError for an invalid scene, GranflowError if the run with the finest time step aborts.
     """
     task = task.with_overrides("output.energy_budget=true")
     scene = task.scene()
@@ -148,11 +160,11 @@ def measure_scene(
     runs: list[_Runs] = []
     for precision in precisions:
         wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
-        plain = [(family, share) for family in STEP_FAMILIES for share in wanted]
+        settings = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
-            plain = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *plain]
+            settings = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *settings]
         with worker_process() as process:
-            for family, share in plain:
+            for family, share in settings:
                 report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
                 runs.append(_run(process, task, family, share, phase, precision, seeds))
                 if runs[0].stopped:
@@ -170,7 +182,10 @@ def _run(
     precision: str,
     seeds: Sequence[int],
 ) -> _Runs:
-    """Run all seeds and measure the restitution error in the given process."""
+    """Run all seeds and measure the restitution error in the given process.
+
+    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite.
+    """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
     outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
     error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()
@@ -195,7 +210,10 @@ def _study(
 
 
 def _noise(runs: Sequence[_Runs], reference: _Runs, name: str) -> float:
-    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps."""
+    """SIGMAS standard errors of the mean difference from the reference; variance averaged over all time steps.
+
+    Absolute, in the unit of the quantity `name`; 0 if no other run is complete.
+    """
     scatter = []
     for each in runs:
         if not each.stopped and each is not reference:

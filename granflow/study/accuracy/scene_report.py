@@ -13,8 +13,14 @@ from granflow.study.figures import COLORS, draw_to, require_plotting, write_colu
 from granflow.study.page import Page, PageTable, Picture, Section, write_page
 
 PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
+"""Names of page, CSV file and figure."""
+
 HEIGHT = 3.9
+"""Height of the figure [inch]."""
+
 LOWEST = 1e-7
+"""Smaller errors are drawn at this value."""
+
 
 LEAD = (
     "Accuracy against cost in this scene: the same run with several time steps and seeds, compared with the "
@@ -94,7 +100,10 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
 
 
 def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
-    """Columns of the CSV; nan for aborted runs."""
+    """Columns of the CSV, one row per point; nan for aborted runs.
+
+    Values in SI units, errors, noise and spread relative, costs in wall time per simulated time [s/s].
+    """
     rows = []
     for point in study.points:
         row: dict[str, Any] = {name: getattr(point, name) for name in
@@ -109,7 +118,10 @@ def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
 
 
 def write_scene(out: Path, study: SceneStudy) -> None:
-    """Write CSV and page, with a figure if matplotlib is installed; otherwise raise GranflowError at the end."""
+    """Write CSV and page, with a figure if matplotlib is installed.
+
+    Raises GranflowError at the end if matplotlib is not installed.
+    """
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / POINTS, scene_columns(study))
     missing: GranflowError | None = None

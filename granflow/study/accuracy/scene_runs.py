@@ -50,7 +50,7 @@ STEP_FAMILIES = (StepFamily("fixed", _fixed), StepFamily("adaptive", _adaptive))
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene file with overrides, and the simulated end time [s]."""
+    """A scene file with overrides, and the simulated end time [s] or None for the complete run."""
 
     path: Path
     overrides: tuple[str, ...]
@@ -80,7 +80,10 @@ class RunOutcome:
 
 
 def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
-    """Overrides that reduce the groups with an explicit `count` to at most `most` particles, in proportion."""
+    """Overrides that reduce the groups with an explicit `count` to at most `most` particles, in proportion.
+
+    Each group keeps at least one particle. Empty if the scene is small enough.
+    """
     counted = {
         name: group.count for name, group in scene.particles.items() if scene.is_given("particles", name, "count")
     }
@@ -91,14 +94,20 @@ def reduced_counts(scene: Scene, most: int = MAX_PARTICLES) -> list[str]:
 
 
 def phase_of(scene: Scene) -> tuple[float, float]:
-    """Shortest phase of any contact [s], and the time step of the scene over this phase."""
+    """Shortest phase of any contact [s], and the time step of the scene over this phase.
+
+    At the maximum impact velocity of the plan.
+    """
     plan = plan_for(scene)
     phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in pair_cases_of(scene))
     return phase, plan.time_step / phase
 
 
 class _RunMeans:
-    """Means over the run of center height [m] and coordination number."""
+    """Means over the run of center height [m] and coordination number.
+
+    The height is that of the center of mass above the bottom of the domain, opposite to gravity (z without gravity).
+    """
 
     def __init__(self, scene: Scene) -> None:
         gravity = np.array(scene.gravity)
@@ -123,7 +132,10 @@ class _RunMeans:
 
 
 def run_task(task: SceneTask) -> RunOutcome:
-    """Run a task. The outcome reports an unstable time step or an abort."""
+    """Run a task. The outcome reports an unstable time step or an abort.
+
+    Raises SceneError only if the scene cannot be loaded. The mean values are sampled SAMPLES times.
+    """
     scene = task.scene()
     means = _RunMeans(scene)
     total_duration = sum(duration for _, duration in stage_durations(scene))
@@ -144,7 +156,10 @@ def run_task(task: SceneTask) -> RunOutcome:
 
 
 def restitution_error(task: SceneTask) -> float:
-    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the largest."""
+    """Largest relative restitution error of any pair of materials, for velocities from a tenth of the largest.
+
+    Measured by head-on collisions at the time step and the precision of the task.
+    """
     rows, _ = measure_restitution(task.scene())
     fastest = max(row.velocity for row in rows)
     slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
@@ -157,5 +172,8 @@ def seeds_of(scene: Scene, count: int) -> list[Any]:
 
 
 def common_quantities(values: Sequence[dict[str, float]]) -> list[str]:
-    """Quantities that are present in all runs, in the order of the first."""
+    """Quantities that are present in all runs, in the order of the first.
+
+    `values`: quantity -> value of each run; at least one run.
+    """
     return [name for name in values[0] if all(name in each for each in values)]

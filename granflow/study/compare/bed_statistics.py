@@ -1,4 +1,7 @@
-"""Observers of a variant's run: bed heights, normal forces, contact durations."""
+"""Observers of a variant's run: bed heights, normal forces, contact durations.
+
+They hold their results in memory; `granflow.study.compare.report` writes them.
+"""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -20,7 +23,10 @@ MIN_CONTACTS = 10
 
 @dataclass
 class BedHeights:
-    """Heights of the center of mass and of the surface [m] above the origin, opposite to gravity."""
+    """Heights of the center of mass and of the surface [m] above the origin, opposite to gravity.
+
+    `rows`: time [s], height of the center of mass [m] and of the surface [m] of each snapshot.
+    """
 
     up: np.ndarray
     """Unit vector opposite to gravity (3,); zero without gravity."""
@@ -41,7 +47,10 @@ class BedHeights:
         return cls(-gravity / strength if strength > 0.0 else gravity)
 
     def update(self, snapshot: Snapshot) -> None:
-        """Add a row: time [s], center [m], surface [m]; nan without particles or without gravity."""
+        """Add a row: time [s], center [m], surface [m]; nan without particles or without gravity.
+
+        The surface is the percentile SURFACE_PERCENTILE of the tops of the particles.
+        """
         particles = snapshot.particles
         if len(particles["mass"]):
             speed = np.linalg.norm(particles["velocity"], axis=1)
@@ -58,7 +67,10 @@ class BedHeights:
 
 @dataclass
 class ForceHistogram:
-    """Histogram of the normal forces between particles over their mean in the same frame, by stage."""
+    """Histogram of the normal forces between particles over their mean in the same frame, by stage.
+
+    `counts`: stage -> numbers of contacts (bins,) with the bin edges FORCE_EDGES; the last bin is open.
+    """
 
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -74,14 +86,20 @@ class ForceHistogram:
         self.counts[snapshot.stage] = self.counts.get(snapshot.stage, 0) + found
 
     def density(self, stage: str) -> np.ndarray:
-        """P(f/<f>) in all bins except the last, open one (bins - 1,); nan for a stage without frames."""
+        """P(f/<f>) in all bins except the last, open one (bins - 1,); nan for a stage without frames.
+
+        The integral over all bins, the open one included, is 1.
+        """
         found = self.counts.get(stage)
         if found is None:
             return np.full(len(FORCE_EDGES) - 2, np.nan)
         return np.asarray(found[:-1] / (found.sum() * np.diff(FORCE_EDGES[:-1])))
 
     def share_above(self, stage: str, multiple: float) -> float:
-        """Share of contacts of a stage with more than this multiple of the mean force, which must be a bin edge."""
+        """Share of contacts of a stage with more than this multiple of the mean force, which must be a bin edge.
+
+        Between 0 and 1; nan for a stage without frames.
+        """
         found = self.counts.get(stage)
         if found is None:
             return float("nan")
@@ -89,7 +107,11 @@ class ForceHistogram:
 
 
 class ContactBursts:
-    """Samples all contacts in short bursts at several times of the run; see `ContactFollower`."""
+    """Samples all contacts in short bursts at several times of the run; see `ContactFollower`.
+
+    `times`: sample times [s] of each burst, in ascending order; `spacing` [s]: time between the samples of a burst.
+    `followed`: the observed contacts.
+    """
 
     wants = frozenset({CONTACTS})
 

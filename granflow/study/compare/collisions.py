@@ -20,11 +20,14 @@ from granflow.study.compare.variants import LawVariant, restitution_for
 from granflow.study.paper.head_on_collisions import HeadOnCollision, Outcomes, collide_all
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
+"""Range of velocities about the reference velocity in decades, and velocities per decade."""
+
 FINE_STEPS = 100
 """Steps in the shortest collision: the remaining error results from the contact model."""
 COARSE_STEPS = 10
 """Steps in an elastic Hertz collision at the reference velocity: the time step for one known velocity."""
 STEPS = {"fine": FINE_STEPS, "coarse": COARSE_STEPS}
+"""Time steps by name, in steps per collision."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,10 @@ class CollisionSubject:
 
     @property
     def velocities(self) -> np.ndarray:
-        """Approach velocities [m/s] from a hundredth to ten times the reference velocity."""
+        """Approach velocities (n,) [m/s], logarithmically spaced.
+
+        From a hundredth to ten times the reference velocity.
+        """
         count = (DECADES_BELOW + DECADES_ABOVE) * PER_DECADE + 1
         return self.reference_velocity * np.logspace(-DECADES_BELOW, DECADES_ABOVE, count)
 
@@ -69,7 +75,10 @@ class CollisionSubject:
 
 @dataclass(frozen=True)
 class LawSweep:
-    """Results of the collisions with one contact model by name in STEPS; `refused` gives the reason of a rejection."""
+    """Results of the collisions with one contact model by name in STEPS.
+
+    `refused`: reason of a rejection by name in STEPS, such as an unstable time step.
+    """
 
     variant: LawVariant
     outcomes: dict[str, Outcomes]
@@ -77,7 +86,10 @@ class LawSweep:
 
 
 def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | None:
-    """Two equal particles of the scene's first group, of mean diameter; None if their pair has no restitution."""
+    """Two equal particles of the scene's first group, of mean diameter; None if their pair has no restitution.
+
+    `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is used.
+    """
     group = next(iter(scene.particles.values()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
     key = next(key for key in keys if key in scene.pairs)
@@ -96,7 +108,11 @@ def sweeps_of(
     backend: Backend,
     steps: Sequence[str] = tuple(STEPS),
 ) -> list[LawSweep]:
-    """Run the collisions with every contact model, with a fine time step and one from the reference velocity."""
+    """Run the collisions with every contact model, with a fine time step and one from the reference velocity.
+
+    `steps`: names in STEPS. Fine: FINE_STEPS in the shortest collision; coarse: COARSE_STEPS in an elastic collision at
+    the reference velocity. Rejected combinations are in `LawSweep.refused`.
+    """
     shortest = min(subject.duration(velocity) for velocity in subject.velocities)
     elastic = float(theory.duration(1.0, subject.hertz_stiffness, subject.mass_eff, subject.reference_velocity))
     time_steps = {"fine": shortest / FINE_STEPS, "coarse": elastic / COARSE_STEPS}
@@ -122,7 +138,11 @@ def _collisions(scene: Scene, subject: CollisionSubject, variant: LawVariant) ->
 
 
 def sweep_columns(subject: CollisionSubject, sweeps: Sequence[LawSweep]) -> dict[str, np.ndarray]:
-    """Columns of collisions.csv: one row per contact model, time step and velocity."""
+    """Columns of collisions.csv: one row per contact model, time step and velocity, in SI units.
+
+    Exact values: duration and maximum overlap of Zhou (2011), Eqs. 13 and 5, and the target restitution. Empty without
+    any outcome.
+    """
     velocity = subject.velocities
     exact = {
         "duration_exact": np.array([subject.duration(v) for v in velocity]),
@@ -154,7 +174,10 @@ class CollisionDeviation:
 
 
 def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_reference: float) -> CollisionDeviation | None:
-    """Deviation of a contact model at a multiple of the reference velocity; None without such collisions."""
+    """Deviation of a contact model at a multiple of the reference velocity; None without such collisions.
+
+    `columns`: from `sweep_columns`; `step`: name in STEPS.
+    """
     if not columns:
         return None
     is_row = (columns["law"] == law) & (columns["step"] == step)

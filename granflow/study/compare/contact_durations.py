@@ -10,11 +10,15 @@ from granflow.snapshot import Snapshot
 KEY_BASE = 2**32
 """Exceeds every id, so that two ids combine into one integer key."""
 FIRST_WALL_KEY = 2**31
+"""Key of the first wall, above all ids."""
 
 
 @dataclass
 class FollowedContacts:
-    """Contacts that began during a burst: observed duration [s] of each, and whether its end was observed."""
+    """Contacts that began during a burst: observed duration of each, and whether its end was observed.
+
+    `observed`: arrays of durations [s]; `has_ended`: bool arrays of the same lengths.
+    """
 
     observed: list[np.ndarray] = field(default_factory=list)
     has_ended: list[np.ndarray] = field(default_factory=list)
@@ -35,7 +39,7 @@ class ContactFollower:
     """Tracks contacts with a nonzero force through one burst of samples.
 
     A contact begins and ends midway between the two samples that bracket the change. Contacts in the first sample are
-    ignored; contacts in the last sample are censored.
+    ignored; contacts in the last sample are censored. Contacts shorter than the interval between samples can be missed.
     """
 
     def __init__(self, followed: FollowedContacts) -> None:
@@ -68,7 +72,10 @@ class ContactFollower:
 
 
 def keys_of(snapshot: Snapshot) -> np.ndarray:
-    """One integer key per contact with a force above zero; it depends on the two partners only."""
+    """One integer key (n,) int64 per contact with a force above zero; it depends on the two partners only.
+
+    Walls have numbers from FIRST_WALL_KEY on, above all ids.
+    """
     contacts = snapshot.contacts
     assert contacts is not None
     first, second, wall = (contacts[name].astype(np.int64) for name in ("id_i", "id_j", "wall"))
@@ -78,9 +85,12 @@ def keys_of(snapshot: Snapshot) -> np.ndarray:
 
 
 def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Survival function of the contact duration: times of observed ends [s], and share of longer contacts from then on.
+    """Survival function of the contact duration: times (m,) of observed ends [s], and share (m,) that lasts longer.
 
-    Estimator of Kaplan and Meier (1958): a censored contact counts as at risk until its observation ends.
+        S(t) = product over t_i <= t of (1 - d_i / n_i)
+
+    d_i: ended at t_i, n_i: at risk. Estimator of Kaplan and Meier (1958): a censored contact counts as at risk until
+    its observation ends. `observed` (n,) [s], `has_ended` (n,) bool.
     """
     times = np.unique(observed[has_ended])
     at_risk = len(observed) - np.searchsorted(np.sort(observed), times)
@@ -89,13 +99,19 @@ def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, n
 
 
 def median_of(times: np.ndarray, share: np.ndarray) -> float:
-    """Median duration [s]; nan if more than half of the contacts outlast the observation."""
+    """Median duration [s] of a survival function; nan if more than half of the contacts outlast the observation.
+
+    `times` (m,) [s], `share` (m,): from `survival`.
+    """
     below = np.flatnonzero(share <= 0.5)
     return float(times[below[0]]) if len(below) else float("nan")
 
 
 def bursts(end: float, count: int, samples: int, spacing: float) -> Iterable[list[float]]:
-    """Sample times [s] of each burst; the bursts are evenly spaced over a run that ends at `end` [s]."""
+    """Sample times [s] of each burst; the bursts are evenly spaced over a run that ends at `end` [s].
+
+    `count`: number of bursts; `samples`: samples of each, with `spacing` [s] between them.
+    """
     for number in range(count):
         start = (number + 0.5) / count * end
         yield [start + sample * spacing for sample in range(samples)]

@@ -13,6 +13,8 @@ from granflow.study.compare.summary import densest_stage
 from granflow.study.figures import COLORS, MARKERS, draw_to
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+"""Line styles by index of the run."""
+
 ENERGIES = {
     "kinetic": ("kinetic_energy", "rotational_energy"),
     "elastic": ("elastic_energy",),
@@ -20,12 +22,17 @@ ENERGIES = {
     "lost: friction": ("friction_dissipation", "rolling_dissipation"),
     "lost: damping": ("damping_dissipation",),
 }
+"""Columns of timeseries.csv that are summed to each curve [J]."""
 
 
 def draw_all(
     out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """Write all PNG files; returns their names without suffix. Raises GranflowError without matplotlib."""
+    """Write all PNG files; returns their names without suffix.
+
+    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted. Raises
+    GranflowError without matplotlib.
+    """
     figures: dict[str, tuple[Callable[[Any], None], float]] = {
         "course": (lambda figure: draw_course(figure, runs), 5.2),
         "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
@@ -50,7 +57,10 @@ def _legend(figure: Any, axes: Any) -> None:
 
 
 def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """Draw flow, bed heights, contacts and overlaps against time."""
+    """Draw flow, bed heights, contacts and overlaps against time.
+
+    A cross marks an aborted run. Without flow meters, the kinetic energy replaces the flow.
+    """
     panels = figure.subplots(2, 2, sharex=True).ravel()
     meters = runs[0].meters
     for number, run in enumerate(runs):
@@ -88,7 +98,10 @@ def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
 
 
 def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """Draw the distribution of normal forces and the survival function of the contact duration."""
+    """Draw the distribution of normal forces and the survival function of the contact duration.
+
+    The forces are those of the densest stage.
+    """
     left, right = figure.subplots(1, 2)
     stage = densest_stage(runs)
     middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
@@ -106,7 +119,10 @@ def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
 def draw_collisions(
     figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
 ) -> None:
-    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step."""
+    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step.
+
+    `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per contact.
+    """
     panels = figure.subplots(2, 2, sharex=True).ravel()
     shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
     titles = {run.variant.key: run.variant.title for run in runs}

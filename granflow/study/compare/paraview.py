@@ -1,4 +1,7 @@
-"""Script for ParaView and pvpython that shows the PVD files of all variants side by side."""
+"""Script for ParaView and pvpython that shows the PVD files of all variants side by side.
+
+The script finds the files at their absolute path, or in its directory if they were moved together.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +12,8 @@ from granflow.scene import Scene
 from granflow.study.compare.runs import VariantRun
 
 SCRIPT = "side_by_side.py"
+"""Name of the script."""
+
 GAP = 0.25
 """Gap between two variants, over the width of the domain."""
 
@@ -82,10 +87,14 @@ if picture:
     scene.AnimationTime = float(sys.argv[2]) if len(sys.argv) > 2 else times[len(times) // 2]
     SaveScreenshot(picture, view, ImageResolution=[1800, 900])
 '''
+"""Text of the script with placeholders for `str.format`."""
 
 
 def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> Path:
-    """Write the script into `out`; `speed` [m/s] is the upper end of the color scale."""
+    """Write the script into `out` and return its path; `speed` [m/s] is the upper end of the color scale.
+
+    The variants are shifted along the horizontal axis by the width of the domain plus a gap.
+    """
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     up = -np.array(scene.gravity, dtype=float)
     vertical = int(np.argmax(np.abs(up))) if up.any() else 2

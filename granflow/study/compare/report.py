@@ -80,10 +80,11 @@ def compare(
 ) -> SceneComparison:
     """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
-    `reference_velocity` [m/s]: impact velocity for the constant linear spring, by default a tenth of the largest
-    impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with more than MOST_PARTICLES
-    particles are reduced. `report` receives progress messages. Raises GranflowError if no contact model can run the
-    scene.
+    `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear spring, by
+    default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with
+    more than MOST_PARTICLES particles are reduced. `report` receives progress messages.
+
+    Raises GranflowError if no contact model can run the scene.
     """
     velocity = reference_velocity or reference_velocity_of(scene)
     most = None if all_particles else MOST_PARTICLES
@@ -118,7 +119,10 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 
 
 def _write_tables(found: SceneComparison, out: Path) -> None:
-    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv."""
+    """Write compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
+
+    All in SI units; collisions.csv only if collisions were simulated.
+    """
     runs = found.runs
     write_columns(out / "compare.csv", summary_columns(runs, found.rows))
     write_columns(out / "heights.csv", {
@@ -138,7 +142,10 @@ def _write_tables(found: SceneComparison, out: Path) -> None:
 
 
 def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
-    """Columns of forces.csv: one row per contact model, stage and bin."""
+    """Columns of forces.csv: one row per contact model, stage and bin.
+
+    Forces are relative to the mean of their frame; the open last bin is omitted.
+    """
     parts: list[tuple[np.ndarray, ...]] = []
     low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
     for run in runs:
@@ -166,9 +173,9 @@ def _page(found: SceneComparison, out: Path, figures: Sequence[str], missing: st
     return Page(f"{found.scene.title}: contact models side by side", lead, sections)
 
 
-def _picture(out: Path, name: str, figures: Sequence[str], caption: str, beside: tuple[str, ...]) -> list[Any]:
-    """The figure `name` if it was drawn, with links to the files `beside`."""
-    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *beside))] if name in figures else []
+def _picture(out: Path, name: str, figures: Sequence[str], caption: str, linked_files: tuple[str, ...]) -> list[Any]:
+    """The figure `name` if it was drawn, with links to the files `linked_files`; otherwise an empty list."""
+    return [Picture(out / f"{name}.png", caption, (f"{name}.png", *linked_files))] if name in figures else []
 
 
 def size_note(found: SceneComparison) -> str:
@@ -253,8 +260,8 @@ def _contact_section(found: SceneComparison, out: Path, figures: Sequence[str]) 
 
 def _spring_section(found: SceneComparison, out: Path, figures: Sequence[str]) -> Section:
     """Section with the assessment of the linear springs."""
-    assessed = [(each.part, each.verdict, each.why) for each in found.assessments]
-    tables = [PageTable("Assessment.", ("statement", "verdict", "numbers"), assessed)] if assessed else []
+    assessed = [(each.part, each.conclusion, each.why) for each in found.assessments]
+    tables = [PageTable("Assessment.", ("statement", "conclusion", "numbers"), assessed)] if assessed else []
     if found.subject is None:
         return Section("Is one spring constant sufficient?", tables)
     subject = found.subject

@@ -1,4 +1,7 @@
-"""Run of one variant to its end or abort, with all compared quantities."""
+"""Run of one variant to its end or abort, with all compared quantities.
+
+The output of each run is that of `granflow run`, in a separate directory.
+"""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -22,7 +25,11 @@ from granflow.study.compare.contact_durations import FollowedContacts, bursts, m
 from granflow.study.compare.variants import LawVariant
 
 BURSTS = 8
+"""Number of bursts of contact samples in a run."""
+
 SAMPLES = 48
+"""Samples of each burst."""
+
 SAMPLES_PER_CONTACT = 8
 """Samples per duration of an elastic Hertz contact at the reference velocity."""
 
@@ -57,7 +64,7 @@ class VariantRun:
         return [name.partition(".")[2] for name in self.columns if name.startswith("flow_mass.")]
 
     def mass_flow(self, meter: str) -> float:
-        """Steady mass flow through a meter [kg/s], as reported by `granflow run`."""
+        """Steady mass flow through a meter [kg/s], as reported by `granflow run`; see `flow_meters.steady_flow`."""
         columns = (self.columns[name].tolist() for name in ("time", "stage", f"flow_mass.{meter}"))
         return steady_flow(list(zip(*columns, strict=True)))
 
@@ -82,7 +89,11 @@ class VariantRun:
 def run_variant(
     variant: LawVariant, out: Path, arch: str, reference_velocity: float, until: float | None
 ) -> VariantRun | str:
-    """Run a variant with output into `out`; returns the reason if its contact model cannot run the scene."""
+    """Run a variant with output into `out`; returns the reason if its contact model cannot run the scene.
+
+    `arch`: backend; `reference_velocity` [m/s] determines the interval of contact samples; `until` [s]: end of the run,
+    or None. An aborted run is returned with the message in `stopped`.
+    """
     assert variant.scene is not None
     scene = variant.scene
     heights, forces = BedHeights.of(scene), ForceHistogram()
@@ -124,7 +135,10 @@ def run_variant(
 
 
 def hertz_duration(scene: Scene, velocity: float) -> float:
-    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Eq. 13)."""
+    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Zhou 2011, Eq.
+
+    13, e = 1).
+    """
     durations = []
     for pair_case in pair_cases_of(scene):
         k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
@@ -133,7 +147,10 @@ def hertz_duration(scene: Scene, velocity: float) -> float:
 
 
 def read_time_series(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a timeseries.csv by name without unit; `stage` as strings, all others as float64."""
+    """Columns of a timeseries.csv by name without unit, (rows,) each; `stage` as strings, all others as float64.
+
+    Empty cells become nan.
+    """
     with path.open(newline="", encoding="utf-8") as file:
         heads, *rows = csv.reader(file)
     found = {}
@@ -147,7 +164,7 @@ def run_all(
     variants: Sequence[LawVariant], directories: Sequence[Path], arch: str, reference_velocity: float,
     until: float | None, report: Callable[[str], None],
 ) -> tuple[list[VariantRun], dict[str, str]]:  # fmt: skip
-    """Run every variant.
+    """Run every variant, each into the directory at the same position.
 
     Returns the runs, and the reasons of rejected variants by title. Raises GranflowError if no variant can run.
     """

@@ -16,25 +16,33 @@ from granflow.study.compare.summary import at_end, densest_stage
 TOLERANCE = 0.1
 """Threshold of the relative change over a decade of velocity."""
 ONE_SPRING, PER_CONTACT = "linear_reference", "linear_onset"
+"""Keys of the two variants of the linear contact model."""
+
 DECADE = 10.0
+"""Ratio of velocities at which the springs are assessed."""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """A statement, whether it holds (None: not measured), and the numbers behind it."""
+    """A statement, whether it holds (None: not measured), and the numbers behind it as a sentence."""
 
     part: str
     holds: bool | None
     why: str
 
     @property
-    def verdict(self) -> str:
-        """Verdict as text."""
+    def conclusion(self) -> str:
+        """Whether the statement holds, as text."""
         return {True: "holds", False: "does not hold", None: "not measured"}[self.holds]
 
 
 def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) -> CollisionDeviation | None:
-    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of it."""
+    """Relative change of the ratio of simulated to exact values from the reference velocity to a multiple of it.
+
+        (s / s_exact at over_reference * v) / (s / s_exact at v) - 1
+
+    None if the columns lack these collisions.
+    """
     at_multiple, at_reference = (deviation(dict(columns), law, "fine", multiple) for multiple in (over_reference, 1.0))
     if at_multiple is None or at_reference is None:
         return None
@@ -45,7 +53,10 @@ def drift(columns: Mapping[str, np.ndarray], law: str, over_reference: float) ->
 
 
 def assess(columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]) -> list[Assessment]:
-    """Assess all statements, for binary collisions and for the scene; empty without a linear contact model."""
+    """Assess all statements, for binary collisions and for the scene; empty without a linear contact model.
+
+    `columns`: of collisions.csv, possibly empty; `runs`: of all variants.
+    """
     compared = {run.variant.key for run in runs}.union(columns["law"].tolist() if columns else ())
     if not compared & {ONE_SPRING, PER_CONTACT}:
         return []
@@ -58,12 +69,15 @@ def assess_collisions(columns: Mapping[str, np.ndarray]) -> list[Assessment]:
 
 
 def _worst(*drifts: CollisionDeviation) -> float:
-    """Largest magnitude of the changes of contact duration and maximum overlap."""
+    """Largest magnitude of the relative changes of contact duration and maximum overlap."""
     return max(abs(number) for per_contact in drifts for number in (per_contact.duration, per_contact.overlap_max))
 
 
 def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
-    """Assess the accuracy of the spring from one velocity a decade away from it."""
+    """Assess the accuracy of the spring from one velocity a decade away from it.
+
+    Theory: relative to those of Hertz, duration and overlap change by the factor 10^0.2 per decade of velocity.
+    """
     part = "A spring from one velocity is wrong an order of magnitude away from it"
     slow, fast = drift(columns, ONE_SPRING, 1.0 / DECADE), drift(columns, ONE_SPRING, DECADE)
     if slow is None or fast is None:
@@ -79,7 +93,10 @@ def _assess_one_spring(columns: Mapping[str, np.ndarray]) -> Assessment:
 
 
 def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
-    """Assess the accuracy of Eq. 19 per contact over both decades."""
+    """Assess the accuracy of Eq. 19 per contact over both decades.
+
+    The changes must be below TOLERANCE; constant deviations result from the linear spring and are only reported.
+    """
     part = "Eq. 19 per contact corrects it"
     slow, fast = drift(columns, PER_CONTACT, 1.0 / DECADE), drift(columns, PER_CONTACT, DECADE)
     at_reference = deviation(dict(columns), PER_CONTACT, "fine", 1.0)
@@ -102,7 +119,10 @@ def _assess_per_contact(columns: Mapping[str, np.ndarray]) -> Assessment:
 
 
 def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
-    """Assess the stability of the spring from one velocity at a fixed time step."""
+    """Assess the stability of the spring from one velocity at a fixed time step.
+
+    The measure is the effect of the time step on the restitution a decade above the reference velocity.
+    """
     part = "A spring from one velocity becomes unstable an order of magnitude away from it"
     laws = list(dict.fromkeys(columns["law"].tolist())) if columns else []
     effect_by_law = {law: _time_step_effect(columns, law) for law in laws}
@@ -120,7 +140,10 @@ def _assess_stability(columns: Mapping[str, np.ndarray]) -> Assessment:
 
 
 def _time_step_effect(columns: Mapping[str, np.ndarray], law: str) -> float | None:
-    """Relative difference of the restitution with the reference and the fine time step, at a decade above."""
+    """Relative difference of the restitution with the reference and the fine time step, at a decade above.
+
+    None without such collisions, or if the spheres do not separate with the fine time step.
+    """
     coarse, fine = (deviation(dict(columns), law, step, DECADE) for step in ("coarse", "fine"))
     if coarse is None or fine is None or fine.restitution <= -1.0:
         return None
@@ -128,7 +151,10 @@ def _time_step_effect(columns: Mapping[str, np.ndarray], law: str) -> float | No
 
 
 def _assess_scene(runs: Sequence[VariantRun]) -> list[Assessment]:
-    """Assess both springs in the scene: aborts, and the overlaps of the bed relative to those of Hertz."""
+    """Assess both springs in the scene: aborts, and the overlaps of the bed relative to those of Hertz.
+
+    A deviation above TOLERANCE counts as wrong.
+    """
     one_spring_part, per_contact_part = "In this scene one spring fails", "In this scene Eq. 19 per contact corrects it"
     one_spring, per_contact = (
         next((run for run in runs if run.variant.key == key), None) for key in (ONE_SPRING, PER_CONTACT)

@@ -1,4 +1,7 @@
-"""Summary table: one row per quantity, one column per contact model, with the ratio to the first."""
+"""Summary table: one row per quantity, one column per contact model, with the ratio to the first.
+
+Values are stored in SI units and converted for display only.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +14,7 @@ from granflow.study.compare.runs import VariantRun
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
 MISSING = "–"
+"""Cell without a value."""
 
 
 DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
@@ -19,7 +23,10 @@ DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": (
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value."""
+    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
+
+    The first run is the reference of the ratios.
+    """
 
     name: str
     unit: str
@@ -54,7 +61,7 @@ def densest_stage(runs: Sequence[VariantRun]) -> str:
 
 
 def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows with a finite value of at least one run."""
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies."""
     stage = densest_stage(runs)
     rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
     return [row for row in rows if np.isfinite(row.values).any()]
@@ -63,7 +70,10 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 def _row(
     runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
 ) -> SummaryRow:
-    """One row; `display` is a key of DISPLAY_UNITS or empty."""
+    """One row with the value of `number` for each run; `display` is a key of DISPLAY_UNITS or empty.
+
+    `unit`: SI unit of the value.
+    """
     values = tuple(float(number(run)) for run in runs)
     return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
 
@@ -100,7 +110,10 @@ def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
 
 
 def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
-    """Rows on the bed at the end of the densest stage."""
+    """Rows on the bed at the end of the densest stage.
+
+    Heights are those of the sample nearest to that time.
+    """
     when = at_end(stage, "time")
 
     def height(column: int) -> Callable[[VariantRun], float]:
@@ -167,7 +180,7 @@ def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
 
 
 def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
-    """Columns of compare.csv: one row per quantity and contact model."""
+    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their ratios."""
     laws = [run.variant.key for run in runs]
     return {
         "quantity": np.repeat([row.name for row in rows], len(laws)),

@@ -1,4 +1,7 @@
-"""Variants of a scene with each contact model and matched parameters."""
+"""Variants of a scene with each contact model and matched parameters.
+
+Linear springs have the stiffness of Eq. 19 (Zhou 2011), per contact or at the reference velocity.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +18,8 @@ from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
+"""Directories of the two variants of the linear contact model: spring per contact, and from the reference velocity."""
+
 TYPICAL_SHARE = 0.1
 """Default reference velocity over the largest expected impact velocity."""
 
@@ -56,7 +61,7 @@ def variant_keys(laws: Sequence[str]) -> list[str]:
 
 
 def reference_velocity_of(scene: Scene) -> float:
-    """Typical impact velocity [m/s]: an order of magnitude below the largest that the plan assumes."""
+    """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
     return TYPICAL_SHARE * max_impact_velocity(scene).value
 
 
@@ -80,7 +85,10 @@ def variants_of(
 
 
 def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Directory, title and `contact.normal` of every variant."""
+    """Directory, title and `contact.normal` of every variant.
+
+    The contact model of the scene keeps its settings; other models get those of their example in the catalog.
+    """
     for name in laws:
         if name == "linear":
             at = {"reference_velocity": velocity}
@@ -96,7 +104,11 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
 
 
 def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: int | None) -> dict[str, Any]:
-    """Scene description with the contact model, in the structure of a scene file."""
+    """Scene description with the contact model, in the structure of a scene file.
+
+    With an automatic time step, the energy budget and without expectations; `most`: largest number of particles or
+    None.
+    """
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["contact"]["normal"] = dict(normal)
     described["run"]["time_step"] = "auto"
@@ -115,7 +127,8 @@ def _described(scene: Scene, normal: Mapping[str, Any], velocity: float, most: i
 def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     """Restitution of a pair for a contact model: that of the scene, or the value of Eq. 12 at the velocity [m/s].
 
-    None if the contact model derives it from the materials, or if the scene does not define it.
+    `pair`: key in `pairs`. The result is a number or a mapping as in a scene; None if the contact model derives it from
+    the materials, or if the scene does not define it.
     """
     kind, given = NORMAL_LAWS[law].restitution, scene.pairs[pair].restitution
     if kind == "nothing" or given is None or isinstance(given, float):
@@ -126,7 +139,10 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
 
 
 def reduced_counts(scene: Scene, most: int | None) -> dict[str, int]:
-    """Reduced counts of the groups without explicit positions, for at most `most` particles if possible."""
+    """Reduced counts of the groups without explicit positions, for at most `most` particles if possible.
+
+    In proportion, at least 1 per group. Empty without a limit, or if the scene is below it.
+    """
     explicit_kinds = ("positions", "file")
     scalable = {name: group.count for name, group in scene.particles.items() if group.insert.kind not in explicit_kinds}
     explicit_count = sum(group.count for group in scene.particles.values()) - sum(scalable.values())

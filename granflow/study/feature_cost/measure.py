@@ -1,4 +1,7 @@
-"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds."""
+"""Timing of all variants of a scene from the same particles, in one process, in alternating rounds.
+
+Alternation cancels slow changes of the clock rate and of the load on the machine.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,13 +24,18 @@ from granflow.walls.motion import Motion
 SHARE_BEFORE = 1.0 / 3.0
 """Default simulated time before the timing, over the longest run time of the scene."""
 ROUNDS = 25
+"""Number of timings of each variant."""
+
 STEPS_BEFORE, STEPS = 10, 40
 """Steps of each timing: warm-up steps that build the contact history, and timed steps."""
 
 
 @dataclass(frozen=True)
 class StartState:
-    """State at the start of the timing: particles in the order of their ids, and walls in plan order."""
+    """State at the start of the timing: particles in the order of their ids, and walls in plan order.
+
+    `present`: of each wall; `motions`: of each wall; `clock`: state of the simulated clock.
+    """
 
     particles: ParticleData
     present: tuple[bool, ...]
@@ -37,7 +45,10 @@ class StartState:
 
 @dataclass(frozen=True)
 class FeatureCost:
-    """Cost of a step of one variant; `ratio` is relative to the baseline of the same round."""
+    """Cost of a step of one variant.
+
+    `ratio` is relative to the baseline of the same round, so that slow changes of the machine load cancel.
+    """
 
     name: str
     plan: Plan
@@ -62,8 +73,11 @@ def feature_costs(
 ) -> list[FeatureCost]:
     """Run a scene to the time `until` [s], then time the baseline, first in the list, and every variant.
 
-    `only`: names of the requested variants. `report` receives progress messages. Raises GranflowError without
-    particles at that time, RunError if a variant aborts.
+    `until` is by default SHARE_BEFORE of the longest run time. `threads`: CPU threads, None for all available.
+    `rounds`: timings of each variant, alternating between the variants after one round of warm-up. `only`: names of the
+    requested variants. `report` receives progress messages.
+
+    Raises GranflowError without particles at that time, RunError if a variant aborts.
     """
     end = SHARE_BEFORE * _longest(scene) if until is None else until
     report(f"Running to {end:.3g} s")
@@ -114,7 +128,10 @@ def engine_for(variant: FeatureVariant, base: Plan, start: StartState, backend: 
 
 
 def restore(engine: Engine, variant: FeatureVariant, start: StartState) -> None:
-    """Restore the particles of the start state, with forces and an empty contact history."""
+    """Restore the particles of the start state, with forces and an empty contact history.
+
+    The particles have the materials of the scene of the variant.
+    """
     engine.state.count = 0
     for row in (engine.state.neighbors.list_begin, engine.state.neighbors.list_end):
         row.fill(0)
@@ -133,7 +150,7 @@ def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
 def _feature_cost(
     variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
-    """Cost of one variant from its times and those of the baseline (rounds,)."""
+    """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
     plan = engine.plan
     return FeatureCost(
         name=variant.name,
@@ -147,13 +164,16 @@ def _feature_cost(
 
 
 def _nanoseconds(engine: Engine, variant: FeatureVariant, start: StartState) -> float:
-    """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds."""
+    """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds.
+
+    STEPS_BEFORE steps precede the timing of STEPS steps. Raises RunError if the variant aborts.
+    """
     restore(engine, variant, start)
     engine.advance(STEPS_BEFORE)
     rebuild_seconds, began = engine.timing.neighbor_list, perf_counter()
     engine.advance(STEPS)
-    times_of_variant = perf_counter() - began - (engine.timing.neighbor_list - rebuild_seconds)
+    seconds = perf_counter() - began - (engine.timing.neighbor_list - rebuild_seconds)
     diagnosis = engine.diagnosis
     if diagnosis is not None:
         raise RunError(abort_message(diagnosis, engine.plan, engine.time))
-    return 1e9 * times_of_variant / (STEPS * max(engine.state.count, 1))
+    return 1e9 * seconds / (STEPS * max(engine.state.count, 1))

@@ -9,6 +9,7 @@ from granflow.study.feature_cost.measure import STEPS, STEPS_BEFORE, FeatureCost
 from granflow.study.figures import write_columns
 
 HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
+"""Column headings of `cost_rows`."""
 
 
 def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
@@ -42,7 +43,7 @@ def remarks(found: Sequence[FeatureCost]) -> list[str]:
 
 
 def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> None:
-    """Write feature_cost.csv and feature_cost.md into `out`."""
+    """Write feature_cost.csv and feature_cost.md into `out`, which is created if necessary; `title`: of the scene."""
     out.mkdir(parents=True, exist_ok=True)
     write_columns(out / "feature_cost.csv", _columns(found))
     lines = [f"## {title}", "", _line(HEADS), _line(["---", *["---:"] * (len(HEADS) - 1)])]

@@ -1,4 +1,7 @@
-"""Variants of a scene, each with one feature switched on or off."""
+"""Variants of a scene, each with one feature switched on or off.
+
+A feature that is forced on without effect on the motion shows the cost of its code alone.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -14,14 +17,17 @@ FRICTION, ROLLING_FRICTION = 0.3, 0.02
 
 @dataclass(frozen=True)
 class FeatureVariant:
-    """A scene, and the features that its plan includes although the scene does not require them."""
+    """A scene, and the features that its plan includes although the scene does not require them.
+
+    `forced_features`: values of fields of `plan.features.Features` by name.
+    """
 
     name: str
     scene: Scene
     forced_features: dict[str, Any] = field(default_factory=dict)
 
     def plan(self, base: Plan, on_gpu: bool) -> Plan:
-        """Plan of this variant with the time step and the skin of the baseline."""
+        """Plan of this variant with the time step and the skin of the baseline, so that the same work is timed."""
         free = self.scene.run.model_copy(update={"time_step": "auto"})
         domain = self.scene.domain.model_copy(update={"on_exit": "delete"})
         plan = plan_for(self.scene.model_copy(update={"run": free, "domain": domain}), on_gpu)

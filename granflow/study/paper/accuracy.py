@@ -14,14 +14,24 @@ from granflow.study.paper.residual import RESOLVED, TARGET_DURATION, TARGET_REST
 
 CASE = PAPER_CASES[0]
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+"""Target restitutions."""
+
 STEPS = np.array([50, 100, 200, 400])
+"""Steps per collision."""
+
 PHASES = 8
 """Number of phases of first touch within a step; the largest deviation is shown."""
 
 
 def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
-    """Simulate all restitutions, steps and phases in one scene: outcomes, restitution (n,), steps per contact (n,)."""
+    """Simulate all restitutions, steps and phases in one scene.
+
+    Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the duration of
+    each collision equal to its number of steps times the common time step.
+    """
     steps, e = (np.repeat(each.ravel(), PHASES) for each in np.meshgrid(STEPS, RESTITUTIONS))
     time_step = CASE.duration(1.0, VELOCITY) / STEPS.max()
     pairs = [
@@ -32,7 +42,10 @@ def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
 
 
 def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:
-    """Largest deviation over the phases, for each restitution and number of steps."""
+    """Largest deviation over the phases, for each restitution and number of steps.
+
+    `e`, `steps` (n,): from `accuracy_run`. The deviations of the text are those for STEPS_PER_CONTACT steps.
+    """
     restitution_error = np.abs(outcomes.restitution / e - 1.0)
     duration_error = np.abs(outcomes.duration / (steps * outcomes.time_step) - 1.0)
     shape = (-1, PHASES)

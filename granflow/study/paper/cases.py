@@ -21,7 +21,11 @@ STEPS_PER_CONTACT = 200
 
 @dataclass(frozen=True)
 class PaperCase:
-    """Two equal spheres of one solid. `material` as in a scene; `yield_velocity` [m/s] for Thornton's e(v)."""
+    """Two equal spheres of one solid.
+
+    `material` as in a scene; `fit`: e(v) of Zhou (2011), Eq. 12; `yield_velocity` [m/s] for Thornton's e(v); `diameter`
+    [m].
+    """
 
     name: str
     title: str
@@ -45,15 +49,21 @@ class PaperCase:
         return float(theory.hertz_stiffness(self.modulus_eff, 0.25 * (diameter or self.diameter)))
 
     def duration(self, e: float, velocity: float, diameter: float | None = None) -> float:
-        """Collision duration [s] (Zhou 2011, Eq. 13)."""
+        """Collision duration [s] (Zhou 2011, Eq.
+
+        13) for a restitution `e`, an approach velocity [m/s] and a diameter [m].
+        """
         return float(theory.duration(e, self.stiffness(diameter), self.mass_eff(diameter), velocity))
 
     def durations(self, e: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Collision durations [s] at the diameter of the case, for arrays of restitution and velocity."""
+        """Collision durations (n,) [s] at the diameter of the case, for restitutions (n,) and velocities (n,) [m/s]."""
         return np.array([self.duration(float(a), float(v)) for a, v in zip(e, velocity, strict=True)])
 
     def springs(self, velocity: np.ndarray) -> np.ndarray:
-        """Stiffness [N/m] of the linear spring with the same energy (Zhou 2011, Eq. 19)."""
+        """Stiffness (n,) [N/m] of the linear spring with the same energy (Zhou 2011, Eq.
+
+        19) at velocities (n,) [m/s].
+        """
         return np.asarray(theory.equivalent_spring(self.stiffness(), self.mass_eff(), velocity))
 
     def diameter_lasting(self, duration: float, e: float, velocity: float) -> float:
@@ -66,7 +76,10 @@ class PaperCase:
 
 
 def paper_case(preset: str, title: str, yield_velocity: float) -> PaperCase:
-    """Case with one of the materials of Figs. 3 and 4."""
+    """Case with one of the materials of Figs. 3 and 4.
+
+    `preset`: name of the material; the limit velocity of Eq. 12 is that of Eq. 11. `yield_velocity` [m/s].
+    """
     known = PRESETS[preset]
     solid = Solid(known.young_modulus, known.poisson_ratio, known.density, known.yield_strength)
     sigma, psi = known.restitution_fit or (0.0, 1.0)

@@ -19,6 +19,8 @@ from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 from granflow.study.paper.velocity import restitution_of
 
 VELOCITIES = np.geomspace(0.01, 10.0, 19)
+"""Approach velocities [m/s]."""
+
 REFERENCE_VELOCITY = 1.0
 """Approach velocity [m/s] at which all contact models have the restitution of Eq. 12."""
 
@@ -34,7 +36,10 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """A contact model with its settings and the matched parameter of each material: restitution or yield strength."""
+    """A contact model with its settings and the matched parameter of each material: restitution or yield strength [Pa].
+
+    One entry per case of PAPER_CASES; None for the parameter that the model does not use.
+    """
 
     name: str
     settings: Mapping[str, Any]
@@ -68,7 +73,10 @@ def _as_text(value: Any) -> str:
 
 
 def candidate_model(name: str) -> CandidateModel:
-    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free parameter."""
+    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free parameter.
+
+    Raises KeyError for an unknown name, ValueError if the model rejects the materials.
+    """
     kind = NORMAL_LAWS[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
@@ -94,7 +102,7 @@ def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) ->
 
 
 def theoretical_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
-    """Theoretical restitution of a contact model for the case at a velocity [m/s]."""
+    """Theoretical restitution of a contact model for the case at an approach velocity [m/s]."""
     return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
 
 
@@ -114,7 +122,7 @@ def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Root of an increasing function between two numbers, by bisection."""
+    """Root of an increasing function between two numbers, by 60 bisections; the nearer end if it has no root there."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0.0 else (low, middle)
@@ -130,7 +138,11 @@ class LawComparison:
 
 
 def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawComparison:
-    """Simulate collisions of both materials at all velocities with all contact models."""
+    """Simulate collisions of both materials at all velocities (n,) [m/s] with all contact models.
+
+    The time step is the shortest collision duration of Zhou's model over STEPS_PER_CONTACT. Models that reject the
+    materials or the time step are in `LawComparison.refused`.
+    """
     comparison = LawComparison()
     shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
     for name in NORMAL_LAWS:
@@ -145,16 +157,20 @@ def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawCompari
 
 
 def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
+    """Head-on collisions of a model: both materials, each at all velocities (n,) [m/s]."""
     found = []
     for case, e, strength in zip(PAPER_CASES, model.restitutions, model.yield_strengths, strict=True):
         material = case.material if strength is None else {**case.material, "yield_strength": strength}
-        made = replace(case, material=material)
-        found += [made.head_on(e, float(v)) for v in velocities]
+        modified = replace(case, material=material)
+        found += [modified.head_on(e, float(v)) for v in velocities]
     return found
 
 
 def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCITIES) -> FigureData:
-    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model."""
+    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model.
+
+    `velocities` (n,) [m/s]: those of `compare`. One deviation per model that ran.
+    """
     count, rows, deviations = len(velocities), [], []
     for name, (model, outcomes) in comparison.ran.items():
         requested_values = []

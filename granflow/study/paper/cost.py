@@ -18,7 +18,11 @@ from granflow.study.paper.comparison import CandidateModel
 SIDE = 16
 """Particles along an edge of the lattice."""
 CONTACTS = 3 * SIDE**2 * (SIDE - 1)
+"""Number of contacts of the lattice."""
+
 REPEATS = 15
+"""Number of timings of each contact model."""
+
 STEPS = 60
 """Number of steps per timing."""
 TIME_STEP = 1e-12
@@ -26,6 +30,7 @@ TIME_STEP = 1e-12
 CLOSENESS = 0.9999
 """Distance of neighboring particles over the diameter."""
 BASE = "hertz"
+"""Contact model to which times are relative."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,10 @@ class Cost:
 
 
 def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
-    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times."""
+    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times.
+
+    The result is relative to BASE, which must be among the models; median and quartiles over the repeats.
+    """
     engines = {name: _engine(model, backend) for name, model in candidate_models.items()}
     for engine in engines.values():
         engine.advance(STEPS)
@@ -57,6 +65,7 @@ def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repe
 
 
 def _timed(engine: Engine) -> float:
+    """Wall time [s] of STEPS steps, until the device has finished."""
     start = perf_counter()
     engine.advance(STEPS)
     engine.synchronized(("mass", "velocity", "force"))
@@ -64,6 +73,7 @@ def _timed(engine: Engine) -> float:
 
 
 def _engine(model: CandidateModel, backend: Backend) -> Engine:
+    """Engine with the lattice for a model, ready to run."""
     scene = Scene.model_validate(_lattice(model, backend.precision))
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     engine = Engine(plan, backend)
@@ -74,7 +84,10 @@ def _engine(model: CandidateModel, backend: Backend) -> Engine:
 
 
 def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
-    """Cubic lattice of overlapping particles of the first material, with velocities of both signs."""
+    """Cubic lattice of overlapping particles of the first material, with velocities of both signs.
+
+    SIDE^3 particles at CLOSENESS diameters; loading and unloading contacts occur with equal frequency.
+    """
     case, random = PAPER_CASES[0], np.random.default_rng(1)
     axis = CLOSENESS * case.diameter * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)

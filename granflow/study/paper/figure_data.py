@@ -9,7 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FigureDeviation:
-    """Largest relative deviation: `quantity` names simulated and reference value, `where` the point."""
+    """Largest relative deviation: `quantity` names simulated and reference value, `where` the point.
+
+    `largest`, `target`: fractions, not percentages; `target` is None without one.
+    """
 
     quantity: str
     largest: float
@@ -26,13 +29,18 @@ class FigureDeviation:
         """Sentence with the deviation, its target and a remark."""
         text_parts = f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}"
         if self.target is not None:
-            text_parts += f" (target {percent(self.target)}, {'met' if self.is_within_target else 'not met'})"
+            text_parts += (
+                f" (target {percent(self.target)}, {'satisfied' if self.is_within_target else 'not satisfied'})"
+            )
         return f"{text_parts}. {self.remark}".strip()
 
 
 @dataclass(frozen=True)
 class FigureData:
-    """One figure: file name, title, caption, columns of its CSV file, deviations, and drawing function."""
+    """One figure: file name, title, caption, columns of its CSV file, deviations, and drawing function.
+
+    `columns`: name -> array (rows,), all of the same length.
+    """
 
     name: str
     title: str
@@ -58,7 +66,10 @@ def relative_deviation(
     target: float | None = None,
     remark: str = "",
 ) -> FigureDeviation:
-    """Largest value of |simulated / theory - 1|; `where` describes the point of an index."""
+    """Largest value of |simulated / theory - 1|; `where` describes the point of an index.
+
+    `simulated`, `theory` (n,): values in the same unit.
+    """
     shares = np.abs(np.asarray(simulated) / np.asarray(theory) - 1.0)
     worst = int(np.argmax(shares))
     return FigureDeviation(quantity, float(shares[worst]), where(worst), target, remark)

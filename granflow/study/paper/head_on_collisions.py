@@ -29,7 +29,11 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 @dataclass(frozen=True)
 class HeadOnCollision:
-    """Head-on collision of two equal spheres; `material`, `restitution` as in a scene, diameter [m], velocity [m/s]."""
+    """Head-on collision of two equal spheres.
+
+    `material`, `restitution` as in a scene; `diameter` [m]; `velocity` [m/s]: approach velocity, half of it for each
+    sphere.
+    """
 
     material: Mapping[str, Any]
     restitution: Any
@@ -71,6 +75,8 @@ def collide_all(normal: Any, collisions: Sequence[HeadOnCollision], time_step: f
     """Simulate all collisions in one scene with the many-particle kernels.
 
     `normal` is the entry `contact.normal` of the scene. First touches are evenly distributed over the phases of a step.
+    There is neither gravity nor friction.
+
     Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never touch.
     """
     first_contact_times = time_step * (GOLDEN * np.arange(len(collisions)) % 1.0)
@@ -81,8 +87,8 @@ def collide_all(normal: Any, collisions: Sequence[HeadOnCollision], time_step: f
     histories = zip(overlap.T, rate.T, force.T, velocity, first_contact_times, strict=True)
     columns = np.array([_measured(*history, time_step) for history in histories]).T
     names = ("restitution", "duration", "overlap_max", "overlap_residual", "force_max", "stored_energy")
-    restitution_error = dict(zip(names, columns, strict=True))
-    return Outcomes(**restitution_error, time_step=time_step, overlap=overlap, force=force)
+    results = dict(zip(names, columns, strict=True))
+    return Outcomes(**results, time_step=time_step, overlap=overlap, force=force)
 
 
 def side_by_side(
@@ -145,7 +151,11 @@ def _spheres(
     side: int,
     middle: float,
 ) -> dict[str, Any]:
-    """Diameters, velocities and positions of the spheres of one group, alternating left and right."""
+    """Diameters [m], velocities [m/s] and positions [m] of the spheres of one group, alternating left and right.
+
+    `members`: indices of the collisions; `spacing` [m] and `side`: of the square grid of pairs; `middle` [m]: contact
+    point.
+    """
     diameters, velocities, positions = [], [], []
     for index in members:
         each = collisions[index]
@@ -161,7 +171,11 @@ def _spheres(
 
 
 def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n)."""
+    """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n).
+
+    Pairs that have not separated after the maximum number of steps remain in the result. Raises GranflowError if pairs
+    never touch.
+    """
     engine.insert(initial_particles(plan.scene))
     engine.set_walls([], [])
     engine.refresh()
@@ -185,7 +199,7 @@ def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple
 
 
 def _most_steps(plan: Plan) -> int:
-    """Upper bound of the number of steps of the slowest possible collision."""
+    """Upper bound of the number of steps of the slowest possible collision: LONGEST times its duration."""
     slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in plan.scene.particles.values())
     largest = max(plan.radius_max / pair_case.radius for pair_case in pair_cases_of(plan.scene))
     longest = max(
@@ -196,7 +210,10 @@ def _most_steps(plan: Plan) -> int:
 
 
 def sample(engine: Engine, pair_ids: np.ndarray) -> np.ndarray:
-    """Present overlap [m], overlap rate [m/s] and repulsion [N] of each pair, (3, n)."""
+    """Present overlap [m], overlap rate [m/s] and repulsion [N] of each pair, (3, n); negative overlaps are gaps.
+
+    `pair_ids` (n, 2): ids of the left and right sphere. The velocities are synchronized with the positions.
+    """
     arrays = engine.synchronized(("id", "position", "velocity", "force", "mass", "radius"))
     where = np.argsort(arrays["id"])
     left, right = where[pair_ids[:, 0]], where[pair_ids[:, 1]]
@@ -209,7 +226,10 @@ def sample(engine: Engine, pair_ids: np.ndarray) -> np.ndarray:
 def _measured(
     overlap: np.ndarray, rate: np.ndarray, force: np.ndarray, velocity: float, first_contact: float, time_step: float
 ) -> tuple[float, ...]:
-    """Values of `Outcomes` for one pair, from its time series."""
+    """Values of `Outcomes` for one pair, from its time series.
+
+    `overlap` [m], `rate` [m/s], `force` [N] (steps,); `velocity` [m/s]; `first_contact`, `time_step` [s].
+    """
     peak = int(np.argmax(overlap))
     work = 0.5 * float((force[1 : peak + 1] + force[:peak]) @ np.diff(overlap[: peak + 1]))
     shared = (float(overlap[peak]), float(force.max()), work)
@@ -229,6 +249,8 @@ def share_to_end(force: np.ndarray, overlap: np.ndarray) -> float:
     Extrapolates the three forces before the last with F = a t + b t^1.5 at the times t = s + 1, s + 2, s + 3 before
     the end: exact for a linear spring, a Hertz contact, and their sum. The last force may be a mean over a step that
     extends beyond the end. A contact under tension ends at zero overlap.
+
+    `force` (FORCES_TO_END,) [N]: last forces; `overlap` (2,) [m]: at the last force and one step later.
     """
     if force[-1] < 0.0:
         return float(np.clip(overlap[0] / (overlap[0] - overlap[1]), 0.0, 1.0))

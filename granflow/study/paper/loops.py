@@ -1,4 +1,7 @@
-"""Force-overlap curves of single collisions, for restitutions from 0 to 1."""
+"""Force-overlap curves of single collisions, for restitutions from 0 to 1 (Zhou 2011, Eq. 4).
+
+The area enclosed by a loop is the dissipated energy.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +18,11 @@ from granflow.study.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Target restitutions, from plastic to elastic."""
+
 UNLOADING_ANGLE = Numerics().unloading_angle
 """Default bound on sqrt(K/M) dt of the unloading tangent in scenes."""
 
@@ -33,12 +40,13 @@ def loop_run(backend: Backend) -> Outcomes:
 
 
 def _diameter(outcomes: Outcomes, index: int) -> float:
+    """Diameter [m] of the spheres of collision `index`."""
     duration = STEPS_PER_CONTACT * outcomes.time_step
     return CASE.diameter_lasting(duration, float(RESTITUTIONS[index]), VELOCITY)
 
 
-def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
-    """Given restitutions, or the smallest one that the time step allows if that is larger."""
+def attainable_restitutions(outcomes: Outcomes) -> np.ndarray:
+    """Given restitutions (n,), or the smallest one that the time step allows if that is larger."""
     least = []
     for index in range(len(RESTITUTIONS)):
         k, mass = CASE.stiffness(_diameter(outcomes, index)), CASE.mass_eff(_diameter(outcomes, index))
@@ -48,7 +56,12 @@ def restitutions_carried(outcomes: Outcomes) -> np.ndarray:
 
 
 def loop_force(share: np.ndarray, e: float) -> np.ndarray:
-    """Unloading force over the maximum force, at an overlap over the maximum overlap (Zhou 2011, Eq. 4)."""
+    """Unloading force over the maximum force, at an overlap over the maximum overlap (Zhou 2011, Eq. 4).
+
+        F / Fmax = Lambda(e) (u - x) + e^3 (u - x)^1.5,      u > x
+
+    `share`: u, an array of any shape; x: residual over maximum overlap.
+    """
     above = np.maximum(share - 1.0 + float(theory.recovery(e)), 0.0)
     return float(theory.unloading_slope(e)) * above + e**3 * above**1.5
 
@@ -71,7 +84,10 @@ def loop_rows(outcomes: Outcomes, index: int, e: float) -> np.ndarray:
 
 
 def enclosed_share(rows: np.ndarray) -> float:
-    """Area of a loop over the area under its loading branch: the fraction of energy lost, 1 - e^2."""
+    """Area of a loop over the area under its loading branch: the fraction of energy lost, 1 - e^2.
+
+    `rows` (m, 4): from `loop_rows`, in the order of the steps.
+    """
     share, force = np.pad(rows[:, 1], 1), np.pad(rows[:, 2], 1)
     share[-1] = rows[-1, 1]  # vertical line from the last force; the overlap changes by at most one step there
     work = 0.5 * (force[1:] + force[:-1]) * np.diff(share)
@@ -79,14 +95,19 @@ def enclosed_share(rows: np.ndarray) -> float:
 
 
 def loop_figure(outcomes: Outcomes) -> FigureData:
-    """Figure of the loops; the rows are all steps with a force."""
-    carried = restitutions_carried(outcomes)
-    loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(carried)]
+    """Figure of the loops; the rows are all steps with a force.
+
+    Deviations: force relative to the maximum force (Zhou 2011, Eq. 4), and fraction of energy lost.
+    """
+    attainable = attainable_restitutions(outcomes)
+    loops = [loop_rows(outcomes, index, float(e)) for index, e in enumerate(attainable)]
     force_error = [float(np.abs(rows[:, 2] - rows[:, 3]).max()) for rows in loops]
-    energy_error = [abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, carried, strict=True)]
+    energy_error = [
+        abs(enclosed_share(rows) - (1.0 - float(e) ** 2)) for rows, e in zip(loops, attainable, strict=True)
+    ]
     remark = (
         f"At e = 0 the unloading line would be vertical; {STEPS_PER_CONTACT} steps allow at least "
-        f"e = {carried[0]:.3f}, which the theoretical curve uses as well."
+        f"e = {attainable[0]:.3f}, which the theoretical curve uses as well."
     )
     deviations = (
         FigureDeviation(

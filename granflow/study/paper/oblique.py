@@ -31,19 +31,27 @@ TARGET = 1e-3
 """Target of the relative deviation for contacts that slide throughout."""
 
 Solid = Mapping[str, float]
+"""Young's modulus [Pa], Poisson ratio and density [kg/m3] by name."""
+
 ALUMINA = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
 GLASS = {"young_modulus": 70e9, "poisson_ratio": 0.25, "density": 2500.0}
 STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
 TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
+"""Titles of the tests in the deviations."""
+
 RIGIDITY = 1e10
 """Ratio of Young's modulus of a rigid plate to that of the sphere."""
 HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
+"""Partner sphere of test 8: 1000 times the modulus and density of the alloy."""
 
 
 @dataclass(frozen=True)
 class ImpactSetup:
-    """Sphere, plate, radius [m], restitution and friction of an impact; `partner_radius` [m] for a sphere as plate."""
+    """Sphere, plate, radius [m], restitution and friction of an impact.
+
+    `partner_radius` [m]: radius of a sphere that replaces the plate; None for a plate.
+    """
 
     sphere: Solid
     plate: Solid
@@ -54,7 +62,7 @@ class ImpactSetup:
 
     @property
     def reduced(self) -> tuple[float, float]:
-        """Hertz stiffness [N/m^1.5] and effective mass [kg]."""
+        """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and radius."""
         solids = (self.sphere, self.plate)
         compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
         mass = 4.0 / 3.0 * np.pi * self.radius**3 * self.sphere["density"]
@@ -75,7 +83,13 @@ KHARAZ = ImpactSetup(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
 TEST_5 = ImpactSetup(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
 TEST_6 = ImpactSetup(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
 TEST_8 = ImpactSetup(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
+"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi 2011, Kharaz et al.
+
+2001).
+"""
+
 SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
+"""Impact speeds of tests 4, 5 and 6 [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +104,15 @@ class ImpactMotion:
     spin: np.ndarray
 
     def slip(self, radius: float) -> np.ndarray:
-        """Tangential velocity of the lowest point of the sphere [m/s]."""
+        """Tangential velocity (n,) [m/s] of the lowest point of a sphere of the given radius [m]: v_t - R w."""
         return self.along - radius * self.spin
 
 
 def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
-    """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative."""
+    """Motion after the impact, simulated with one plate and spheres far apart; `before.normal` is negative.
+
+    `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of the plate.
+    """
     elastic = theory.duration(1.0, *setup.reduced, -before.normal)
     scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
     simulation = Simulation(scene)
@@ -108,19 +125,20 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
 
 
 def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
+    """Scene of all impacts: spheres at a distance `gap` (n,) [m] above the plate, or above partner spheres."""
     count, partner = len(gap), setup.partner_radius
     spacing = 3.0 * (partner or setup.radius)
-    places = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
+    centers = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
     zeros = np.zeros(count)
     groups: dict[str, Any] = {"spheres": {
         "material": "sphere", "diameter": 2.0 * setup.radius,
         "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
         "angular_velocity": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
-        "insert": {"kind": "positions", "positions": places.tolist()},
+        "insert": {"kind": "positions", "positions": centers.tolist()},
     }}  # fmt: skip
     walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
     if partner is not None:
-        below = np.stack([zeros, places[:, 1], zeros - partner], axis=1)
+        below = np.stack([zeros, centers[:, 1], zeros - partner], axis=1)
         partner_insertion = {"kind": "positions", "positions": below.tolist()}
         groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
@@ -171,15 +189,15 @@ def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
     overlap = mean_overlap_share(setup.restitution) * theory.overlap_max(k, mass, speed)
     other = setup.partner_radius
     share = 1.0 if other is None else other / (other + setup.radius)
-    kick = direction * setup.friction * (1.0 + setup.restitution) * speed
+    change = direction * setup.friction * (1.0 + setup.restitution) * speed
     arm = 1.0 - share * overlap / setup.radius
     return ImpactMotion(
-        setup.restitution * speed, before.along - kick, before.spin + 2.5 * kick * arm / setup.radius
+        setup.restitution * speed, before.along - change, before.spin + 2.5 * change * arm / setup.radius
     )  # fmt: skip
 
 
 def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
-    """Whether the contact slides throughout: |slip| > 3.5 mu (1 + e) v, with a margin."""
+    """Whether the contact slides throughout (n,): |slip| > 3.5 mu (1 + e) v, with a margin."""
     limit = 3.5 * setup.friction * (1.0 + setup.restitution) * -before.normal
     return np.abs(before.slip(setup.radius)) > SLIDING * limit
 
@@ -188,32 +206,38 @@ def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
 
 
 def published(source: str) -> dict[str, np.ndarray]:
-    """Curves of `published/<source>.csv` by quantity, each (n, 2)."""
+    """Curves of `published/<source>.csv` by quantity, each (n, 2): abscissa and ordinate as published."""
     text = (files("granflow.study.paper") / "published" / f"{source}.csv").read_text(encoding="utf-8")
     rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))[1:]
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 
 def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
-    """Motion without spin at an angle from the normal [deg] and a speed [m/s]."""
+    """Motion without spin at angles (n,) from the normal [deg] and a speed [m/s]."""
     turned = np.radians(angle)
     return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
 
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:
-    """Motion of test 5; `ratio` is the tangential velocity over friction times normal velocity."""
+    """Motion of test 5 (n,); `ratio` (n,) is the tangential velocity over friction times normal velocity."""
     return ImpactMotion(np.full(len(ratio), -SPEED_5), ratio * TEST_5.friction * SPEED_5, np.zeros(len(ratio)))
 
 
 def with_spin(ratio: np.ndarray) -> ImpactMotion:
-    """Motion of tests 6 and 8; `ratio` is 3.5 mu (1 + e) times the normal velocity over the slip due to spin."""
+    """Motion of tests 6 and 8 (n,) for ratios (n,) of 3.5 mu (1 + e) v to the slip due to spin.
+
+    v: normal velocity, SPEED_6.
+    """
     slip = 3.5 * TEST_6.friction * (1.0 + TEST_6.restitution) * SPEED_6 / ratio
     return ImpactMotion(np.full(len(ratio), -SPEED_6), np.zeros(len(ratio)), -slip / TEST_6.radius)
 
 
 @dataclass(frozen=True)
 class ImpactSweep:
-    """One setup with one contact model, over a range of impacts."""
+    """One setup with one contact model, over a range of impacts.
+
+    `x` (n,): abscissa of the published plot; `before`, `after`: motions of n spheres.
+    """
 
     setup: ImpactSetup
     law: str
@@ -223,7 +247,11 @@ class ImpactSweep:
 
 
 def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
-    """Simulate all impacts of the figure; fewer points take less time."""
+    """Simulate all impacts of the figure; fewer points take less time.
+
+    `angles`, `ratios`: number of points of each curve. The keys consist of the plate or test and the contact model,
+    such as test5_zhou.
+    """
     angle = np.linspace(2.0, 88.0, angles)
     slip, spin = np.linspace(0.25, 20.0, ratios), np.geomspace(0.15, 12.0, ratios)
     cases: dict[str, tuple[ImpactSetup, str, np.ndarray, ImpactMotion]] = {
@@ -238,7 +266,10 @@ def oblique_run(angles: int = 44, ratios: int = 41) -> dict[str, ImpactSweep]:
 
 
 def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
-    """Quantities of the published plots of tests 4, 5 or 6, by the name of the published curve."""
+    """Quantities (n,) of the published plots of tests 4, 5 or 6, by the name of the published curve.
+
+    Angles [deg], angular velocities [rad/s], all others dimensionless.
+    """
     before, after, radius = sweep.before, sweep.after, sweep.setup.radius
     slip = after.slip(radius)
     if kind == "test4":
@@ -273,7 +304,7 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
 
 
 def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
-    """Each curve as two columns; shorter columns are padded with nan."""
+    """Each curve as two columns, simulated and published; shorter columns are padded with nan."""
     columns: dict[str, np.ndarray] = {}
     for name, sweep in run.items():
         columns[f"{name}_x"] = sweep.x
@@ -302,7 +333,10 @@ def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
 
 
 def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
-    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks if relevant."""
+    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks.
+
+    Only for impacts that slide throughout, for which `sliding_solution` holds.
+    """
     sliding = slides(sweep.setup, sweep.before)
     closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
     title = TITLES[name.split("_")[0]]

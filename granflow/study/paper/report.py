@@ -41,7 +41,8 @@ LEAD = (
 def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) -> Path:
     """Write all figures (PNG and CSV) and the page to `out`; return the path of the page.
 
-    `report` is called with progress messages. Raises GranflowError if matplotlib is not installed.
+    Runs on the CPU in double precision. `report` is called with progress messages. Raises GranflowError if matplotlib
+    is not installed.
     """
     require_plotting()
     out.mkdir(parents=True, exist_ok=True)
@@ -103,7 +104,10 @@ def _paper_sections(figures: dict[str, FigureData], out: Path) -> Iterable[Secti
 
 
 def _model_table(figure_data: FigureData) -> PageTable:
-    """Theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values."""
+    """Theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values.
+
+    One row for each restitution in TABULATED.
+    """
     columns, rows = figure_data.columns, []
     for e in TABULATED:
         index = int(abs(columns["restitution"] - e).argmin())
@@ -157,6 +161,7 @@ def _laws_section(figure_data: FigureData, comparison: LawComparison, law_costs:
 
 
 def _cost_table(figure_data: FigureData, comparison: LawComparison, law_costs: dict[str, Cost]) -> PageTable:
+    """Table of cost, deviation and parameters of each contact model."""
     rows = []
     for (name, (model, _)), deviation in zip(comparison.ran.items(), figure_data.deviations, strict=True):
         cost = law_costs[name]
@@ -174,6 +179,7 @@ def _cost_table(figure_data: FigureData, comparison: LawComparison, law_costs: d
 
 
 def _failure_table(comparison: LawComparison) -> PageTable:
+    """Table of sources and limitations, and of the models that could not run."""
     rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
     rows += [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
     return PageTable("Sources and limitations of the contact models.", ("model", "source", "limitations"), rows)

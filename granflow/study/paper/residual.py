@@ -1,4 +1,7 @@
-"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated."""
+"""Figs. 1 and 2: residual overlap against restitution coefficient, exact, closed form and simulated.
+
+x = 1 - y,      y = (4/5) e^2 + (1/5) e^3 y^2.5      (Zhou 2011, Eq. 8)
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,15 +19,23 @@ CASE = PAPER_CASES[0]
 """Material of the collisions; x(e) and T/Ts depend on the restitution only, not on the material."""
 
 VELOCITY = 1.0
+"""Approach velocity [m/s]."""
+
 RESTITUTIONS = np.linspace(0.025, 1.0, 40)
+"""Target restitutions of the simulated collisions."""
+
 RESOLVED = 0.1
 """Smallest restitution for which unloading takes enough of the 200 steps for the target accuracy."""
 
 TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
+"""Targets of the relative deviations of restitution and duration."""
 
 
 def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
-    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps."""
+    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps.
+
+    `restitutions` (n,); the duration is that of Zhou (2011), Eq. 13.
+    """
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
@@ -33,7 +44,10 @@ def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> O
 
 
 def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureData:
-    """Fig. 1: x(e) from Eq. 8 (exact root), Eq. 9 and simulation, with the deviations of T and e."""
+    """Fig. 1: x(e) from Eq. 8 (exact root), Eq. 9 and simulation, with the deviations of T and e.
+
+    `e` (n,): restitutions of the outcomes.
+    """
     exact = 1.0 - theory.recovery(e)
     simulated = outcomes.overlap_residual / outcomes.overlap_max
     whole = np.full_like(e, STEPS_PER_CONTACT * outcomes.time_step)
@@ -96,7 +110,7 @@ def draw_residual(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def error_figure(e: np.ndarray | None = None) -> FigureData:
-    """Fig. 2: relative error of Eq. 9, without simulation."""
+    """Fig. 2: relative error of Eq. 9 with respect to the exact root of Eq. 8, without simulation."""
     e = np.linspace(0.0, 0.9999, 1000) if e is None else e
     exact = 1.0 - theory.recovery(e)
     closed_form = theory.residual_closed_form(e)

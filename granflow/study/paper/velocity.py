@@ -1,4 +1,7 @@
-"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity."""
+"""Figs. 3 and 4 and Eq. 19: restitution, duration and equivalent spring against approach velocity.
+
+alpha = (4/5) k sqrt(dmax)      (Zhou 2011, Eq. 19)
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,27 +23,35 @@ ESTIMATE_VELOCITIES = np.geomspace(1.0, 10.0, 9)
 """Approach velocities of the estimate below Eq. 19 [m/s]."""
 
 Columns = Mapping[str, np.ndarray]
+"""Columns of a CSV file by name, of equal length."""
 
 
 def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:
-    """Simulate both materials at all velocities in one scene; the shortest collision takes 200 steps."""
+    """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200 steps."""
     pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
     return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT, backend)
 
 
 def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
+    """Shortest collision duration [s] of all cases and velocities."""
     return min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in cases)
 
 
 def restitution_of(case: PaperCase, velocity: np.ndarray) -> np.ndarray:
-    """Given restitution (Zhou 2011, Eq. 12)."""
+    """Given restitution (Zhou 2011, Eq. 12) at velocities [m/s] of any shape.
+
+    Raises ValueError for a case without Eq. 12.
+    """
     if case.fit is None:
         raise ValueError(f"{case.name} has no restitution that depends on velocity")
     return case.fit(velocity)
 
 
 def velocity_columns(outcomes: Outcomes, velocities: np.ndarray = VELOCITIES) -> dict[str, np.ndarray]:
-    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19."""
+    """Theory and simulation by material and velocity, for Figs. 3 and 4 and the figure of Eq. 19.
+
+    Columns (materials * n,) in SI units; theory: Zhou (2011), Eqs. 12, 13 and 19, and Thornton (1997).
+    """
     e = [restitution_of(case, velocities) for case in PAPER_CASES]
     yields = [thornton_restitution(velocities, case.yield_velocity or np.inf) for case in PAPER_CASES]
     durations = np.concatenate([case.durations(a, velocities) for case, a in zip(PAPER_CASES, e, strict=True)])
@@ -144,7 +155,10 @@ def draw_duration(figure: Any, columns: Columns) -> None:
 
 
 def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
-    """Simulate the small soft spheres of the estimate; e = 0.9 has no effect up to the maximum overlap."""
+    """Simulate the small soft spheres of the estimate below Eq. 19 at velocities (n,) [m/s].
+
+    The restitution, 0.9, has no effect up to the maximum overlap.
+    """
     case, e = small_soft_case(), 0.9
     pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
@@ -152,7 +166,10 @@ def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES)
 
 
 def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:
-    """Eq. 19: equivalent spring of both materials and of the estimate in the paper."""
+    """Eq. 19: equivalent spring of both materials and of the estimate in the paper.
+
+    `columns`: from `velocity_columns`; `estimate`: from `estimate_run` at the same `velocities` (n,) [m/s].
+    """
     case = small_soft_case()
     springs, count = case.springs(velocities), len(velocities)
     combined = {

@@ -26,12 +26,16 @@ def domain_of(scene: Scene | None) -> np.ndarray | None:
 
 
 def sampled(frames: Sequence[Frame], count: int) -> list[Frame]:
-    """Evenly spaced frames, including the first and the last one."""
+    """At most `count` evenly spaced frames, including the first and the last one."""
     return [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
 
 
 def bounding_points(fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None) -> np.ndarray:
-    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and walls."""
+    """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and walls.
+
+    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None. At most SAMPLED_FRAMES frames are read. Never
+    empty.
+    """
     if fit == "domain" and domain is not None:
         return corners_of(domain)
     sampled_frames = sampled(frames, SAMPLED_FRAMES)
@@ -55,7 +59,10 @@ def outermost_points(particles: FrameParticles) -> np.ndarray:
 
 
 def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, domain: np.ndarray | None) -> np.ndarray:
-    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles."""
+    """Corners (n, 3) [m] of the walls, clipped to the domain; unbounded planes are clipped to the particles.
+
+    `particles` (k, 3) [m]: outermost points of the particles; `domain` (2, 3) [m], or None.
+    """
     kinds = [getattr(wall, "shape", "") for wall in scene.walls.values()] if scene is not None else []
     numbers = {int(number) for each in walls.walls for number in np.unique(each)}
     planes = {number for number in numbers if number < len(kinds) and kinds[number] == "plane"}

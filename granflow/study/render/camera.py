@@ -1,4 +1,7 @@
-"""View direction, and a camera that shows all given points."""
+"""View direction, and a camera that shows all given points.
+
+The frame of a view has the axes right, up, and toward the viewer.
+"""
 
 from dataclasses import dataclass
 
@@ -7,8 +10,10 @@ import numpy as np
 from granflow.errors import GranflowError
 
 VIEWS = ("iso", "front", "side", "top")
+"""Names of views."""
+
 ISO = (0.6, -1.0, 0.45)
-"""Direction towards the viewer of the view `iso`, in the axes right, into and up."""
+"""Direction toward the viewer of the view `iso`, in the axes right, into and up."""
 
 OPENING = np.radians(24.0)
 """Vertical field of view of a perspective picture; small, so that near and far particles have similar sizes."""
@@ -22,7 +27,10 @@ CENTERINGS = 6
 
 @dataclass(frozen=True)
 class View:
-    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel."""
+    """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel.
+
+    The vectors `right`, `up` and `toward` form a right-handed frame.
+    """
 
     toward: np.ndarray
     up: np.ndarray
@@ -34,13 +42,16 @@ class View:
         return np.cross(self.up, self.toward)
 
     def projected(self, points: np.ndarray) -> np.ndarray:
-        """Coordinates (n, 3) [m] of points to the right, up and towards the viewer."""
+        """Coordinates (n, 3) [m] of points to the right, up and toward the viewer."""
         return points @ np.stack([self.right, self.up, self.toward], axis=1)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection."""
+    """Camera: `eye` and `focus` (3,) [m]; `half_height` [m] of the picture for parallel projection.
+
+    The vertical field of view of a perspective picture is OPENING.
+    """
 
     view: View
     eye: np.ndarray
@@ -69,6 +80,7 @@ def view_of(text: str, gravity: np.ndarray | None = None) -> View:
 
 
 def _upward(gravity: np.ndarray | None) -> np.ndarray:
+    """Unit vector (3,) along the axis that is most nearly opposite to gravity."""
     up = np.zeros(3)
     if gravity is None or not np.any(gravity):
         up[2] = 1.0
@@ -79,6 +91,7 @@ def _upward(gravity: np.ndarray | None) -> np.ndarray:
 
 
 def _direction(text: str) -> np.ndarray:
+    """Direction (3,) from text with three numbers. Raises GranflowError for other text."""
     try:
         numbers = np.array([float(word) for word in text.split(",")])
     except ValueError:
@@ -105,7 +118,10 @@ def aspect_of(view: View, points: np.ndarray) -> float:
 
 
 def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0) -> Camera:
-    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height."""
+    """Camera that just shows the points (n, 3) [m] in a picture with this ratio of width to height.
+
+    `zoom`: magnification; above 1, outer points are outside the picture.
+    """
     seen = view.projected(points)
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
@@ -120,7 +136,10 @@ def camera_for(view: View, points: np.ndarray, aspect: float, zoom: float = 1.0)
 
 
 def _camera_distance(seen: np.ndarray, tangent: np.ndarray) -> float:
-    """Smallest distance [m] of the eye from the origin at which all points are in the field of view."""
+    """Smallest distance [m] of the eye from the origin at which all points are in the field of view.
+
+    `seen` (n, 3) [m]: points in the frame of the view; `tangent` (2,): of half the field of view.
+    """
     return float(np.max(seen[:, 2:] + np.abs(seen[:, :2]) / tangent))
 
 

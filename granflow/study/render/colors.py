@@ -1,4 +1,7 @@
-"""Color scale of a picture: values of one array, its name and unit, and a range."""
+"""Color scale of a picture: values of one array, its name and unit, and a range.
+
+One scale applies to all frames of a run, so that colors are comparable.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,8 +20,13 @@ FROM_ZERO = 0.5
 """A range begins at 0 if its lower limit is below this fraction of the upper one."""
 
 PREFIXES = {-9: "n", -6: "\N{MICRO SIGN}", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+"""Prefixes of units by power of ten."""
+
 CATEGORIES = ("material", "group")
+"""Arrays with one color per number instead of a continuous scale."""
+
 SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
+"""Color maps of matplotlib: values of both signs, other values, contacts."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,8 @@ def scale_for(
 ) -> Scale:
     """Color scale of an array from all shown values, or from given `limits` [SI].
 
-    `names`: names of the materials and groups of the scene, by array name.
+    `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the materials and
+    groups of the scene, by array name.
     """
     finite = np.concatenate([np.zeros(0), *values])
     finite = finite[np.isfinite(finite)]
@@ -85,13 +94,17 @@ def scale_for(
 
 
 def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]]) -> dict[int, str]:
+    """Names of the materials or groups that occur in the values, by number."""
     known = names.get(name, ())
     numbers = sorted({int(value) for value in values})
     return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
 
 
 def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
-    """Range that contains most values; symmetric for components, from 0 if the lower limit is near 0."""
+    """Range that contains most values (PERCENTILES); symmetric for components, from 0 if the lower limit is near 0.
+
+    `values` (n,) [SI], all finite; (0, 1) without values.
+    """
     if not len(values):
         return 0.0, 1.0
     low, high = (float(end) for end in np.percentile(values, PERCENTILES))
@@ -106,7 +119,10 @@ def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
 
 
 def prefixed(unit: str, largest: float) -> tuple[float, str]:
-    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix."""
+    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix.
+
+    For example, 1e-3 and "mN" for "N" and 0.02.
+    """
     if not largest > 0.0 or not unit or any(sign in unit for sign in "^0123456789"):
         return 1.0, unit
     grams = unit.startswith("kg")

@@ -23,7 +23,7 @@ def missing_for_film() -> str | None:
 def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
     """Write pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
 
-    The file is replaced when it is complete.
+    The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see `missing_for_film`.
     """
     from imageio_ffmpeg import write_frames
 

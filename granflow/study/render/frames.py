@@ -1,4 +1,7 @@
-"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files."""
+"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files.
+
+The PVD files give the times; files that no longer exist are skipped.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +29,10 @@ LARGEST_FRAME = 2**32
 
 @dataclass(frozen=True)
 class Frame:
-    """One output time of a run: number in the file names, time [s], and files."""
+    """One output time of a run: number in the file names, time [s], and files.
+
+    `walls`, `contacts`: None if the run did not write them at this time.
+    """
 
     number: int
     time: float
@@ -46,7 +52,10 @@ class FrameParticles:
 
 @dataclass(frozen=True)
 class FrameWalls:
-    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,)."""
+    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,).
+
+    Corners are indices of points; wall numbers are those of the scene.
+    """
 
     points: np.ndarray
     polygons: tuple[np.ndarray, ...]
@@ -74,9 +83,9 @@ class ForceChains:
 
 
 def frames_of(directory: Path) -> list[Frame]:
-    """Particle frames of a run in order, each with its walls and contacts.
+    """Particle frames of a run in order, each with its walls and contacts at the same time.
 
-    Raises GranflowError if the directory contains no frames.
+    Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
     """
     if not directory.is_dir():
         raise GranflowError(
@@ -99,7 +108,7 @@ def frames_of(directory: Path) -> list[Frame]:
 
 
 def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times and existing files of a PVD file; empty if it does not exist."""
+    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
         return []
@@ -130,6 +139,7 @@ def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
 
 
 def _one(frames: Sequence[Frame], word: str) -> Frame:
+    """Frame for one word of a selection. Raises GranflowError."""
     if word in ("last", "first"):
         return frames[-1 if word == "last" else 0]
     if word.isdecimal():
@@ -148,7 +158,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
 
 
 def read_particles(frame: Frame) -> FrameParticles:
-    """Particles of a frame. Raises GranflowError if the file cannot be read."""
+    """Particles of a frame; positions are float64. Raises GranflowError if the file cannot be read."""
     mesh = read_mesh(frame.particles)
     arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     radius = arrays.get("radius", np.zeros(len(mesh.points)))

@@ -9,10 +9,14 @@ from granflow.study.figures import COLORS, STYLE
 from granflow.study.render.colors import Scale
 
 DPI = 100
+"""Dots per inch; font sizes are proportional to the height of the picture."""
+
 WIDTH = 0.27
 """Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
 
 LETTERS = 0.03
+"""Font size over the height of the picture."""
+
 TITLE_LETTERS = 13
 """Maximum number of characters in a line of the title."""
 
@@ -20,10 +24,11 @@ BAR = (0.12, 0.16, 0.17, 0.52)
 """Left, bottom, width and height of the color bar, relative to the strip."""
 
 NO_VALUE = (0.6, 0.6, 0.6)
+"""Color of nan (red, green, blue; 0 to 1)."""
 
 
 def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
-    """Colors (n, 3), 0 to 255, of values (n,) [SI]; gray for nan."""
+    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the limit."""
     from matplotlib import colormaps, colors
 
     if scale.names is not None:
@@ -37,7 +42,10 @@ def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
 
 
 def legend_strip(scale: Scale, time: str, height: int) -> np.ndarray:
-    """The strip as an image (height, width, 3), 0 to 255."""
+    """The strip as an image (height, width, 3), 0 to 255.
+
+    `time`: text at the top; `height` [pixels]; the width is WIDTH times the height.
+    """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -25,6 +25,8 @@ from granflow.study.render.legend import WIDTH, colors_of, legend_strip
 from granflow.study.render.renderer import Renderer, require_pyvista
 
 HEIGHT = 1200
+"""Height of a picture without a given size [pixels]."""
+
 ASPECTS = (0.5, 1.9)
 """Minimum and maximum width over height of a picture without a given size."""
 
@@ -35,6 +37,7 @@ THICKEST, THINNEST = 0.5, 0.04
 """Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
 
 CHAIN_COLOR = "normal_force"
+"""Array of contacts that determines color and thickness of force chains."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,11 @@ class PictureStyle:
 
 @dataclass(frozen=True)
 class PictureSetup:
-    """Common properties of all pictures of a run."""
+    """Common properties of all pictures of a run.
+
+    `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
+    None; `cut`: point [m] and normal (3,) of the plane in front of which nothing is drawn, or None.
+    """
 
     style: PictureStyle
     scale: Scale
@@ -87,6 +94,8 @@ def write_pictures(
     directory: Path, frames: Sequence[Frame], style: PictureStyle, out: Path | None = None
 ) -> list[Path]:
     """Write a PNG of each frame to `pictures/` of the run, or a single one to `out`; return the paths.
+
+    Files are written atomically and replace earlier ones of the same name.
 
     Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style requires data
     that the run did not write.
@@ -121,7 +130,7 @@ def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> I
 
 
 def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
-    """Camera, color scale and size for all frames."""
+    """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
     scene = scene_as_run(directory)
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
@@ -159,6 +168,7 @@ def _cut(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> Scale:
+    """Color scale of a style. Raises GranflowError for force chains if the run has no contacts."""
     if style.chains:
         forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
         if not forces:
@@ -186,6 +196,7 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
 
 
 def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarray:
+    """Picture (height, width, 3), 0 to 255, of one frame with its legend strip."""
     particles = _behind(read_particles(frame), setup.cut)
     renderer.set_walls(read_walls(frame), setup.domain, setup.cut)
     if setup.style.chains:
@@ -201,6 +212,7 @@ def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarra
 def _draw_chains(
     renderer: Renderer, setup: PictureSetup, chains: ForceChains | None, particles: FrameParticles
 ) -> None:
+    """Add the contacts as tubes with a radius proportional to the normal force, and the particles faintly."""
     renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
     chains = chains or ForceChains(np.zeros((0, 2, 3)), np.zeros(0))
     share = np.clip(chains.normal_force / setup.scale.limits[1], 0.0, 1.0)
@@ -214,7 +226,7 @@ def _draw_chains(
 
 
 def _behind(particles: FrameParticles, cut: tuple[np.ndarray, np.ndarray] | None) -> FrameParticles:
-    """Particles whose center is behind the plane."""
+    """Particles whose center is behind the plane (point, normal (3,)); all without a plane."""
     if cut is None:
         return particles
     point, normal = cut

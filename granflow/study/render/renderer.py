@@ -12,16 +12,26 @@ FINER = 2
 """Supersampling factor along each side, for antialiasing."""
 
 WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
+"""Style of walls in pyvista."""
+
 EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
+"""Style of edges of walls in pyvista."""
+
 EDGE_ANGLE = 25.0
 """Angle between two facets of a wall above which their edge is drawn [degrees]."""
 
 SHADE = {"ambient": 0.22, "diffuse": 0.85, "specular": 0.18, "specular_power": 25.0}
+"""Lighting coefficients of particles and force chains."""
+
 FAINT = 0.05
 """Opacity of particles in pictures of force chains."""
 
 TUBE_SIDES = 10
+"""Sides of the tubes of force chains."""
+
 GRAY = (205, 205, 205)
+"""Color of particles in pictures of force chains (red, green, blue; 0 to 255)."""
+
 
 NEAR = 0.02
 """Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the height)."""
@@ -31,7 +41,7 @@ FACETS = 80
 
 
 def require_pyvista() -> Any:
-    """Import pyvista. Raises GranflowError if the extra `plot` is not installed."""
+    """Import pyvista and return the module. Raises GranflowError if the extra `plot` is not installed."""
     try:
         import matplotlib  # noqa: F401
         import pyvista
@@ -45,7 +55,10 @@ def require_pyvista() -> Any:
 
 
 class Renderer:
-    """Renders frames with a fixed camera; spheres are exact to the pixel."""
+    """Renders frames with a fixed camera; spheres are exact to the pixel.
+
+    `size`: width and height [pixels]. Raises GranflowError if pyvista is not installed. Call `close` after use.
+    """
 
     def __init__(self, size: tuple[int, int], camera: Camera) -> None:
         self._pyvista = require_pyvista()
@@ -69,7 +82,7 @@ class Renderer:
         self._plotter.close()
 
     def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
-        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray."""
+        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray; replaces those shown before."""
         colors = np.full_like(colors, GRAY) if faint else colors
         distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
         is_near = particles.radius > NEAR * distance
@@ -111,7 +124,10 @@ class Renderer:
     def set_walls(
         self, walls: FrameWalls | None, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None
     ) -> None:
-        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`."""
+        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`.
+
+        `cut`: point [m] and normal (3,), or None. Walls that have not moved since the last frame are kept.
+        """
         if walls is not None and walls.same_as(self._walls):
             return
         self._walls = walls
@@ -149,6 +165,7 @@ class Renderer:
         vtk_camera.parallel_projection = not camera.view.perspective
 
     def _surface(self, walls: FrameWalls) -> Any:
+        """Surface of the walls with merged points, so that edges between polygons are found."""
         faces = [np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons]
         return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
             lines_to_points=False, polys_to_lines=False
@@ -156,7 +173,7 @@ class Renderer:
 
     @staticmethod
     def _clipped(surface: Any, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None) -> Any:
-        """Part of a surface in the box and behind the plane (point, normal towards the viewer)."""
+        """Part of a surface in the box and behind the plane (point, normal toward the viewer)."""
         planes = [] if cut is None else [cut]
         if box is not None:
             margin = 1e-3 * np.ptp(box, axis=0)

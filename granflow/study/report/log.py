@@ -13,9 +13,16 @@ ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*
 """Time, level, logger and text of an entry in the format of granflow.observe.log."""
 
 COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
+"""Entry with backend, precision and compilation time [s]."""
+
 RESUMED_FROM = "goes on from"
+"""Beginning of the entry of a resumed run."""
+
 EVENTS = ("stage ", "checkpoint at ", "done at ", RESUMED_FROM)
+"""Beginnings of the entries that follow the plan."""
+
 REPORTED_LEVELS = ("WARNING", "ERROR", "CRITICAL")
+"""Levels of entries that the page shows."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,10 @@ class RunSession:
 
 
 def read_log(path: Path) -> list[LogEntry]:
-    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read."""
+    """Entries of a log; empty if the file does not exist. Raises GranflowError if it cannot be read.
+
+    Lines without a time stamp continue the entry before them.
+    """
     try:
         lines = read_regular_text(path).splitlines()
     except FileNotFoundError:
@@ -66,6 +76,7 @@ def sessions(entries: list[LogEntry]) -> list[RunSession]:
 
 
 def _session(entries: list[LogEntry]) -> RunSession:
+    """Session from its entries; texts are empty if the log lacks them."""
     compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
     resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
     arch, precision, seconds = compiled.groups() if compiled else ("", "", "")

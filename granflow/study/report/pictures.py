@@ -1,4 +1,7 @@
-"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now."""
+"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now.
+
+Pictures older than the last frame show another run and are not used.
+"""
 
 import re
 import subprocess
@@ -15,6 +18,8 @@ from granflow.study.render.camera import VIEWS
 from granflow.study.render.frames import is_empty
 
 MOST_PICTURES = 6
+"""Maximum number of pictures in the page."""
+
 SHOWN_FRAMES = 4
 """Number of frames rendered for a run without pictures: evenly spaced, including the last one."""
 
@@ -22,6 +27,8 @@ HEIGHT = 800
 """Height of a picture in the page [pixels]: twice its displayed size."""
 
 QUALITY = 85
+"""JPEG quality of embedded pictures, 0 to 100."""
+
 FILM_BYTES = 700_000
 """Maximum size of an embedded film in bytes; larger films are referenced by name."""
 
@@ -35,7 +42,11 @@ HOW_TO_ADD = "The files are in pictures/. To add pictures, run granflow render, 
 
 
 def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
-    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them."""
+    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
+
+    Renders a few frames if the run has no pictures since its last frame. At most MOST_PICTURES pictures and one film of
+    at most FILM_BYTES.
+    """
     if not frames:
         return [], "The run has no frames to render."
     found = recent_pictures(directory, frames)
@@ -49,8 +60,8 @@ def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tup
     large = [path for path in films if path not in small]
     shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
-    beside = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
-    return shown, (problem or HOW_TO_ADD) + beside
+    omitted_films = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
+    return shown, (problem or HOW_TO_ADD) + omitted_films
 
 
 def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
@@ -61,27 +72,30 @@ def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
 
 
 def render(directory: Path, frames: Sequence[Frame]) -> str:
-    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or ""."""
+    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or "".
+
+    The pictures are in `pictures/` of the run. The time limit is TIMEOUT for each command.
+    """
     if find_spec("pyvista") is None:
         return "No pictures, because pyvista is not installed: pip install granflow[plot]"
     filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
-    places = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
-    chosen = [filled[place] for place in places]
+    indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
+    chosen = [filled[index] for index in indices]
     numbers = ",".join(str(frame.number) for frame in chosen)
     commands = [["--frame", numbers]]
-    touching = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
-    if touching:
-        most = max(touching, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
+    with_contacts = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
+    if with_contacts:
+        most = max(with_contacts, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
         commands.append(["--frame", str(most.number), "--chains"])
     for text in commands:
         command = [sys.executable, "-m", "granflow", "render", str(directory), *text]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
+            completed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
             return f"No pictures: rendering took longer than {TIMEOUT:.0f} s."
-        if done.returncode:
-            statement = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return f"Rendering failed (granflow render, exit code {done.returncode}): {statement}"
+        if completed.returncode:
+            statement = (completed.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"Rendering failed (granflow render, exit code {completed.returncode}): {statement}"
     return ""
 
 
@@ -93,9 +107,9 @@ def reduced(path: Path, scratch: Path) -> Path:
         return path
     with Image.open(path) as image:
         size = (max(1, round(image.width * HEIGHT / image.height)), HEIGHT)
-        made = scratch / f"{path.stem}.jpg"
-        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(made, quality=QUALITY, optimize=True)
-    return made
+        jpeg = scratch / f"{path.stem}.jpg"
+        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(jpeg, quality=QUALITY, optimize=True)
+    return jpeg
 
 
 def _caption(path: Path, frames: Sequence[Frame]) -> str:

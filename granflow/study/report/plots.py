@@ -11,11 +11,17 @@ from granflow.study.page import Plot
 from granflow.study.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
+"""Line styles: one for each repetition of the colors."""
+
 DIGITS = 6
 """Significant digits of a number in the page."""
 
 AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
+"""Style of axes in the format of plotly."""
+
 HEIGHT = 340
+"""Height of a plot [pixels]."""
+
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
 
@@ -30,7 +36,10 @@ def library() -> str:
 
 
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
-    """Plot of a group of columns against time, with the stages of the run."""
+    """Plot of a group of columns against time, with the stages of the run.
+
+    All columns of a group have the same unit.
+    """
     curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
     unit = f" ({group.unit})" if group.unit else ""
     layout = {
@@ -50,6 +59,7 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
 
 
 def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points."""
     time, values = thinned(series.time, column.values)
     rounds = number // len(COLORS)
     return {
@@ -64,6 +74,7 @@ def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[s
 
 
 def _plain(values: np.ndarray) -> list[float]:
+    """Numbers with DIGITS digits, as Python floats for JSON."""
     return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
 
 

@@ -13,6 +13,8 @@ from granflow.study.report.log import LogEntry, RunSession, read_log, sessions
 from granflow.study.report.series import TimeSeriesTable, read_series
 
 SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the directory of a run."""
+
 RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json")
 """Files that identify the directory of a run; at least one must exist."""
 
@@ -53,7 +55,10 @@ class RunRecord:
 
 
 def read_record(directory: Path) -> RunRecord:
-    """Read the data of a run. Raises GranflowError if the directory is not that of a run."""
+    """Read the data of a run, which may be in progress.
+
+    Raises GranflowError if the directory is not that of a run, or if the time series or the result cannot be read.
+    """
     if not directory.is_dir():
         raise GranflowError(
             f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
@@ -75,6 +80,7 @@ def read_record(directory: Path) -> RunRecord:
 
 
 def _scene(path: Path) -> tuple[Scene | None, str]:
+    """The scene, or None with the reason if it cannot be read."""
     try:
         return load(path), ""
     except GranflowError as error:
@@ -82,6 +88,7 @@ def _scene(path: Path) -> tuple[Scene | None, str]:
 
 
 def _result(path: Path) -> dict[str, Any]:
+    """Sections of result.json; empty if it does not exist. Raises GranflowError if it cannot be read."""
     if not path.exists():
         return {}
     try:
@@ -92,6 +99,7 @@ def _result(path: Path) -> dict[str, Any]:
 
 
 def _is_running(directory: Path) -> bool:
+    """Whether a run holds the lock of the directory."""
     if not (directory / ".lock").exists():
         return False
     try:

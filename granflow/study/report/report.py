@@ -57,12 +57,14 @@ def page_of(record: RunRecord, script: str, pictures: Section | None) -> Page:
 
 
 def _pictures(record: RunRecord, scratch: Path) -> Section:
+    """Section with the pictures of the run."""
     shown, statement = pictures_for(record.directory, _frames(record.directory), scratch)
     parts: list[PagePart] = [Gallery(shown)] if shown else []
     return Section("Pictures", [*parts, statement])
 
 
 def _frames(directory: Path) -> list[Frame]:
+    """Frames of the run; empty if it has none."""
     try:
         return frames_of(directory)
     except GranflowError:

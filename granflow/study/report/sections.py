@@ -1,4 +1,7 @@
-"""Sections of the page, each from the files of the run; empty sections are omitted."""
+"""Sections of the page, each from the files of the run; empty sections are omitted.
+
+A run in progress or without a result has sections from its log and time series only.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,6 +20,8 @@ from granflow.study.report.series import SeriesColumn, groups_of
 
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
 TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Wall forces": WALL_FORCE_QUANTITIES}
+"""Quantities of flow meters and walls by section of the page."""
+
 SECTIONS = {"Flow": "flow_meters", "Wall forces": "wall_forces"}
 """Keys of result.json by topic."""
 
@@ -28,12 +33,14 @@ ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
 PLAN = "Plan of the run"
+"""Title of the section with the plan."""
+
 BAR_STEPS = 30
 """Length of the bar of the total wall-clock time, in blocks."""
 
 
 def summary(record: RunRecord) -> Section:
-    """State of the run, simulated time and performance."""
+    """State of the run, simulated time and performance, and the number of satisfied expectations."""
     numbers = record.result.get("run", {})
     rows = []
     if record.time is not None and "simulated_time" not in numbers:
@@ -44,7 +51,7 @@ def summary(record: RunRecord) -> Section:
     parts: list[PagePart] = [state_of(record)]
     is_met = [entry.get("met") for entry in record.result.get("expect", ())]
     if is_met:
-        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are met.")
+        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are satisfied.")
     elif record.result and record.scene is not None and record.scene.expect:
         parts.append("The run ended early because of --until; the expectations of the scene are not evaluated.")
     return Section("Summary", [*parts, *([PageTable("Progress and performance.", ("", "", ""), rows)] if rows else [])])
@@ -70,7 +77,10 @@ def _row(name: str, number: Any) -> tuple[str, str, str]:
 def expectations(record: RunRecord) -> Section | None:
     """Expectations of the scene and their results."""
     found = record.result.get("expect", ())
-    rows = [("\N{CHECK MARK} met" if entry["met"] else "\N{BALLOT X} not met", entry["sentence"]) for entry in found]
+    rows = [
+        ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
+        for entry in found
+    ]
     if not rows:
         return None
     return Section("Expectations", [PageTable("Expectations of the scene (expect).", ("", "result"), rows)])
@@ -97,7 +107,10 @@ def topic_of(column: SeriesColumn) -> str:
 
 
 def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
-    """Sections of flow, wall forces, energy budget, and all other quantities over time."""
+    """Sections of flow, wall forces, energy budget, and all other quantities over time.
+
+    Columns of zeros are listed instead of plotted. `with_plots`: whether the plot library is available.
+    """
     series = record.series
     if series is None:
         return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
@@ -135,6 +148,7 @@ def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
 
 
 def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dict[str, float]]:
+    """Last value of each column of a topic: part -> quantity -> value."""
     found: dict[str, dict[str, float]] = {}
     for column in columns:
         quantity, _, part = column.name.partition(".")
@@ -144,7 +158,7 @@ def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dic
 
 
 def _energy_budget(record: RunRecord) -> list[PagePart]:
-    """Each energy at the start and at the end, and its largest absolute value [J]."""
+    """Each energy at the start and at the end, and its largest absolute value [J], and the energy error of the run."""
     assert record.series is not None
     energies = [column for column in record.series.columns if column.unit == "J" and not is_zero(column)]
     if not energies:
@@ -161,7 +175,7 @@ def _energy_budget(record: RunRecord) -> list[PagePart]:
 
 
 def profile(record: RunRecord) -> Section | None:
-    """Wall-clock time by phase."""
+    """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
     seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
     total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:

@@ -12,13 +12,15 @@ from granflow.errors import GranflowError
 from granflow.regular_files import read_regular_text
 
 TIME, STAGE = "time", "stage"
+"""Names of the first two columns of timeseries.csv."""
+
 MOST_POINTS = 800
 """Maximum number of points of a curve; more are not distinguishable on a screen."""
 
 
 @dataclass(frozen=True)
 class SeriesColumn:
-    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values."""
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
 
     name: str
     unit: str
@@ -50,7 +52,10 @@ class PlotGroup:
 
 
 def read_series(path: Path) -> TimeSeriesTable | None:
-    """Columns of a time series without an incomplete last line; None if it has no rows."""
+    """Columns of a time series without an incomplete last line; None if it has no rows.
+
+    Cells that are not numbers become nan. Raises GranflowError if the file is not CSV.
+    """
     if not path.exists():
         return None
     try:
@@ -100,11 +105,11 @@ def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
 def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
     """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
     quantity = column.name.partition(".")[0]
-    remaining_numbers = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
     text = quantity.split("_")
-    if any(other.split("_")[-1] == text[-1] for other in remaining_numbers):
+    if any(other.split("_")[-1] == text[-1] for other in other_quantities):
         return text[-1]
-    if any(other.split("_")[0] == text[0] for other in remaining_numbers):
+    if any(other.split("_")[0] == text[0] for other in other_quantities):
         return text[0]
     return quantity
 
@@ -126,7 +131,10 @@ def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
 
 
 def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval."""
+    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval.
+
+    `time`, `values` (n,); values that are not finite are dropped.
+    """
     finite = np.flatnonzero(np.isfinite(values))
     if len(finite) > MOST_POINTS:
         parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)

@@ -11,12 +11,18 @@ from granflow.simulation import Simulation
 from granflow.study.stability.cases import CaseResult
 
 RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio, gravity [m/s2]."""
+
 DIAMETER = 2.0 * RADIUS
+"""Diameter of the particles [m]."""
+
 LAWS: Mapping[str, Any] = {"zhou": "zhou", "hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}
 """Settings of `contact.normal` by name; every pair has restitution 0.5."""
 ROW = 4
 """Particles along each edge of a bed."""
 SIDE = ROW * DIAMETER
+"""Edge of a bed [m]."""
+
 REST_STEPS = 20_000
 """Number of steps of a static case."""
 
@@ -24,8 +30,8 @@ REST_STEPS = 20_000
 def scene_with(law: str, particles: Mapping[str, Any], duration: float, **changes: Any) -> Scene:
     """Scene with particles of the materials `light` and `heavy`, and walls of `light`.
 
-    `changes` replace defaults: friction, gravity [m/s^2], walls, numerics, run, young_modulus [Pa], density of `heavy`
-    [kg/m^3], reach [m].
+    `law`: key of LAWS; `particles`: groups by name; `duration` [s]. `changes` replace defaults: friction, gravity
+    [m/s2], walls, numerics, run, young_modulus [Pa], density of `heavy` [kg/m3], reach [m].
     """
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
@@ -73,7 +79,7 @@ def particles_at(positions: Any, velocity: Any = (0.0, 0.0, 0.0), material: str 
 def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
     """Positions (n, 3) [m] of a cube of touching particles, `height` [m] above the floor.
 
-    `spread` increases the spacing by this fraction and adds random shifts.
+    `spread` increases the spacing by this fraction and adds random shifts, the same in each call.
     """
     points = np.stack(np.meshgrid(*[np.arange(ROW)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
     points = (points + 0.5) * DIAMETER - np.array([0.5 * SIDE, 0.5 * SIDE, 0.0])
@@ -83,7 +89,10 @@ def bed_positions(height: float = 0.0, spread: float = 0.0) -> np.ndarray:
 
 
 def energy_budget_result(scene: Scene) -> CaseResult:
-    """Run the scene; the error is the magnitude of `energy_error` at the end of the run."""
+    """Run the scene; the error is the magnitude of `energy_error` at the end of the run.
+
+    Raises RunError after an abort.
+    """
     simulation = Simulation(scene)
     try:
         result = simulation.run()
@@ -104,7 +113,8 @@ def energy_budget_result_of(
 def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float) -> CaseResult:
     """Column of particles at rest, lowest first: the floor force must remain equal to the weight.
 
-    `densities` [kg/m^3] from bottom to top; `young_modulus` [Pa].
+    `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the equilibrium; the
+    error is that of the force on the floor after REST_STEPS steps, relative to the weight.
     """
     weights = GRAVITY * 4.0 / 3.0 * np.pi * RADIUS**3 * np.array(densities)
     heavy = max(densities)
@@ -121,9 +131,9 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 
     touching = RADIUS * (1.0 + 2.0 * np.arange(len(densities)))
     plan = plan_for(scene(touching))
-    loads_carried = np.cumsum(weights[::-1])[::-1]
+    supported_weights = np.cumsum(weights[::-1])[::-1]
     masses = np.append(np.inf, weights / GRAVITY)
-    overlaps = [_overlap_for_load(plan, index, loads_carried[index], masses) for index in range(len(densities))]
+    overlaps = [_overlap_for_load(plan, index, supported_weights[index], masses) for index in range(len(densities))]
     simulation = Simulation(scene(touching - np.cumsum(overlaps)))
     simulation.run(until=REST_STEPS * simulation.plan.time_step)
     contacts = simulation.snapshot(contacts=True).contacts
@@ -136,7 +146,10 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 
 
 def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
-    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor."""
+    """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor.
+
+    `masses` (n + 1,) [kg]: floor (infinite) and particles. By bisection with the reference force.
+    """
     low, high = 0.0, RADIUS
     radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
     lower, upper = masses[index], masses[index + 1]

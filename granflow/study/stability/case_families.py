@@ -26,15 +26,29 @@ from granflow.study.stability.time_step_bounds import LAWS as BOUND_LAWS
 from granflow.study.stability.time_step_bounds import RESOLUTION, real_bounds
 
 RESTITUTIONS = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+"""Target restitutions of the family STEPS."""
+
 SHARES = (0.01, 0.03, 0.1, 0.3, 0.99, 2.0, 5.0)
+"""Time steps over the largest permitted one; those above 1 must be refused."""
+
 MODULI = tuple(10.0**n for n in range(5, 13))
+"""Young's moduli [Pa]."""
+
 VELOCITIES = (1e-6, 1e-3, 0.1, 10.0, 100.0, 400.0)
+"""Impact velocities [m/s]."""
+
 STEEL = (3.0432, 0.540, 340.3)
 """sigma, psi and limit velocity [m/s] of stainless steel 316 (Zhou 2011)."""
 RADII: tuple[float, ...] = tuple(10.0**n for n in range(-6, 1))
+"""Particle radii [m]."""
+
 PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
 RATIOS: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Ratios of the radii of two particles."""
+
 DENSITY_RATIOS = (1.0, 1e3, 1e6)
+"""Ratios of the densities of two particles."""
+
 
 SPREAD = 0.1
 """Initial gap between falling particles, over their diameter."""
@@ -45,9 +59,14 @@ SIZES = "size against precision"
 UNEQUAL = "unequal partners"
 MANY = "many particles"
 BOUNDS = "stability limit of the time step"
+"""Names of the families."""
+
 
 WITH_FRICTION = ", friction"
+"""Suffix of the columns of lattices with friction."""
+
 CONSERVATIVE_WARNING = "the check assumes up to 12 contacts per particle, more than in this lattice"
+"""Known reason for a limit of the check that is too conservative."""
 
 
 def all_cases(full: bool = False) -> list[StabilityCase]:
@@ -157,7 +176,8 @@ def _bound_cases() -> Iterator[StabilityCase]:
 def bound_result(law: str, friction: bool, lattice: str) -> CaseResult:
     """Measured stability limit over that of the check, required to be 1 to 2.
 
-    Below 1 the check accepts unstable time steps, which counts as an error of 100 %.
+    Below 1 the check accepts unstable time steps, which counts as an error of 100 %. `law`: key of
+    `time_step_bounds.LAWS`; `lattice`: key of LATTICES.
     """
     bound = _bounds_by_lattice(law, friction)[lattice]
     ratio, inside = bound.ratio, float(np.clip(bound.ratio, 1.0, 2.0))

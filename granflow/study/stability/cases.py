@@ -1,4 +1,4 @@
-"""A case of the stability study, its execution, and its verdict."""
+"""A case of the stability study, its execution, and its assessment."""
 
 import math
 import time as clock
@@ -15,6 +15,7 @@ SILENT_LIMIT = 0.1
 """Largest error without a warning; a larger silent error is a defect."""
 
 Kind = Literal["accurate", "error", "refused", "defect"]
+"""Assessment of a case: accurate, stable with an error, refused with a message, or a defect."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,10 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class StabilityCase:
-    """One stiff or extreme case: row and column in the grid of its family, reference, and function to run."""
+    """One stiff or extreme case: row and column in the grid of its family, reference, and function to run.
+
+    `reference`: noun phrase for the expected value. The function must be importable in another process.
+    """
 
     family: str
     row: str
@@ -49,7 +53,10 @@ class StabilityCase:
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """A case with its verdict; numbers are nan for refused cases. `time_step` and wall time `seconds` in s."""
+    """A case with its assessment; numbers are nan for refused cases.
+
+    `error` is relative; `time_step` and wall time `seconds` [s].
+    """
 
     family: str
     row: str
@@ -63,33 +70,41 @@ class CaseOutcome:
     time_step: float
     seconds: float
     kind: Kind
-    verdict: str
+    assessment: str
 
 
 def run_case(case: StabilityCase) -> CaseOutcome:
-    """Run a case and return its verdict. Every exception becomes a verdict."""
+    """Run a case and return its outcome with the wall time.
+
+    No exception is raised: GranflowError means refused, every other exception a defect.
+    """
     began = clock.perf_counter()
     case_result = CaseResult("", math.nan, math.nan, math.nan, math.nan)
     try:
         case_result = case.run()
-        kind, verdict = verdict_on(case_result)
+        kind, assessment = assess(case_result)
     except GranflowError as refusal:
-        kind, verdict = "refused", f"refused: {' '.join(str(refusal).split())}"
+        kind, assessment = "refused", f"refused: {' '.join(str(refusal).split())}"
     except Exception as failure:  # any failure is a defect of the case and must not end the study
-        kind, verdict = "defect", f"defect: {type(failure).__name__}: {failure}"
-    return case_outcome(case, case_result, clock.perf_counter() - began, kind, verdict)
+        kind, assessment = "defect", f"defect: {type(failure).__name__}: {failure}"
+    return case_outcome(case, case_result, clock.perf_counter() - began, kind, assessment)
 
 
-def case_outcome(case: StabilityCase, case_result: CaseResult, seconds: float, kind: Kind, verdict: str) -> CaseOutcome:
-    """Combine a case, its result and its verdict."""
+def case_outcome(
+    case: StabilityCase, case_result: CaseResult, seconds: float, kind: Kind, assessment: str
+) -> CaseOutcome:
+    """Combine a case, its result and its assessment."""
     return CaseOutcome(
         case.family, case.row, case.column, case.precision, case.reference, case_result.quantity, case_result.expected,
-        case_result.reached, case_result.error, case_result.time_step, seconds, kind, verdict,
+        case_result.reached, case_result.error, case_result.time_step, seconds, kind, assessment,
     )  # fmt: skip
 
 
-def verdict_on(case_result: CaseResult) -> tuple[Kind, str]:
-    """Kind of verdict and its text for a result."""
+def assess(case_result: CaseResult) -> tuple[Kind, str]:
+    """Kind of assessment and its text for a result.
+
+    Accurate up to ACCURATE; a larger error needs a warning above SILENT_LIMIT, otherwise it is a defect.
+    """
     if not (math.isfinite(case_result.reached) and math.isfinite(case_result.error)):
         return "defect", f"defect: {case_result.quantity} is not finite, and the run did not abort"
     if case_result.error <= ACCURATE:

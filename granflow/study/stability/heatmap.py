@@ -1,4 +1,7 @@
-"""Heat map: one grid per family, one cell per case, colored by verdict and error. Requires the extra `plot`."""
+"""Heat map: one grid per family, one cell per case, colored by assessment and error.
+
+Requires the extra `plot`.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,14 +14,22 @@ from granflow.study.stability.case_families import BOUNDS, MANY, SIZES, STEPS, S
 from granflow.study.stability.cases import CaseOutcome, percent
 
 HEIGHT = 13.5
+"""Height of the figure [inch]."""
+
 SMALLEST, LARGEST = 1e-5, 1.0
 """Range of errors of the color scale."""
 REFUSED, DEFECT = (0.85, 0.85, 0.87), (0.80, 0.05, 0.10)
+"""Colors of refused cases and of defects (red, green, blue; 0 to 1)."""
+
 GREENS, OCHRES = "YlGn_r", "YlOrBr"
+"""Color maps of accurate cases and of cases with an error."""
+
 
 PANELS = ((STEPS, STEPS), (STIFFNESS, SIZES), (STIFFNESS, UNEQUAL), (MANY, MANY), (BOUNDS, BOUNDS))
 """Families by row of the figure; a repeated family spans two columns."""
 HEIGHTS = (3.4, 1.3, 1.3, 1.6, 4.2)
+"""Relative heights of the rows of panels."""
+
 
 TITLES = {
     STEPS: "Target restitution (rows) against time step over the largest permitted one (columns)",
@@ -28,6 +39,7 @@ TITLES = {
     MANY: "Many particles, three contact models",
     BOUNDS: "Measured stability limit of the time step over the limit of the check (required: 1 to 2)",
 }
+"""Titles of the panels by family."""
 
 
 def write_heatmap(path: Path, outcomes: Sequence[CaseOutcome]) -> None:
@@ -76,14 +88,14 @@ def _split(label: str) -> str:
 
 
 def _cell_text(each: CaseOutcome) -> str:
-    """Text of a cell: ratio of stability limits, error, or kind of verdict."""
+    """Text of a cell: ratio of stability limits, error, or kind of assessment."""
     if each.kind == "refused" or not np.isfinite(each.error):
         return each.kind
     return f"{each.reached:.2f}" if each.family == BOUNDS else percent(each.error)
 
 
 def _color(kind: str, error: float) -> Any:
-    """Color of a cell by kind of verdict and error."""
+    """Color of a cell by kind of assessment and error."""
     from matplotlib import colormaps
 
     if kind in ("refused", "defect"):

@@ -10,13 +10,15 @@ from itertools import product
 import numpy as np
 
 CHAIN_LENGTH = 10
+"""Number of free particles of the chain."""
+
 HALF_CELLS = 6
 """Edge length of the dense block, in halves of its cubic cell."""
 
 
 @dataclass(frozen=True)
 class TestLattice:
-    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,)."""
+    """Particle centers (n, 3) over the nearest-neighbor distance, and anchor flags (n,) bool."""
 
     centers: np.ndarray
     is_anchor: np.ndarray
@@ -33,7 +35,7 @@ class TestLattice:
 
 
 def _confined_particle(directions: np.ndarray) -> TestLattice:
-    """One free particle between anchors in the given directions (n, 3)."""
+    """One free particle between anchors at unit distance in the given directions (n, 3)."""
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     return TestLattice(np.concatenate([np.zeros((1, 3)), unit]), np.arange(len(unit) + 1) > 0)
 
@@ -51,7 +53,11 @@ def _block() -> TestLattice:
 
 
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
+"""Directions (6, 3) of a particle in a simple cubic packing to its neighbors."""
+
 _DIAGONALS = np.array([p for p in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, p)) == 2.0])
+"""Directions (12, 3) of a particle in a face-centered cubic packing to its neighbors."""
+
 
 LATTICES: Mapping[str, TestLattice] = {
     "between 2": _confined_particle(_AXES[[2, 5]]),

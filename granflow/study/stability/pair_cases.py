@@ -1,4 +1,7 @@
-"""Head-on collisions of any number of distant pairs in one scene, until all pairs have separated."""
+"""Head-on collisions of any number of distant pairs in one scene, until all pairs have separated.
+
+The pairs share the time step of the stiffest one. The total momentum of each pair is 0.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from granflow.simulation import Simulation
 from granflow.study.stability.cases import CaseResult
 
 POISSON = 0.25
+"""Poisson ratio of all particles."""
+
 GAP = 1e-3
 """Initial gap over the smaller radius."""
 SPACING = 5.0
@@ -63,7 +68,10 @@ class ParticlePair:
 
 @dataclass(frozen=True)
 class Rebound:
-    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m."""
+    """Results of the pairs (n,): restitution, and momentum error over m v with the smaller mass m.
+
+    `time_step` [s]; `warnings`: of the plan.
+    """
 
     restitution: np.ndarray
     momentum: np.ndarray
@@ -75,7 +83,8 @@ class Rebound:
 def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
     """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
 
-    Raises SceneError if the time step is refused, RunError if the run aborts.
+    Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError if the run
+    aborts.
     """
     step = None if share is None else share * _largest_step(pairs)
     simulation = Simulation(scene_of(pairs, precision, step))
@@ -96,7 +105,10 @@ def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
 
 
 def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: float | None = None) -> Scene:
-    """Scene of all pairs with separate materials, in a square grid normal to the approach direction."""
+    """Scene of all pairs with separate materials, in a square grid normal to the approach direction.
+
+    `time_step` [s]: automatic if None. Materials a0, b0, a1, ...: one pair of materials per collision.
+    """
     side = int(np.ceil(np.sqrt(len(pairs))))
     spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
     materials, pairs_of_materials, particles = {}, {}, {}
@@ -161,7 +173,10 @@ def _duration(pair: ParticlePair) -> float:
 def rebound_result(
     pairs: tuple[ParticlePair, ...], index: int, precision: Precision = "f64", share: float | None = None
 ) -> CaseResult:
-    """Larger error of restitution and momentum of one pair, relative to the approach velocity."""
+    """Larger error of restitution and momentum of one pair, relative to the approach velocity.
+
+    `index`: of the pair; warnings about other pairs are omitted. Raises the errors of `rebound`.
+    """
     found, requested = rebound(pairs, precision, share), pairs[index].requested
     reached, momentum_error = float(found.restitution[index]), float(found.momentum[index])
     others = [f"a{other}-b{other}:" for other in range(len(pairs)) if other != index]

@@ -16,7 +16,11 @@ from granflow.study.stability.heatmap import write_heatmap
 from granflow.study.stability.worker_pool import Report, run_cases
 
 PAGE, CSV, HEATMAP = "stability.html", "stability.csv", "stability.png"
+"""Names of page, CSV file and heat map."""
+
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
+"""Column headings of `summary_rows`."""
+
 
 EXPLANATIONS = {
     STEPS: "Pairs of particles (E 100 MPa, diameter 2 mm, 1 m/s) collide head-on with Zhou's contact model for each "
@@ -28,7 +32,7 @@ EXPLANATIONS = {
     "high velocity would pass through each other: the run aborts.",
     SIZES: "Particle radii from a micrometer to a meter (e 0.7, 1 m/s) in each precision.",
     UNEQUAL: "A particle against another of up to 100 times its size and up to a million times its density. The "
-    "verdict refers to the restitution and the conservation of momentum.",
+    "assessment refers to the restitution and the conservation of momentum.",
     MANY: "A particle below another of a million times its mass, and a column of 100 particles: from equilibrium, the "
     "floor must carry exactly the weight for 20 000 steps. The energy budget must be balanced for a bed of 64 "
     "particles compressed by a lid, two particles with an initial overlap of 50 %, a particle that hits a bed at "
@@ -40,6 +44,7 @@ EXPLANATIONS = {
     "of 10 free particles, and a densely packed block. The number is this measured limit over the limit of the check "
     "for the same particles. Below 1 the check accepts unstable time steps; above 2 it is too conservative.",
 }
+"""Paragraph of the page for each family."""
 
 
 def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome], str]:
@@ -49,10 +54,14 @@ def stability(out: Path, full: bool, report: Report) -> tuple[list[CaseOutcome],
 
 
 def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
-    """Write CSV, heat map and page; without matplotlib, skip the heat map and return a sentence."""
+    """Write CSV, heat map and page; without matplotlib, skip the heat map and return a sentence.
+
+    The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column `verdict`.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    names = [field.name for field in fields(CaseOutcome)]
-    write_columns(out / CSV, {name: np.array([getattr(each, name) for each in outcomes]) for name in names})
+    columns = {field.name: np.array([getattr(each, field.name) for each in outcomes]) for field in fields(CaseOutcome)}
+    columns["verdict"] = columns.pop("assessment")  # the name of the column in earlier versions
+    write_columns(out / CSV, columns)
     missing = ""
     try:
         write_heatmap(out / HEATMAP, outcomes)
@@ -80,7 +89,9 @@ def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
 
 def defects(outcomes: Sequence[CaseOutcome]) -> list[str]:
     """One line per defect."""
-    return [f"{each.family}: {each.row}, {each.column}: {each.verdict}" for each in outcomes if each.kind == "defect"]
+    return [
+        f"{each.family}: {each.row}, {each.column}: {each.assessment}" for each in outcomes if each.kind == "defect"
+    ]
 
 
 def headline(outcomes: Sequence[CaseOutcome]) -> str:
@@ -100,15 +111,15 @@ def headline(outcomes: Sequence[CaseOutcome]) -> str:
 
 
 def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
-    """HTML page with verdicts, heat map and one section per family."""
+    """HTML page with assessments, heat map and one section per family."""
     how = (
-        "The cases run in separate processes. Verdicts: stable and accurate, with an error of "
+        "The cases run in separate processes. Assessments: stable and accurate, with an error of "
         f"up to {percent(ACCURATE)}; stable, with the error and the affected quantity; refused, with the "
         "message shown to the user. A value that is not finite, a crash, a case that does not end, or an error above "
         f"{percent(SILENT_LIMIT)} without a warning is a defect. Restitution errors are relative to the approach "
         "velocity: 0.015 instead of 0 is an error of 1.5 %."
     )
-    table = PageTable("Cases by verdict.", HEADS, summary_rows(outcomes))
+    table = PageTable("Cases by assessment.", HEADS, summary_rows(outcomes))
     parts: list[str | PageTable | Picture] = [how, table]
     if drawn:
         caption = "All cases: row and column within the family, with the error or the ratio of the stability limits."
@@ -123,13 +134,13 @@ def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
 def _table(outcomes: Sequence[CaseOutcome]) -> PageTable:
     """Table of the cases of one family."""
     rows = [
-        (each.row, each.column, _figure(each.expected), _figure(each.reached), _figure(each.time_step), each.verdict)
+        (each.row, each.column, _figure(each.expected), _figure(each.reached), _figure(each.time_step), each.assessment)
         for each in outcomes
     ]
     reference = (
         outcomes[0].reference if len({each.reference for each in outcomes}) == 1 else "the reference of each case"
     )
-    heads = ("", "case", "expected", "reached", "time step (s)", "verdict")
+    heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
     return PageTable(f"Measured against {reference}.", heads, rows)
 
 

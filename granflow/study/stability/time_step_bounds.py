@@ -26,6 +26,8 @@ from granflow.scene.schema import LARGEST_OVERLAP
 from granflow.study.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the particles."""
+
 ANCHOR = 1e9
 """Density of an anchor over that of a free particle."""
 VELOCITY = 1e-3
@@ -40,6 +42,8 @@ GROWTH_LIMIT = 1e4
 A contact that reverses for the first time within a step releases up to a fiftieth of that, once.
 """
 CHECKS, STEPS_PER_CHECK = 30, 10
+"""Number of energy checks of a run, and time steps between two of them."""
+
 LOWEST, HIGHEST = 0.25, 4.0
 """Search range of the bisection, over the limit of the check."""
 RESOLUTION = 1.02
@@ -71,7 +75,10 @@ LAWS: Mapping[str, tuple[Any, float]] = {
 
 @dataclass(frozen=True)
 class Bound:
-    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice."""
+    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice.
+
+    Both refer to the same overlaps and numbers of contacts.
+    """
 
     law: str
     friction: bool
@@ -88,7 +95,11 @@ class Bound:
 
 
 def real_bounds(law: str, friction: bool) -> list[Bound]:
-    """Measured stability limits on every lattice with one contact model."""
+    """Measured stability limits on every lattice with one contact model.
+
+    `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
+    one engine.
+    """
     plan = plan_for(_scene(law, FRICTION if friction else 0.0))
     engine, bounds = Engine(plan, start("cpu", "f64")), []
     for name, lattice in LATTICES.items():
@@ -103,7 +114,10 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
 
 
 def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
-    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check."""
+    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check.
+
+    Thornton's model with its yield overlap; Hertzian models with Zhou (2011), Eq. 5; linear springs with v sqrt(M/K).
+    """
     pair, radius, mass, speed = _pair_arguments(pair_case)
     k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
     if law.name == "thornton":
@@ -128,7 +142,10 @@ def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
 
 
 def _scene(law: str, friction: float) -> Scene:
-    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later."""
+    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later.
+
+    `law`: key of LAWS; `friction`: coefficient. The groups provide the capacity for the largest lattice.
+    """
     normal, restitution = LAWS[law]
     solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
     pair: dict[str, Any] = {"friction": friction}
@@ -178,7 +195,10 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
 
 
 def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
-    """Time step [s] above which the perturbation grows, by bisection."""
+    """Time step [s] above which the perturbation grows, by bisection on a logarithmic scale.
+
+    `allowed` [s]: limit of the check; the search range is LOWEST to HIGHEST times it.
+    """
     low, high = LOWEST * allowed, HIGHEST * allowed
     while high > RESOLUTION * low:
         middle = float(np.sqrt(low * high))
@@ -187,7 +207,7 @@ def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> floa
 
 
 def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
-    """Whether the perturbation grows at this time step [s]."""
+    """Whether the perturbation grows at this time step [s], or the run aborts."""
     _restart(engine, particles, step)
     mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
     initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
@@ -205,7 +225,12 @@ def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
 
 
 def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
-    """Kinetic energy of translation and rotation [J]; velocities (n, 3)."""
+    """Kinetic energy of translation and rotation [J] of spheres with equal mass [kg].
+
+        E = m/2 sum v^2 + (2/5) m R^2 / 2 sum w^2
+
+    `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s].
+    """
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
 
 

@@ -11,16 +11,20 @@ from granflow.device.backend import start
 from granflow.study.stability.cases import CaseOutcome, CaseResult, StabilityCase, case_outcome, run_case
 
 WORKER_COUNT = 2
+"""Number of processes."""
+
 TIMEOUT = 180.0
 """Time limit per case [s]."""
 
 Report = Callable[[CaseOutcome], None]
+"""Function that receives each outcome."""
 
 
 def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
     """Outcomes of all cases, in the order of the cases; `report` receives each outcome on completion.
 
-    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to each case.
+    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to each case. A
+    crash or timeout is a defect of its case and does not end the study.
     """
     with ThreadPoolExecutor(WORKER_COUNT) as executor:
         parts = executor.map(lambda batch: _run_batch(batch, report, timeout), _batches(cases))
