@@ -1,4 +1,4 @@
-"""The stability study in reduced form: verdicts, rebounds, weights and stability limits against theory."""
+"""The stability study in reduced form: assessments, rebounds, weights and stability limits against theory."""
 
 import csv
 import math
@@ -34,7 +34,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize(
-    ("work", "kind", "verdict"),
+    ("work", "kind", "text"),
     [
         (lambda: finding(0.503, 0.003), "accurate", "stable and accurate"),
         (lambda: finding(0.52, 0.02), "error", "stable, error 2 % (restitution 0.52 for 0.5)"),
@@ -45,23 +45,25 @@ def raising(error):
         (lambda: raising(IndexError("off the end")), "defect", "defect: IndexError: off the end"),
     ],
 )  # fmt: skip
-def test_verdicts(work, kind, verdict):
-    verdict_on = run_case(case_of(work))
-    assert (verdict_on.kind, verdict_on.verdict) == (kind, verdict)
+def test_cases_are_classified(work, kind, text):
+    outcome = run_case(case_of(work))
+    assert (outcome.kind, outcome.verdict) == (kind, text)
 
 
 def test_a_crash_is_a_defect_and_the_next_case_runs():
-    last, well = run_cases([case_of(partial(os._exit, 3), "a"), case_of(partial(finding, 0.5, 0.0), "b")], print, 60.0)
-    assert last.verdict == "defect: the process ended without a result"
-    assert well.verdict == "stable and accurate"
+    crashed, next_case = run_cases(
+        [case_of(partial(os._exit, 3), "a"), case_of(partial(finding, 0.5, 0.0), "b")], print, 60.0
+    )
+    assert crashed.verdict == "defect: the process ended without a result"
+    assert next_case.verdict == "stable and accurate"
 
 
 def test_a_case_beyond_the_time_limit_is_a_defect():
-    (hung,) = run_cases([case_of(partial(time.sleep, 300.0))], print, 1.0)
-    assert hung.verdict == "defect: not finished in 1 s"
+    (overdue,) = run_cases([case_of(partial(time.sleep, 300.0))], print, 1.0)
+    assert overdue.verdict == "defect: not finished in 1 s"
 
 
-def test_pairs_reach_their_restitution_or_the_limit_of_the_time_step(taichi_f64):
+def test_pairs_reach_the_given_or_the_smallest_stable_restitution(taichi_f64):
     """At theta = 0.5 the step permits e with theta^2 M/dt^2 = k sqrt(dmax) / (0.8 e^2), the tangent of a small e."""
     pairs = (
         ParticlePair(restitution=0.0),
@@ -75,21 +77,21 @@ def test_pairs_reach_their_restitution_or_the_limit_of_the_time_step(taichi_f64)
     mass = 4 / 3 * math.pi * 1e-9 * 2500.0 / 2.0
     k = 4 / 3 * 1e8 / (2.0 * (1.0 - 0.25**2)) * math.sqrt(0.5e-3)
     tangent = k * math.sqrt((5.0 * mass / (4.0 * k)) ** 0.4) / 0.8
-    least = math.sqrt(tangent * found.time_step**2 / (0.25 * mass))
-    assert found.restitution[0] == pytest.approx(least, rel=0.05)
+    least_restitution = math.sqrt(tangent * found.time_step**2 / (0.25 * mass))
+    assert found.restitution[0] == pytest.approx(least_restitution, rel=0.05)
     without_target = rebound_result(pairs, 0)
-    assert without_target.error == pytest.approx(least, rel=0.05)
+    assert without_target.error == pytest.approx(least_restitution, rel=0.05)
     assert [text.split(":")[0] for text in without_target.warnings] == ["a0-b0"]
     assert rebound_result(pairs, 1).warnings == ()
 
 
-def test_a_step_above_the_limit_is_refused(taichi_f64):
+def test_time_step_above_the_stable_one_is_rejected(taichi_f64):
     refused = run_case(case_of(partial(rebound_result, (ParticlePair(),), 0, "f64", 2.0)))
     assert refused.kind == "refused"
     assert "above the stable" in refused.verdict
 
 
-def test_the_measured_limit_matches_theory_and_exceeds_that_of_the_check(taichi_f64):
+def test_measured_stability_limit_matches_theory_and_exceeds_the_checked_one(taichi_f64):
     """Elastic particles without sliding: 2 sqrt(M / (S Kt)), S of a particle rotating between others, Mindlin's Kt / K.
 
     Between z anchors: torque z sin^2 Kt R^2, inertia (2/5) m R^2, M = m: S = 2.5 z <sin^2>. All particles of a straight
@@ -104,28 +106,28 @@ def test_the_measured_limit_matches_theory_and_exceeds_that_of_the_check(taichi_
         assert 1.0 / 1.02 < bound.ratio < 2.0 * 1.02, bound
 
 
-def test_a_particle_carries_a_million_times_its_mass(taichi_f64, monkeypatch):
-    """Up to the loss of each contact at its first reversal: the maximum overlap grows by at most F/M dt^2/8.
+def test_light_particle_supports_a_million_times_its_mass(taichi_f64, monkeypatch):
+    """The force deviates by the loss of each contact at its first reversal: the overlap rises by at most F/M dt^2/8.
 
-    M: mass of the light particle; tangent of unloading, at e = 0.5 3.35 times Hertz's 1.5 F/d (model, table).
+    M is the mass of the light particle. At e = 0.5 the unloading tangent is 3.35 times Hertz's 1.5 F/d (model, table).
     """
     monkeypatch.setattr(bed_cases, "REST_STEPS", 2000)
     found = bed_cases.column_at_rest("zhou", (2.5e3, 2.5e9), 1e11)
     volume = 4 / 3 * math.pi * 1e-9
     weight = 9.81 * volume * (2.5e3 + 2.5e9)
     assert found.expected == pytest.approx(weight)
-    lost = 0.0
+    relative_loss = 0.0
     for radius_eff in (1e-3, 0.5e-3):
         k = 4 / 3 * 1e11 / (2.0 * (1.0 - bed_cases.POISSON**2)) * math.sqrt(radius_eff)
         tangent = 3.35 * 1.5 * weight / (weight / k) ** (2 / 3)
-        lost += tangent * found.time_step**2 / (8.0 * 2.5e3 * volume)
-    assert lost < 3e-3
-    assert found.reached == pytest.approx(weight, rel=lost)
+        relative_loss += tangent * found.time_step**2 / (8.0 * 2.5e3 * volume)
+    assert relative_loss < 3e-3
+    assert found.reached == pytest.approx(weight, rel=relative_loss)
 
 
 def test_initially_overlapping_particles_separate_with_the_returned_energy(taichi_f64):
     """Zhou's model returns e^2 of the energy of loading, (2/5) k d^2.5; the two masses are equal."""
-    particles = {"grains": bed_cases.particles_at([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
+    particles = {"particles": bed_cases.particles_at([[-0.75e-3, 0, 1e-2], [0.75e-3, 0, 1e-2]])}
     weightless = {"gravity": 0.0, "walls": {}}
     scene = bed_cases.scene_with("zhou", particles, 1e-3, **weightless, numerics={"max_overlap": 0.8})
     simulation = Simulation(scene)
@@ -148,11 +150,11 @@ def test_every_case_has_a_unique_row_and_column():
         assert part in named, part
 
 
-def test_all_but_the_figure_is_written_without_matplotlib(monkeypatch, tmp_path, capsys):
+def test_missing_matplotlib_omits_only_the_figure(monkeypatch, tmp_path, capsys):
     """The command reports defects, also by its exit code."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    works = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
-    monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(works)])
+    results = [partial(finding, 0.503, 0.003), partial(finding, 0.9, 0.4)]
+    monkeypatch.setattr(report, "all_cases", lambda full: [case_of(work, str(n)) for n, work in enumerate(results)])
     monkeypatch.setattr(report, "run_cases", lambda cases, tell: [run_case(case) for case in cases])
     monkeypatch.setitem(report.EXPLANATIONS, "family", "What it is.")
     assert main(["stability", "--out", str(tmp_path)]) == 1
