@@ -188,7 +188,7 @@ def synthetic_line(law, precision, prefactor, seconds_per_step):
     return StudyLine(law, "leapfrog", precision, tuple(points))
 
 
-def test_requirement_is_the_largest_step_within_the_target():
+def test_requirement_is_the_fewest_steps_within_the_target():
     """2 * 7 / 40^2 = 0.9 % is the first error of the worse kind below 1 %; at 20 steps 7/400 = 1.75 %."""
     requirement = requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 0.01)
     assert requirement.steps == 40.0

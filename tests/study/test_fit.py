@@ -235,7 +235,7 @@ def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
     scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
     pasted = load(scene).pairs["steel-steel"].restitution
     assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
-    assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,synthetic_measurements,fitted,residual\n")
+    assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
 
 
 def test_command_rejects_invalid_input(tmp_path, capsys):
