@@ -141,21 +141,21 @@ MUTATIONS = (
         "granflow/observe/lock.py",
         "fcntl.LOCK_EX",
         "fcntl.LOCK_SH",
-        (f"{CHECKPOINT}test_a_directory_is_held_by_one_run_and_a_dead_one_lets_go",),
+        (f"{CHECKPOINT}test_lock_is_exclusive_and_ends_with_its_process",),
     ),
     Mutation(
         "checksum ignored",
         "granflow/observe/checkpoint.py",
         "if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
-        (f"{CHECKPOINT}test_every_bit_counts",),
+        (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),
     ),
     Mutation(
         "one checkpoint too many",
         "granflow/observe/checkpoint.py",
         "checkpoints(directory)[count:]",
         "checkpoints(directory)[count + 1 :]",
-        (f"{CHECKPOINT}test_the_last_few_are_kept",),
+        (f"{CHECKPOINT}test_only_the_newest_checkpoints_are_kept",),
     ),
     # Energy
     Mutation(

@@ -12,7 +12,7 @@ from adversarial.beads import beads
 from adversarial.case import Case
 from adversarial.runs import SAME, as_undisturbed, case, half_way, rain, reference, stopped
 from adversarial.sandbox import Done, Sandbox, Skip, as_nobody, hear_interrupts, limited
-from resume.faults import assert_whole
+from resume.faults import assert_complete
 
 RESTARTS = 3
 """Times a run is killed before it is resumed to its end."""
@@ -98,8 +98,8 @@ def cold_cache(sandbox: Sandbox):
 
 def both_equal(sandbox: Sandbox, done: Done) -> None:
     """Both runs of the scene end with the same files."""
-    assert_whole(sandbox.path("out"), reference())
-    assert_whole(sandbox.path("other"), reference())
+    assert_complete(sandbox.path("out"), reference())
+    assert_complete(sandbox.path("other"), reference())
 
 
 def two_resumes(sandbox: Sandbox) -> Done:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from adversarial.case import Case
 from adversarial.sandbox import Done, Sandbox
-from resume.faults import SCENE, assert_whole, wait_for
+from resume.faults import SCENE, assert_complete, wait_for
 
 
 @functools.cache
@@ -30,7 +30,7 @@ def rain(sandbox: Sandbox) -> None:
 
 def as_undisturbed(sandbox: Sandbox, done: Done | None = None) -> None:
     """The files of the run are bit for bit those of the undisturbed one."""
-    assert_whole(sandbox.path("out"), reference())
+    assert_complete(sandbox.path("out"), reference())
 
 
 SAME = "every file equals that of an undisturbed run"
