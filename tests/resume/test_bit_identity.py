@@ -101,7 +101,7 @@ def is_restart_identical(folder, threads, in_parallel, precision, law, friction)
 @pytest.mark.parametrize(("threads", "precision"), [(1, "f64"), (2, "f64"), (1, "mixed"), (2, "mixed"), (2, "f32")])
 def test_restart_is_bit_identical_for_threads_and_precisions(tmp_path, threads, precision):
     assert in_subprocess(
-        restart_is_identical, str(tmp_path), threads, threads > 1, precision, "zhou", 0.4, seconds=1200
+        is_restart_identical, str(tmp_path), threads, threads > 1, precision, "zhou", 0.4, seconds=1200
     )
 
 
