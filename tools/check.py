@@ -1,6 +1,6 @@
-"""Lint, format, types and layers in one go; run it as `python3 tools/dev.py check`.
+"""Checks of lint, format, types, layers and vocabulary; run as `python3 tools/dev.py check`.
 
-Silent but for one closing line when all is well; otherwise shows what each failing check said and exits 1.
+Prints one line if all checks pass; otherwise prints the output of each failing check and exits with code 1.
 """
 
 import subprocess
@@ -18,14 +18,14 @@ REMEDIES = {"lint": "ruff check --fix .", "format": "ruff format ."}
 
 
 def main() -> int:
-    """Run every check, whatever the others say; 1 if any fails."""
+    """Runs all checks; returns 1 if a check fails."""
     failed = [name for name in CHECKS if not passes(name)]
     print("check: " + ("failed: " + ", ".join(failed) if failed else ", ".join(CHECKS) + " are in order"))
     return 1 if failed else 0
 
 
 def passes(name: str) -> bool:
-    """Whether one check passes; its words are shown only if not."""
+    """Whether a check passes; prints its output if it fails."""
     done = subprocess.run(
         [sys.executable, "-m", *CHECKS[name]],
         cwd=ROOT,
@@ -34,7 +34,7 @@ def passes(name: str) -> bool:
         stderr=subprocess.STDOUT,
     )
     if done.returncode:
-        remedy = f" (mended by: {Path(sys.executable).parent / REMEDIES[name]})" if name in REMEDIES else ""
+        remedy = f" (fix: {Path(sys.executable).parent / REMEDIES[name]})" if name in REMEDIES else ""
         print(f"--- {name}{remedy}\n{done.stdout}")
     return done.returncode == 0
 
