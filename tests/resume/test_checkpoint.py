@@ -35,7 +35,7 @@ def written(directory, step=7):
     return write_checkpoint(directory, "title: A scene\n", 0.5, step, STATE)
 
 
-def test_checkpoint_round_trip_is_exact(tmp_path):
+def test_written_checkpoint_is_read_exactly(tmp_path):
     found = read_checkpoint(written(tmp_path))
     assert (found.scene, found.time) == ("title: A scene\n", 0.5)
     assert [found.saved[name] for name in ("step", "look", "fraction")] == [7, float("inf"), 0.1 + 0.2]

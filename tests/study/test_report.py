@@ -118,7 +118,7 @@ def test_page_of_a_resumed_run_lists_its_sessions(run):
     assert "resumed (2 sessions)" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
 
 
-@pytest.mark.parametrize("left", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
+@pytest.mark.parametrize("kept_file", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
 def test_one_file_suffices_for_a_page(run, kept_file):
     for path in list(run.iterdir()):
         if path.name != kept_file:

@@ -47,7 +47,7 @@ def test_each_tile_contains_all_particles():
     assert np.bincount(tiles @ [1, 4]).tolist() == [3] * 12
 
 
-def test_data_file_round_trip(tmp_path):
+def test_written_data_file_is_read_exactly(tmp_path):
     cases, bed = module("cases"), three_particle_bed()
     cases.write_data(bed, tmp_path / "bed3.data")
     read = cases.read_data(tmp_path / "bed3.data")
