@@ -27,12 +27,13 @@ walls:
   right: {{shape: plane, point: [{x}, 0, 0], normal: [-1, 0, 0], material: m}}
   front: {{shape: plane, point: [0, 0, 0], normal: [0, 1, 0], material: m}}
   back: {{shape: plane, point: [0, {y}, 0], normal: [0, -1, 0], material: m}}
-particles: {{beads: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
+particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
 domain: {{min: [-0.01, -0.01, -0.01], max: [{x_high}, {y_high}, 2], on_exit: error}}
 run: {{duration: {duration}, time_step: {time_step}, velocity_max: 0.3 m/s, precision: {precision}}}
 numerics: {{skin: {skin}}}
 output: {{interval: 10 s}}
 """
+"""The group name is part of the seed of the diameters: another name gives other settled beds."""
 HOPPER = """
 title: Hopper
 pairs: {{m-m: {{restitution: {restitution}, friction: {friction}}}}}
