@@ -9,11 +9,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 CHECKS = {
-    "lint": ["ruff", "check", "--quiet", "."],
-    "format": ["ruff", "format", "--check", "--quiet", "."],
-    "types": ["mypy", "--no-error-summary"],
-    "layers": ["pytest", "-q", "--no-header", "tests/test_layers.py"],
+    "lint": ["-m", "ruff", "check", "--quiet", "."],
+    "format": ["-m", "ruff", "format", "--check", "--quiet", "."],
+    "types": ["-m", "mypy", "--no-error-summary"],
+    "layers": ["-m", "pytest", "-q", "--no-header", "tests/test_layers.py"],
+    "vocabulary": ["tools/banned_words.py"],
 }
+"""Arguments of Python for each check."""
 REMEDIES = {"lint": "ruff check --fix .", "format": "ruff format ."}
 
 
@@ -27,7 +29,7 @@ def main() -> int:
 def passes(name: str) -> bool:
     """Whether a check passes; prints its output if it fails."""
     done = subprocess.run(
-        [sys.executable, "-m", *CHECKS[name]],
+        [sys.executable, *CHECKS[name]],
         cwd=ROOT,
         text=True,
         stdout=subprocess.PIPE,

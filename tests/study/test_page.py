@@ -44,7 +44,7 @@ def test_html_is_balanced_and_escaped(page):
     assert "Text <i>." in text and "a < b" in text and "A & B" in text
 
 
-def test_page_loads_nothing_from_the_network(page, tmp_path):
+def test_page_refers_to_no_external_files(page, tmp_path):
     write_page(page, tmp_path / "page.html")
     html = (tmp_path / "page.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]*)"', html)
