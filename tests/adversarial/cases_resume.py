@@ -177,7 +177,9 @@ def resumptions() -> list[Case]:
             "lacks rows",
             change=replaced("timeseries.csv", b""),
         ),
-        rejected("resume_no_time_series", "no time series", "resume out", "lacks rows", change=removed("timeseries.csv")),
+        rejected(
+            "resume_no_time_series", "no time series", "resume out", "lacks rows", change=removed("timeseries.csv")
+        ),
         rejected(
             "resume_scene_bad",
             "a scene_as_run.yaml that is not YAML",
