@@ -1,13 +1,13 @@
-"""The exponent of Beverloo from a flat-bottomed silo with holes of several diameters.
+"""Exponent of the Beverloo law from a flat-bottomed silo with orifices of several diameters.
 
-    python tools/beverloo.py                             scenes/flat_silo.yaml with five holes, some minutes
+    python tools/beverloo.py                             scenes/flat_silo.yaml with five orifices, a few minutes
     python tools/beverloo.py --holes 18,24,32 --threads 2 --out out/beverloo
 
     W = C rho_b sqrt(g) (D - k d)^(5/2)        (Beverloo, Leniger & van de Velde 1961)
 
-Prints the flow through every hole, that of the first and of the second half of the time, the exponent at k = 1.4
-(spheres), and k and C at the exponent 5/2. Each run writes its files into a folder of its own; those that are there are
-not run again, and `granflow beverloo` reads them, too.
+Prints the mass flow through each orifice, in total and in the first and second half of the time, the exponent at
+k = 1.4 (spheres), and k and C at the exponent 5/2. Each run writes into a separate folder; existing runs are not
+repeated. `granflow beverloo` reads the same folders.
 """
 
 import argparse
@@ -22,27 +22,27 @@ from granflow.study.beverloo import Discharge, fit_beverloo
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "flat_silo.yaml"
 HOLES = "18,21,24,28,32"
 PARTICLE = 4.0
-"""Mean diameter of the beads of the scene [mm]."""
+"""Mean particle diameter of the scene [mm]."""
 
 OFFSET = 1.4
-"""k of Beverloo for spheres."""
+"""Beverloo's k for spheres."""
 
 BULK_DENSITY = 1450.0
-"""Of the bed before it is opened [kg/m3]: a solid fraction of 0.58."""
+"""Bulk density of the closed bed [kg/m3]: a solid fraction of 0.58."""
 
 FALLEN = 1200
-"""Beads to wait for: less than a third of them, so that the heap stays higher than the hole is wide."""
+"""Particles to discharge: less than a third of the bed, so that the fill height exceeds the orifice diameter."""
 
 START = 0.1
-"""How long a flow takes to become steady [s]."""
+"""Time until the flow is steady [s]."""
 
 BLOCKS = 8
-"""Parts of the time whose flows are compared for the error of their mean."""
+"""Equal time intervals from which the standard error of the mean flow is computed."""
 
 
 @dataclass(frozen=True)
 class Flow:
-    """Steady flow [kg/s] through a hole of diameter `hole` [mm], with its standard error and that of both halves."""
+    """Steady mass flow [kg/s] through an orifice of diameter `hole` [mm], its standard error, and that of each half."""
 
     hole: float
     rate: float
@@ -51,7 +51,7 @@ class Flow:
 
 
 def flow_of(hole: float, times: np.ndarray, masses: np.ndarray) -> Flow:
-    """Mean flow from the mass [kg] that has passed at times [s]; error of the mean from equal parts of the time."""
+    """Mean flow from the discharged mass [kg] at times [s]; standard error from equal time intervals."""
     ends = np.linspace(times[0], times[-1], BLOCKS + 1)
     rates = np.diff(np.interp(ends, times, masses)) / np.diff(ends)
     error = float(rates.std(ddof=1) / np.sqrt(BLOCKS))
@@ -62,7 +62,7 @@ def flow_of(hole: float, times: np.ndarray, masses: np.ndarray) -> Flow:
 def exponent(flows: list[Flow], particle_diameter: float = PARTICLE, offset: float = OFFSET) -> tuple[float, float]:
     """Exponent n of W ~ (D - k d)^n and its standard error: least squares of log W, weighted with the errors.
 
-    The error is that of the flows, or that of the scatter about the line where that is larger.
+    The error follows from the errors of the flows or from the scatter about the line, whichever is larger.
     """
     x = np.log([flow.hole - offset * particle_diameter for flow in flows])
     y = np.log([flow.rate for flow in flows])
@@ -75,7 +75,7 @@ def exponent(flows: list[Flow], particle_diameter: float = PARTICLE, offset: flo
 
 
 def read_flow(folder: Path, hole: float) -> Flow:
-    """The flow of a run from its timeseries.csv, from START after the opening to the end."""
+    """Mass flow of a run from its timeseries.csv, from START after the orifice opens to the end."""
     with (folder / "timeseries.csv").open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["stage"] == "discharge"]
     times = np.array([float(row["time [s]"]) for row in rows])
@@ -85,7 +85,7 @@ def read_flow(folder: Path, hole: float) -> Flow:
 
 
 def overrides(hole: float) -> list[str]:
-    """The scene with another hole, open until about FALLEN beads have passed."""
+    """Overrides for an orifice of another diameter and a duration in which about FALLEN particles pass."""
     width = max(hole - OFFSET * PARTICLE, PARTICLE) * 1e-3
     expected = 0.5 * BULK_DENSITY * np.sqrt(9.81) * width**2.5 / (2500 * np.pi / 6 * (PARTICLE * 1e-3) ** 3)
     places = ("walls.plug.radius", "walls.floor.hole_radius", "output.flow_meters.outlet.radius")
@@ -99,7 +99,7 @@ def overrides(hole: float) -> list[str]:
 
 
 def run(hole: float, folder: Path, threads: int | None) -> Flow:
-    """Run the scene with that hole, unless it was, and read the flow."""
+    """Runs the scene with this orifice, unless its folder exists, and reads the flow."""
     from granflow import Simulation, load_scene
 
     if not (folder / "result.json").exists():
@@ -110,7 +110,7 @@ def run(hole: float, folder: Path, threads: int | None) -> Flow:
 
 
 def report(flows: list[Flow]) -> str:
-    """What was found, as text."""
+    """Table of the flows and the fitted parameters, as text."""
     lines = [f"{'D [mm]':>7} {'W [g/s]':>9} {'error':>7} {'1st half':>9} {'2nd half':>9}"]
     for flow in flows:
         rate, first, second = (1e3 * each for each in (flow.rate, *flow.halves))
@@ -129,9 +129,9 @@ def report(flows: list[Flow]) -> str:
 
 
 def main() -> None:
-    """Run, fit, print."""
+    """Runs the scenes, fits the law and prints the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--holes", default=HOLES, help=f"diameters [mm] ({HOLES})")
+    parser.add_argument("--holes", default=HOLES, help=f"orifice diameters [mm] ({HOLES})")
     parser.add_argument("--threads", type=int, help="CPU threads (all)")
     parser.add_argument("--out", type=Path, default=Path("out/beverloo"), help="folder of the runs (out/beverloo)")
     options = parser.parse_args()

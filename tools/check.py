@@ -1,6 +1,6 @@
-"""Lint, format, types and layers in one go; run it as `python3 tools/dev.py check`.
+"""Checks of lint, format, types, layers and vocabulary; run as `python3 tools/dev.py check`.
 
-Silent but for one closing line when all is well; otherwise shows what each failing check said and exits 1.
+Prints one line if all checks pass; otherwise prints the output of each failing check and exits with code 1.
 """
 
 import subprocess
@@ -9,32 +9,34 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 CHECKS = {
-    "lint": ["ruff", "check", "--quiet", "."],
-    "format": ["ruff", "format", "--check", "--quiet", "."],
-    "types": ["mypy", "--no-error-summary"],
-    "layers": ["pytest", "-q", "--no-header", "tests/test_layers.py"],
+    "lint": ["-m", "ruff", "check", "--quiet", "."],
+    "format": ["-m", "ruff", "format", "--check", "--quiet", "."],
+    "types": ["-m", "mypy", "--no-error-summary"],
+    "layers": ["-m", "pytest", "-q", "--no-header", "tests/test_layers.py"],
+    "vocabulary": ["tools/banned_words.py"],
 }
+"""Arguments of Python for each check."""
 REMEDIES = {"lint": "ruff check --fix .", "format": "ruff format ."}
 
 
 def main() -> int:
-    """Run every check, whatever the others say; 1 if any fails."""
+    """Runs all checks; returns 1 if a check fails."""
     failed = [name for name in CHECKS if not passes(name)]
     print("check: " + ("failed: " + ", ".join(failed) if failed else ", ".join(CHECKS) + " are in order"))
     return 1 if failed else 0
 
 
 def passes(name: str) -> bool:
-    """Whether one check passes; its words are shown only if not."""
+    """Whether a check passes; prints its output if it fails."""
     done = subprocess.run(
-        [sys.executable, "-m", *CHECKS[name]],
+        [sys.executable, *CHECKS[name]],
         cwd=ROOT,
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
     )
     if done.returncode:
-        remedy = f" (mended by: {Path(sys.executable).parent / REMEDIES[name]})" if name in REMEDIES else ""
+        remedy = f" (fix: {Path(sys.executable).parent / REMEDIES[name]})" if name in REMEDIES else ""
         print(f"--- {name}{remedy}\n{done.stdout}")
     return done.returncode == 0
 

@@ -1,8 +1,8 @@
-"""What checkpoints cost: size and seconds of one at 50 000 grains, and their share of the run of the hopper.
+"""Cost of checkpoints: size and time of a checkpoint of 50 000 particles, and the share of the hopper run.
 
     python tools/checkpoint_cost.py --out DIR [--every SECONDS]
 
-Writes checkpoint_cost.json into DIR. The hopper runs once, with a checkpoint every so many seconds of wall clock.
+Writes checkpoint_cost.json into DIR. The hopper runs once, with a checkpoint every SECONDS of wall clock.
 """
 
 import argparse
@@ -15,17 +15,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTICLE_COUNT = (50, 40, 25)
-"""Grains along each axis of a block in which each is near six others."""
+"""Particles along each axis of a block in which each particle has six neighbors."""
 SPACING = 4.01e-3
 
 BLOCK = """\
-title: A block of grains that nearly touch
+title: Block of particles with small gaps
 gravity: [0, 0, 0]
 materials: {{glass: {{young_modulus: 50 MPa, poisson_ratio: 0.23, density: 2500}}}}
 pairs: {{glass-glass: {{restitution: 0.8, friction: 0.5}}}}
 contact: {{normal: zhou, tangential: mindlin, rolling: none}}
 particles:
-  grains:
+  beads:
     material: glass
     count: {count}
     diameter: 4 mm
@@ -38,9 +38,9 @@ TIMES = 5
 
 
 def main() -> int:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description="What checkpoints cost.")
-    parser.add_argument("--out", type=Path, required=True, help="where results go")
+    """Measures, prints and writes the results."""
+    parser = argparse.ArgumentParser(description="Measures the cost of checkpoints.")
+    parser.add_argument("--out", type=Path, required=True, help="directory of the results")
     parser.add_argument("--every", type=float, default=10.0, help="wall seconds between checkpoints of the hopper (10)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def main() -> int:
 
 
 def block(out: Path) -> dict[str, float]:
-    """Size [bytes] and seconds of a checkpoint of a block of grains, the first one with its compiling apart."""
+    """Size [bytes] and median time [s] of a checkpoint of a block of particles, and the time to read it."""
     from granflow.observe import read_checkpoint
     from granflow.scene.reader import scene_of
     from granflow.simulation import Simulation
@@ -67,19 +67,19 @@ def block(out: Path) -> dict[str, float]:
         seconds.append(time.perf_counter() - began)
     path = max(out.glob("checkpoint_*.npz"))
     began = time.perf_counter()
-    contacts = read_checkpoint(path).saved["engine"]["contacts"]
+    neighbors = read_checkpoint(path).saved["engine"]["neighbors"]
     return {
-        "grains": count,
-        "slots_per_grain": len(contacts["partner"]) / count,
+        "particles": count,
+        "list_entries_per_particle": len(neighbors["partner"]) / count,
         "bytes": path.stat().st_size,
-        "bytes_per_grain": path.stat().st_size / count,
+        "bytes_per_particle": path.stat().st_size / count,
         "seconds": sorted(seconds)[TIMES // 2],
         "seconds_to_read": time.perf_counter() - began,
     }
 
 
 def hopper(out: Path, every: float) -> dict[str, float]:
-    """Number, seconds and share of the checkpoints of a whole run of the hopper."""
+    """Number, time [s] and share of wall clock of the checkpoints of a complete hopper run."""
     command = [
         sys.executable,
         "-m",

@@ -1,12 +1,12 @@
-"""Steps per second of one bed while other processes use the cores: one thread, all threads, and the automatic choice.
+"""Steps per second of a bed under contention: other processes use the cores.
 
     python tools/contention.py --bed BED.npz                      0 to 4 competing processes
-    python tools/contention.py --bed BED.npz --root CHECKOUT      the same for another checkout of granflow
+    python tools/contention.py --bed BED.npz --root CHECKOUT      the same with another checkout of granflow
     python tools/contention.py --size 3000                        settle a bed first
 
-`fixed 1` and `fixed 2` keep their number of workers in every launch. `auto` is a run without --threads, `pair` is the
-slower of two such runs at once, `one core` such a run on one core. Each rate is measured for two seconds that begin one
-second after the first step.
+Columns: `fixed 1` and `fixed 2` use a constant number of workers, `auto` is a run without --threads. Rows: the number
+of competing processes; `pair` is the slower of two simultaneous runs, `one core` a run on one core. Each rate is
+measured over two seconds, after a warm-up of one second.
 """
 
 import argparse
@@ -26,7 +26,7 @@ MODES = ("fixed 1", "fixed 2", "auto")
 
 
 def child(bed: str, mode: str) -> None:
-    """Measure one rate [steps/s] and print it as JSON."""
+    """Measures one rate [steps/s] and prints it as JSON."""
     import time
 
     from benchmark import ours
@@ -36,7 +36,7 @@ def child(bed: str, mode: str) -> None:
     threads: Any = fixed or None
     engine = ours.engine_for(Case.load(Path(bed)), "hertz", "f64", threads, "0.2 mm")
     if fixed:
-        keep_workers(engine.stepper, fixed)
+        fix_worker_count(engine.stepper, fixed)
     engine.advance(1)
     rates = []
     for seconds in (WARM_UP, MEASURED):
@@ -47,35 +47,35 @@ def child(bed: str, mode: str) -> None:
     print("\n" + json.dumps(rates[-1]))
 
 
-def keep_workers(stepper: Any, workers: int) -> None:
-    """Take the choice of the number of workers away from a stepper."""
+def fix_worker_count(stepper: Any, workers: int) -> None:
+    """Replaces the worker tuner of a stepper by a constant number of workers."""
 
-    class Fixed:
+    class FixedWorkers:
         size = next_size = workers
 
         def record(self, *_: Any) -> None:
-            """Learn nothing."""
+            """Ignores the measurement."""
 
-    stepper._worker_tuner = Fixed()
+    stepper._worker_tuner = FixedWorkers()
 
 
 def started(bed: Path, mode: str, root: Path, command: tuple[str, ...] = ()) -> subprocess.Popen[str]:
-    """A process that measures one rate with the granflow of a checkout."""
+    """Starts a process that measures one rate with the granflow of a checkout."""
     paths = json.dumps([str(root), str(HERE)])
-    words = [*command, sys.executable, "-c", CHILD, paths, str(bed), mode]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=root)
+    command_line = [*command, sys.executable, "-c", CHILD, paths, str(bed), mode]
+    return subprocess.Popen(command_line, stdout=subprocess.PIPE, text=True, cwd=root)
 
 
 def rate(process: "subprocess.Popen[str]") -> float:
-    """The rate that a process has measured [steps/s]."""
+    """Rate [steps/s] measured by a process."""
     output, _ = process.communicate(timeout=300)
     if process.returncode:
-        raise SystemExit("A measurement failed; its message is above.")
+        raise SystemExit("A measurement failed; see its message above.")
     return float(json.loads(output.splitlines()[-1]))
 
 
 def with_competitors(count: int, bed: Path, mode: str, root: Path) -> float:
-    """The rate beside so many processes that never wait [steps/s]."""
+    """Rate [steps/s] with `count` competing processes that use their cores without pause."""
     busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
     try:
         return rate(started(bed, mode, root))
@@ -86,7 +86,7 @@ def with_competitors(count: int, bed: Path, mode: str, root: Path) -> float:
 
 
 def measure(bed: Path, root: Path, counts: list[int], rounds: int) -> dict[str, dict[str, float]]:
-    """Rates [steps/s] by situation and mode: the mean over all rounds."""
+    """Rates [steps/s] by row and mode, averaged over the rounds."""
     found: dict[str, dict[str, list[float]]] = {}
     for _ in range(rounds):
         for mode in MODES:
@@ -98,21 +98,21 @@ def measure(bed: Path, root: Path, counts: list[int], rounds: int) -> dict[str, 
             if hasattr(os, "sched_setaffinity"):
                 alone = rate(started(bed, mode, root, ("taskset", "-c", "0")))
                 found.setdefault("one core", {}).setdefault(mode, []).append(alone)
-    return {where: {mode: sum(r) / len(r) for mode, r in modes.items()} for where, modes in found.items()}
+    return {row: {mode: sum(r) / len(r) for mode, r in modes.items()} for row, modes in found.items()}
 
 
 def table(found: dict[str, dict[str, float]]) -> str:
-    """The rates as text, with auto over the best fixed number of workers."""
+    """Table of the rates, with the ratio of `auto` to the best fixed number of workers."""
     lines = [f"{'steps/s':16}" + "".join(f"{mode:>10}" for mode in MODES) + f"{'auto/best':>11}"]
-    for where, rates in found.items():
+    for row, rates in found.items():
         best = max(value for mode, value in rates.items() if mode != "auto")
         numbers = "".join(f"{rates[mode]:10.0f}" for mode in MODES)
-        lines.append(f"{where:16}{numbers}{rates['auto'] / best:11.2f}")
+        lines.append(f"{row:16}{numbers}{rates['auto'] / best:11.2f}")
     return "\n".join(lines)
 
 
 def main() -> None:
-    """Measure and print the table."""
+    """Measures the rates and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--bed", type=Path, metavar="FILE", help="a settled bed (npz)")

@@ -1,11 +1,11 @@
-"""Set up granflow in .venv beside pyproject.toml, then run it; needs nothing but a bare Python.
+"""Installs granflow into .venv next to pyproject.toml and runs it; requires only Python.
 
     python3 tools/dev.py run SCENE [arguments of granflow run]
     python3 tools/dev.py test [arguments of pytest]
-    python3 tools/dev.py slow [arguments of pytest]      the tests that take minutes
-    python3 tools/dev.py check                           lint, format, types, layers
+    python3 tools/dev.py slow [arguments of pytest]      tests that take minutes
+    python3 tools/dev.py check                           lint, format, types, layers, vocabulary
 
-The first start installs the versions pinned in constraints.txt; later starts install nothing.
+The first call installs the versions pinned in constraints.txt; later calls install nothing.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot"
 
 
 def main(arguments: "list[str]") -> int:
-    """Do one verb and return the exit code; on POSIX the verb replaces this process instead."""
+    """Runs one verb and returns its exit code; on POSIX the command of the verb replaces this process."""
     verb, rest = (arguments[0], arguments[1:]) if arguments else ("", [])
     if verb not in EXTRAS:
         print(__doc__.strip(), file=sys.stdout if verb in ("-h", "--help") else sys.stderr)
@@ -36,7 +36,7 @@ def main(arguments: "list[str]") -> int:
 
 
 def command_of(verb: str, rest: "list[str]") -> "list[str]":
-    """The command line of a verb, its program named in full."""
+    """Command line of a verb, with the full path of its program."""
     commands = {
         "run": ["-m", "granflow", "run", *rest],
         "test": ["-m", "pytest", "-n", "auto", "--maxprocesses=4", *rest],
@@ -49,7 +49,7 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
 
 
 def hand_over(command: "list[str]") -> int:
-    """Run the command with our terminal, so that progress bars and Ctrl-C reach it."""
+    """Runs the command in this terminal, so that progress bars and Ctrl-C work."""
     sys.stdout.flush()
     if os.name == "posix":
         os.execv(command[0], command)
@@ -60,16 +60,16 @@ def hand_over(command: "list[str]") -> int:
 
 
 def environment_python() -> Path:
-    """The interpreter of the virtual environment."""
+    """Python interpreter of the virtual environment."""
     return ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def refuse_what_cannot_work() -> None:
-    """Stop with one sentence if this Python, or an environment not ours, stands in the way."""
+    """Stops with one sentence if this Python is not supported or .venv was made by another program."""
     version = sys.version_info[:2]
     if not OLDEST <= version <= NEWEST:
-        there = [name for name in (f"python3.{minor}" for minor in range(13, 9, -1)) if shutil.which(name)]
-        remedy = "start this with " + there[0] if there else "install one of these and start this with it"
+        available = [name for name in (f"python3.{minor}" for minor in range(13, 9, -1)) if shutil.which(name)]
+        remedy = "run this script with " + (available[0] if available else "one of these versions")
         span = f"{dotted(OLDEST)} to {dotted(NEWEST)}"
         stop(f"granflow needs Python {span}, but this is {dotted(version)}: {remedy}.")
     if ENVIRONMENT.exists() and any(ENVIRONMENT.iterdir()) and not STAMP.exists():
@@ -77,7 +77,7 @@ def refuse_what_cannot_work() -> None:
 
 
 def install(extras: "tuple[str, ...]") -> None:
-    """Bring the environment to what pyproject.toml and constraints.txt ask, if it is not there yet."""
+    """Installs the requirements of pyproject.toml and constraints.txt unless they are installed."""
     python, inputs, installed = inputs_and_installed()
     usable = python in installed and environment_python().exists()
     if usable and {inputs, *extras} <= set(installed):
@@ -97,7 +97,7 @@ def install(extras: "tuple[str, ...]") -> None:
 
 
 def inputs_and_installed() -> "tuple[str, str, list[str]]":
-    """This Python and place, a digest of the files that say what to install, and the stamp's lines."""
+    """Python version and folder, digest of the requirement files, and the lines of the stamp file."""
     python = f"python {dotted(sys.version_info[:2])} in {ROOT}"
     digest = hashlib.sha256()
     for name in ("pyproject.toml", "constraints.txt"):
@@ -107,7 +107,7 @@ def inputs_and_installed() -> "tuple[str, str, list[str]]":
 
 
 def make_environment() -> None:
-    """A fresh virtual environment, marked unfinished from its first moment."""
+    """Makes a new virtual environment, marked unfinished until the installation is complete."""
     missing = [name for name in ("venv", "ensurepip") if importlib.util.find_spec(name) is None]
     if missing:
         stop(
@@ -122,11 +122,11 @@ def make_environment() -> None:
 
 
 def attempt(command: "list[str]", failure: str) -> None:
-    """Run a command silently; if it fails, show what it said and stop."""
+    """Runs a command; if it fails, prints its output and stops."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:
         sys.stderr.write(done.stdout.decode(errors="replace"))
-        stop(f"{failure}: mend what is said above, then give the same command again.")
+        stop(f"{failure}: correct the error above, then repeat the command.")
 
 
 def dotted(version: "tuple[int, int]") -> str:
@@ -135,7 +135,7 @@ def dotted(version: "tuple[int, int]") -> str:
 
 
 def stop(sentence: str) -> None:
-    """End with a message and exit code 1."""
+    """Exits with a message and code 1."""
     sys.exit(f"tools/dev.py: {sentence}")
 
 

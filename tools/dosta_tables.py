@@ -1,10 +1,10 @@
-"""The drum and the penetration test of Dosta et al. (2024) from their own beads, where their tables are at hand.
+"""Scenes of the drum and the penetration test of Dosta et al. (2024) with the published initial particle positions.
 
-    python tools/dosta_tables.py FOLDER --out out/dosta      writes drum.yaml, penetration.yaml and the beads of each
+    python tools/dosta_tables.py FOLDER --out out/dosta      writes drum.yaml, penetration.yaml and particle tables
     granflow run out/dosta/drum.yaml
 
 FOLDER holds Drum_PartCoordinates.txt and Penetration_25KParticles.txt of the open data of the paper's MercuryDPM entry
-(columns radius, x, y, z in meters). The scenes are those in scenes/dosta2024, the drum at its full size.
+(columns radius, x, y, z in m). The scenes are those in scenes/dosta2024; the drum has its full size.
 """
 
 import argparse
@@ -19,11 +19,11 @@ DRUM_TABLE, PENETRATION_TABLE = "Drum_PartCoordinates.txt", "Penetration_25KPart
 DRUM = ["scale=2", "stages=[{name: turn, duration: 5 s}]"]
 PENETRATION = ["particles.ball.insert.start=0 s", "run.duration=0.03 s"]
 BEADS = {1e-3: "m1", 2e-3: "m2"}
-"""Their material by the radius [m]."""
+"""Material by particle radius [m]."""
 
 
 def split(table: Path, out: Path, name: str) -> dict[float, str]:
-    """Write the beads of each radius [m] to a file of its own, without lines that are no beads; return the files."""
+    """Writes the particles of each radius [m] to a separate file, skipping other lines; returns the files."""
     head, *lines = table.read_text(encoding="utf-8").splitlines()
     rows: dict[float, list[str]] = {}
     for line in lines:
@@ -36,7 +36,7 @@ def split(table: Path, out: Path, name: str) -> dict[float, str]:
 
 
 def write(name: str, groups: dict[str, float], overrides: list[str], table: Path, out: Path) -> Path:
-    """Write a scene whose `groups`, each with a radius [m], stand where the table says; return its path."""
+    """Writes a scene whose `groups`, each with one radius [m], have the positions of the table; returns its path."""
     files, path = split(table, out, name), out / f"{name}.yaml"
     path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).text(), encoding="utf-8")
     placed = [
@@ -48,7 +48,7 @@ def write(name: str, groups: dict[str, float], overrides: list[str], table: Path
 
 
 def main() -> None:
-    """Write both."""
+    """Writes both scenes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("out/dosta"))

@@ -1,4 +1,4 @@
-"""Regression check of results to the bit: hashes of the last frame of short versions of six scenes.
+"""Bitwise regression check: hashes of the last frame of shortened versions of six scenes.
 
     python tools/frame_hashes.py --out before.json          runs each scene in f64 and mixed, on one and two threads
     python tools/frame_hashes.py --compare before.json      runs them again and reports each frame that differs
@@ -29,11 +29,11 @@ SCENES = {
     "shear_cell": ["--until", "0.1s"],
     "flat_silo": ["--until", "0.1s"],
 }
-"""Each scene with the arguments that shorten it."""
+"""Arguments that shorten each scene."""
 
 
 def main() -> int:
-    """Run all cases and write or compare their hashes; 0 if no frame differs."""
+    """Runs all cases and writes or compares their hashes; returns 0 if no frame differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, help="write the hashes to this JSON file")
     parser.add_argument("--compare", type=Path, help="compare with the hashes of this JSON file")
@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def hashes_of(scene: str, precision: str) -> dict[str, str]:
-    """SHA-256 of each array of the last frame; stops if one thread and two differ."""
+    """SHA-256 of each array of the last frame; stops if one and two threads give different frames."""
     one, two = (last_frame(scene, precision, threads) for threads in (1, 2))
     print(f"{scene} {precision}: {len(one)} arrays", flush=True)
     if one != two:

@@ -1,10 +1,10 @@
-"""Makes meshes of equipment to try: a screw conveyor, a paddle mixer, a hopper; writes STL, in meters.
+"""Writes example meshes of equipment as STL: a screw conveyor, a paddle mixer, a hopper; lengths in m.
 
     python tools/meshes.py screw screw.stl --radius 0.03 --length 0.2 --pitch 0.05
     python tools/meshes.py mixer mixer.stl --paddles 6 --tilt 45
     python tools/meshes.py hopper hopper.stl --outlet 0.01
 
-Screw and mixer turn about the x axis and begin at x = 0; the hopper stands upright with its outlet around the origin.
+Screw and mixer rotate about the x axis and start at x = 0; the axis of the hopper is z, its outlet is at the origin.
 """
 
 import argparse
@@ -20,27 +20,27 @@ Surface = tuple[np.ndarray, np.ndarray]
 
 
 def patch(grid: np.ndarray, around: bool = False) -> Surface:
-    """Triangles over a grid (m, n, 3) of points; with `around` the last column meets the first."""
+    """Triangles on a grid (m, n, 3) of points; with `around` the last column is connected to the first."""
     rows, columns = grid.shape[:2]
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij")
     number = (row * columns + column).reshape(-1)
-    beside = (row * columns + (column + 1) % columns).reshape(-1)
-    lower = np.stack([number, beside, beside + columns], axis=1)
-    upper = np.stack([number, beside + columns, number + columns], axis=1)
+    following = (row * columns + (column + 1) % columns).reshape(-1)
+    lower = np.stack([number, following, following + columns], axis=1)
+    upper = np.stack([number, following + columns, number + columns], axis=1)
     return grid.reshape(-1, 3), np.concatenate([lower, upper])
 
 
 def joined(surfaces: Sequence[Surface]) -> Surface:
-    """Several surfaces as one."""
+    """Surfaces joined into one."""
     before = np.cumsum([0, *(len(points) for points, _ in surfaces)])
     triangles = [corners + shift for (_, corners), shift in zip(surfaces, before, strict=False)]
     return np.concatenate([points for points, _ in surfaces]), np.concatenate(triangles)
 
 
 def revolved(profile: np.ndarray, facets: int) -> Surface:
-    """The line through points (m, 2) of (radius, height) turned about the x axis; the facets' middles keep the radius.
+    """Surface of revolution about the x axis of a line through points (m, 2) of (radius, height).
 
-    Points on the axis give triangles without area, which are left out.
+    The centers of the facets have the given radius. Triangles without area, at points on the axis, are omitted.
     """
     angle = 2.0 * np.pi * (np.arange(facets) + 0.5) / facets
     radius, height = profile[:, :1] / np.cos(np.pi / facets), profile[:, 1:]
@@ -51,12 +51,12 @@ def revolved(profile: np.ndarray, facets: int) -> Surface:
 
 
 def shaft(radius: float, length: float, facets: int) -> Surface:
-    """A closed round bar along the x axis."""
+    """Closed cylinder along the x axis."""
     return revolved(np.array([[0.0, 0.0], [radius, 0.0], [radius, length], [0.0, length]]), facets)
 
 
 def screw(options: argparse.Namespace) -> Surface:
-    """A shaft with one helical flight, a sheet, between the two radii."""
+    """Screw conveyor: a shaft with one helical flight of zero thickness between the two radii."""
     steps = max(round(options.length / options.pitch * options.facets), 1)
     x = np.linspace(0.0, options.length, steps + 1)
     angle = 2.0 * np.pi * x / options.pitch * (-1.0 if options.left else 1.0)
@@ -68,28 +68,28 @@ def screw(options: argparse.Namespace) -> Surface:
 
 
 def paddle(options: argparse.Namespace, x: float, angle: float) -> Surface:
-    """A flat box from the shaft's axis outwards, turned about its own length by the tilt."""
+    """Flat box that extends radially from the axis of the shaft, rotated about its length by the tilt."""
     half = 0.5 * np.array([options.width, options.thickness])
     tilt = np.radians(options.tilt)
     across = np.array([[np.cos(tilt), np.sin(tilt)], [-np.sin(tilt), np.cos(tilt)]])
     section = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ across
     ends = [0.5 * options.shaft, options.radius]
-    local = np.array([[[u, v, r] for u, v in section] for r in ends])
-    radial, beside = np.array([0.0, np.cos(angle), np.sin(angle)]), np.array([0.0, -np.sin(angle), np.cos(angle)])
-    grid = np.array([x, 0.0, 0.0]) + local @ np.array([[1.0, 0.0, 0.0], beside, radial])
+    corner_grid = np.array([[[u, v, r] for u, v in section] for r in ends])
+    radial, azimuthal = np.array([0.0, np.cos(angle), np.sin(angle)]), np.array([0.0, -np.sin(angle), np.cos(angle)])
+    grid = np.array([x, 0.0, 0.0]) + corner_grid @ np.array([[1.0, 0.0, 0.0], azimuthal, radial])
     points, sides = patch(grid, around=True)
     return points, np.concatenate([sides, [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]])
 
 
 def mixer(options: argparse.Namespace) -> Surface:
-    """A shaft with paddles spread along it, each a quarter turn on from the last."""
-    places = options.length * (np.arange(options.paddles) + 0.5) / options.paddles
-    paddles = [paddle(options, x, 0.5 * np.pi * n) for n, x in enumerate(places)]
+    """Paddle mixer: a shaft with equally spaced paddles, each rotated by 90 degrees relative to the previous one."""
+    positions = options.length * (np.arange(options.paddles) + 0.5) / options.paddles
+    paddles = [paddle(options, x, 0.5 * np.pi * n) for n, x in enumerate(positions)]
     return joined([shaft(options.shaft, options.length, options.facets), *paddles])
 
 
 def hopper(options: argparse.Namespace) -> Surface:
-    """A tube over a cone over an outlet tube, open at both ends, upright."""
+    """Vertical hopper: a tube above a cone above an outlet tube, open at both ends."""
     slope = (options.radius - options.outlet) / np.tan(np.radians(options.half_angle))
     profile = [[options.outlet, -options.outlet], [options.outlet, 0.0], [options.radius, slope]]
     points, corners = revolved(np.array([*profile, [options.radius, slope + options.height]]), options.facets)
@@ -104,11 +104,11 @@ KINDS = {
     },
     hopper: {"radius": 0.03, "outlet": 0.01, "half_angle": 30.0, "height": 0.04, "facets": 48},
 }  # fmt: skip
-"""What is made, with every parameter's default: lengths in meters, angles in degrees."""
+"""Meshes with the defaults of their parameters: lengths in m, angles in degrees."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make one mesh and write it."""
+    """Writes one mesh."""
     options = parser().parse_args(arguments)
     points, corners = options.make(options)
     meshio.write(options.file, meshio.Mesh(points, [("triangle", corners)]), file_format="stl", binary=True)
@@ -119,21 +119,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line: a kind of mesh, a file, and the kind's own parameters."""
-    found = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    kinds = found.add_subparsers(required=True, metavar="KIND")
+    """Parser of the command line: the kind of mesh, a file, and the parameters of the kind."""
+    command_line = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    kinds = command_line.add_subparsers(required=True, metavar="KIND")
     for make, defaults in KINDS.items():
-        own = kinds.add_parser(make.__name__, help=make.__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-        own.set_defaults(make=make)
-        own.add_argument("file", type=Path, help="where it goes, such as mesh.stl")
+        subparser = kinds.add_parser(
+            make.__name__, help=make.__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+        )
+        subparser.set_defaults(make=make)
+        subparser.add_argument("file", type=Path, help="file to write, such as mesh.stl")
         for name, value in defaults.items():
-            own.add_argument(f"--{name.replace('_', '-')}", type=type(value), default=value, help=unit_of(name, value))
+            subparser.add_argument(
+                f"--{name.replace('_', '-')}", type=type(value), default=value, help=unit_of(name, value)
+            )
     kinds.choices["screw"].add_argument("--left", action="store_true", help="a left-handed flight")
-    return found
+    return command_line
 
 
 def unit_of(name: str, value: float) -> str:
-    """What a parameter is measured in."""
+    """Unit of a parameter."""
     if isinstance(value, int):
         return "count"
     return "degrees" if name in ("tilt", "half_angle") else "m"

@@ -1,8 +1,8 @@
-"""Mutation test: puts one wrong text after another into a copy of the source and runs the tests that must notice.
+"""Mutation test: inserts one error at a time into a copy of the source and runs the tests that must detect it.
 
 python tools/mutate.py                  all mutations of tools/mutations.py, one line each; exit code 1 if one survives
-python tools/mutate.py "unit N/cm"      these only
-python tools/mutate.py --check          only whether the text of every mutation occurs once in its file
+python tools/mutate.py "unit N/cm"      only the given mutations
+python tools/mutate.py --check          only checks that the text of each mutation occurs once in its file
 """
 
 import argparse
@@ -21,14 +21,14 @@ from mutations import MUTATIONS, Mutation
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("granflow", "tests", "tools", "scenes", "docs", "pyproject.toml", "README.md", "CHANGELOG.md")
 LONGEST = 300.0
-"""Seconds for the tests of one mutation; more counts as killed, since a loop that does not end is noticed."""
+"""Time limit [s] for the tests of one mutation; a mutation that exceeds it counts as killed."""
 
 PASSED, FAILED = 0, 1
 """Exit codes of pytest."""
 
 
 def problems(mutations: Iterable[Mutation], root: Path = ROOT) -> list[str]:
-    """One sentence for each mutation whose text does not occur exactly once in its file."""
+    """Messages for the mutations whose text does not occur exactly once in their file."""
     found = []
     for each in mutations:
         path = root / each.file
@@ -44,7 +44,7 @@ def problems(mutations: Iterable[Mutation], root: Path = ROOT) -> list[str]:
 
 
 def copy_to(folder: Path, root: Path = ROOT) -> Path:
-    """A copy of the source, the tests and what they read."""
+    """Copies the source, the tests and the files that they read."""
     for name in PARTS:
         source = root / name
         if source.is_dir():
@@ -54,8 +54,8 @@ def copy_to(folder: Path, root: Path = ROOT) -> Path:
     return folder
 
 
-def outcome(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
-    """Exit code of pytest in a copy; None where it takes too long."""
+def pytest_code(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
+    """Exit code of pytest in a copy; None if it exceeds the time limit."""
     environment = os.environ | {"PYTHONPATH": str(copy), "GRANFLOW_CACHE": str(kernels)}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     try:
@@ -66,7 +66,7 @@ def outcome(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
 
 @contextmanager
 def mutated(copy: Path, mutation: Mutation) -> Iterator[None]:
-    """The copy with the wrong text in it; the right one afterwards."""
+    """Applies a mutation to the copy and restores the file on exit."""
     path = copy / mutation.file
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
@@ -76,22 +76,22 @@ def mutated(copy: Path, mutation: Mutation) -> Iterator[None]:
         path.write_text(text, encoding="utf-8")
 
 
-def verdict(copy: Path, mutation: Mutation, kernels: Path) -> str:
-    """killed, SURVIVED, or ERROR where pytest could not run the tests."""
+def status_of(copy: Path, mutation: Mutation, kernels: Path) -> str:
+    """`killed`, `SURVIVED`, or `ERROR` if pytest cannot run the tests."""
     with mutated(copy, mutation):
-        code = outcome(copy, mutation.tests, kernels)
+        code = pytest_code(copy, mutation.tests, kernels)
     if code is None:
-        return "killed (took too long)"
+        return "killed (time limit)"
     return {PASSED: "SURVIVED", FAILED: "killed"}.get(code, f"ERROR (pytest ended with {code})")
 
 
 def run(mutations: Sequence[Mutation], workers: int) -> list[tuple[Mutation, str]]:
-    """Verdicts on all mutations; prints each as it is known. The tests must pass without a mutation first."""
+    """Status of each mutation, printed as soon as it is known. The tests must pass without a mutation."""
     with tempfile.TemporaryDirectory() as folder:
         copies = [copy_to(Path(folder) / f"copy_{number}") for number in range(workers)]
         kernels = Path(folder) / "kernels"
         tests = sorted({test for each in mutations for test in each.tests})
-        code = outcome_without(copies[0], tests, kernels)
+        code = code_without_mutation(copies[0], tests, kernels)
         if code != PASSED:
             raise SystemExit(f"Without a mutation, pytest ends with {code}: repair the tests first.")
         with ThreadPoolExecutor(workers) as pool:
@@ -101,11 +101,11 @@ def run(mutations: Sequence[Mutation], workers: int) -> list[tuple[Mutation, str
     return [(each, by_name[each.name]) for each in mutations]
 
 
-def outcome_without(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
-    """Exit code of the tests without a mutation, file by file: several at once could exceed the time for one."""
+def code_without_mutation(copy: Path, tests: Sequence[str], kernels: Path) -> int | None:
+    """Exit code of the tests without a mutation, file by file, so that the time limit applies to one file."""
     files = sorted({test.partition("::")[0] for test in tests})
     for file in files:
-        code = outcome(copy, [test for test in tests if test.partition("::")[0] == file], kernels)
+        code = pytest_code(copy, [test for test in tests if test.partition("::")[0] == file], kernels)
         if code != PASSED:
             print(f"{file}: failed without a mutation", flush=True)
             return code
@@ -113,18 +113,18 @@ def outcome_without(copy: Path, tests: Sequence[str], kernels: Path) -> int | No
 
 
 def report(copy: Path, mutation: Mutation, kernels: Path) -> tuple[str, str]:
-    """Name and verdict of one mutation, printed."""
-    found = verdict(copy, mutation, kernels)
+    """Name and status of one mutation; prints them."""
+    found = status_of(copy, mutation, kernels)
     print(f"{found:24} {mutation.name:32} {mutation.file}", flush=True)
     return mutation.name, found
 
 
 def main() -> int:
-    """Run the mutations; 1 where one is not killed."""
+    """Runs the mutations; returns 1 if one is not killed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", help="names of mutations; left out: all")
-    parser.add_argument("--check", action="store_true", help="only compare the mutations with the source")
-    parser.add_argument("--jobs", type=int, default=2, help="copies that run side by side (default 2)")
+    parser.add_argument("names", nargs="*", help="names of mutations; default: all")
+    parser.add_argument("--check", action="store_true", help="only check that the mutations apply to the source")
+    parser.add_argument("--jobs", type=int, default=2, help="number of copies tested simultaneously (2)")
     options = parser.parse_args()
     unknown = sorted(set(options.names) - {each.name for each in MUTATIONS})
     chosen = [each for each in MUTATIONS if not options.names or each.name in options.names]
@@ -135,10 +135,13 @@ def main() -> int:
     if options.check:
         print(f"{len(chosen)} mutations fit the source.")
         return 0
-    verdicts = run(chosen, max(min(options.jobs, len(chosen)), 1))
-    alive = [each.name for each, found in verdicts if not found.startswith("killed")]
-    print(f"{len(verdicts) - len(alive)} of {len(verdicts)} killed" + (f"; not: {', '.join(alive)}" if alive else ""))
-    return 1 if alive else 0
+    statuses = run(chosen, max(min(options.jobs, len(chosen)), 1))
+    surviving = [each.name for each, found in statuses if not found.startswith("killed")]
+    print(
+        f"{len(statuses) - len(surviving)} of {len(statuses)} killed"
+        + (f"; not: {', '.join(surviving)}" if surviving else "")
+    )
+    return 1 if surviving else 0
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""The mutations of tools/mutate.py: a text of the source, a wrong text in its place, and the tests that must fail."""
+"""The mutations of tools/mutate.py: a text of the source, an erroneous replacement, and the tests that must fail."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Mutation:
-    """One wrong change. `old` occurs exactly once in `file`; `tests` are arguments for pytest."""
+    """One erroneous change. `old` occurs exactly once in `file`; `tests` are arguments of pytest."""
 
     name: str
     file: str
@@ -19,7 +19,7 @@ STEP = "tests/plan/test_time_step.py::"
 THEORY = "tests/laws/test_theory.py::"
 MOTION = "tests/walls/test_motion.py::"
 CHECKPOINT = "tests/resume/test_checkpoint.py::"
-BOOKS = "tests/device/test_energy_sums.py"
+ENERGY = "tests/device/test_energy_sums.py"
 LIMITS = "tests/device/test_limit_bounds.py::"
 OVERLAP = f"{LIMITS}test_the_overlap_limit_holds_for_each_kind_of_contact"
 WALL_TIME = "tests/device/test_wall_velocity_time.py"
@@ -44,7 +44,7 @@ MUTATIONS = (
         (f"{STEP}test_step_is_a_fraction_of_the_shortest_contact_phase",),
     ),
     Mutation(
-        "largest overlap",
+        "maximum overlap",
         "granflow/laws/theory.py",
         "return (1.25 * mass",
         "return (1.2 * mass",
@@ -58,7 +58,7 @@ MUTATIONS = (
         (f"{THEORY}test_recovery_is_the_root_of_equation_8",),
     ),
     Mutation(
-        "least restitution",
+        "smallest restitution",
         "granflow/laws/theory.py",
         "np.sqrt(1.25 * k * np.sqrt(largest)",
         "np.sqrt(k * np.sqrt(largest)",
@@ -86,7 +86,7 @@ MUTATIONS = (
         (f"{STEP}test_rayleigh_fraction_limits_the_step",),
     ),
     Mutation(
-        "refusal of an unstable step",
+        "rejection of an unstable step",
         "granflow/plan/time_step.py",
         "if value > stable:",
         "if value > 100.0 * stable:",
@@ -141,49 +141,49 @@ MUTATIONS = (
         "granflow/observe/lock.py",
         "fcntl.LOCK_EX",
         "fcntl.LOCK_SH",
-        (f"{CHECKPOINT}test_a_directory_is_held_by_one_run_and_a_dead_one_lets_go",),
+        (f"{CHECKPOINT}test_lock_is_exclusive_and_ends_with_its_process",),
     ),
     Mutation(
         "checksum ignored",
         "granflow/observe/checkpoint.py",
         "if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
-        (f"{CHECKPOINT}test_every_bit_counts",),
+        (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),
     ),
     Mutation(
         "one checkpoint too many",
         "granflow/observe/checkpoint.py",
         "checkpoints(directory)[count:]",
         "checkpoints(directory)[count + 1 :]",
-        (f"{CHECKPOINT}test_the_last_few_are_kept",),
+        (f"{CHECKPOINT}test_only_the_newest_checkpoints_are_kept",),
     ),
     # Energy
     Mutation(
-        "kinetic energy", "granflow/device/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (BOOKS,)
+        "kinetic energy", "granflow/device/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (ENERGY,)
     ),
     Mutation(
-        "moment of inertia", "granflow/device/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (BOOKS,)
+        "moment of inertia", "granflow/device/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
     ),
     Mutation(
         "work of walls",
         "granflow/device/accounting.py",
         'works = (losses["wall_work"], *',
         'works = (-losses["wall_work"], *',
-        (BOOKS,),
+        (ENERGY,),
     ),
     Mutation(
         "damping in the budget",
         "granflow/device/accounting.py",
         '("plastic", "friction", "rolling", "damping"))',
         '("plastic", "friction", "rolling"))',
-        (BOOKS,),
+        (ENERGY,),
     ),
     Mutation(
-        "energy brought in",
+        "inserted energy",
         "granflow/device/accounting.py",
         "accounting.removed_energy - accounting.inserted_energy",
         "accounting.removed_energy + accounting.inserted_energy",
-        (BOOKS,),
+        (ENERGY,),
     ),
     # Limits on the device
     Mutation(
@@ -230,7 +230,7 @@ MUTATIONS = (
         (LAWS,),
     ),
     Mutation(
-        "memory of the largest overlap",
+        "history of the maximum overlap",
         "granflow/laws/zhou.py",
         "ti.Vector([ti.max(overlap, overlap_max), e,",
         "ti.Vector([overlap, e,",
@@ -244,14 +244,14 @@ MUTATIONS = (
         (WALL_TIME,),
     ),
     Mutation(
-        "cap of friction",
+        "Coulomb limit",
         "granflow/laws/mindlin.py",
         "ti.select(square > cap * cap,",
         "ti.select(square > 2.0 * cap * cap,",
         (f"{SPRINGS}test_spring_force_is_limited_to_the_friction_limit",),
     ),
     Mutation(
-        "work of the spring",
+        "work of the tangential spring",
         "granflow/laws/mindlin.py",
         "0.5 * (stiffness_before * rotated - force)",
         "0.5 * (stiffness_before * rotated + force)",
@@ -273,7 +273,7 @@ MUTATIONS = (
     ),
     # Neighbor list, periodic images, walls
     Mutation(
-        "image below",
+        "minimum image at the lower side",
         "granflow/device/periodic_box.py",
         "ti.select(branch[axis] < -half, width",
         "ti.select(branch[axis] < -width, width",

@@ -1,9 +1,9 @@
-"""The numbers in docs/scenes.md that a run's own tables do not have, from its files.
+"""Computes the numbers of docs/scenes.md that are not in the result tables of a run from its output files.
 
 python tools/scene_numbers.py column out/column_collapse     aspect ratio, run-out
-python tools/scene_numbers.py drum out/drum                  beads per quadrant against time
-python tools/scene_numbers.py ball out/penetration           height of the ball against time, depth
-python tools/scene_numbers.py silo out/silo_large_orifice    beads left against time, flow early and late
+python tools/scene_numbers.py drum out/drum                  particles per quadrant over time
+python tools/scene_numbers.py ball out/penetration           height and penetration depth of the ball over time
+python tools/scene_numbers.py silo out/silo_large_orifice    remaining particles over time, early and late flow
 """
 
 import argparse
@@ -17,15 +17,15 @@ import meshio
 import numpy as np
 
 COVERED = 0.5
-"""Share of the floor that beads hide at the edge of a deposit."""
+"""Share of the floor that particles cover at the edge of a deposit."""
 
 TAIL = 0.02
-"""Share of the beads that may lie above what is called the top of a bed: a few lie on it."""
+"""Share of the particles above the top of a bed, since a few particles lie on its surface."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a run: its time [s] and the arrays of its particles."""
+    """One frame of a run: time [s] and particle arrays."""
 
     time: float
     position: np.ndarray
@@ -34,14 +34,14 @@ class Frame:
 
 
 def frames(folder: Path) -> list[Frame]:
-    """All frames of a run that hold particles, in the order of time."""
-    listed = ElementTree.parse(folder / "particles.pvd").iter("DataSet")
-    read = (read_frame(folder / str(each.get("file")), float(str(each.get("timestep")))) for each in listed)
+    """All frames of a run that contain particles, ordered by time."""
+    data_sets = ElementTree.parse(folder / "particles.pvd").iter("DataSet")
+    read = (read_frame(folder / str(each.get("file")), float(str(each.get("timestep")))) for each in data_sets)
     return [frame for frame in read if frame is not None]
 
 
 def read_frame(path: Path, time: float) -> Frame | None:
-    """One frame; None where there is no particle."""
+    """One frame; None without particles."""
     mesh = meshio.read(path)
     if not len(mesh.points):
         return None
@@ -50,49 +50,50 @@ def read_frame(path: Path, time: float) -> Frame | None:
 
 
 def top_of(frame: Frame) -> float:
-    """Height [m] that all but TAIL of the beads stay below."""
+    """Height [m] below which all particles except the share TAIL lie."""
     return float(np.quantile(frame.position[:, 2] + frame.radius, 1 - TAIL))
 
 
 def edge_of(position: np.ndarray, radius: np.ndarray, covered: float = COVERED) -> float:
-    """Radius [m] of a round deposit about the z axis: half a bead beyond where beads cease to hide the share `covered`.
+    """Radius [m] of a round deposit about the z axis at which the covered share of the floor falls below `covered`.
 
-    Rings are as wide as a mean bead and hold the beads whose centers they hold; one above another counts again.
+    The share is computed in rings of one mean diameter from the particles with centers in the ring, including
+    particles above one another, and interpolated between the outer edges of the rings.
     """
     width = 2 * float(radius.mean())
     ring = (np.hypot(position[:, 0], position[:, 1]) / width).astype(int)
-    hidden = np.bincount(ring, np.pi * radius**2)
-    share = hidden / (np.pi * width**2 * (2 * np.arange(len(hidden)) + 1))
+    covered_area = np.bincount(ring, np.pi * radius**2)
+    share = covered_area / (np.pi * width**2 * (2 * np.arange(len(covered_area)) + 1))
     last = int(np.flatnonzero(share >= covered)[-1])
     following = share[last + 1] if last + 1 < len(share) else 0.0
     return float(width * (last + 1 + (share[last] - covered) / (share[last] - following)))
 
 
 def column(folder: Path) -> str:
-    """Aspect ratio before the collapse, and run-out after it, of the last group of a scene."""
-    everything = frames(folder)
-    opened = opening(folder)
-    before = [frame for frame in everything if frame.time <= opened][-1]
-    start, end = (of_group(frame, int(frame.group.max())) for frame in (before, everything[-1]))
+    """Aspect ratio before the collapse and run-out after it, of the last group of a scene."""
+    all_frames = frames(folder)
+    opening_time = opening(folder)
+    before = [frame for frame in all_frames if frame.time <= opening_time][-1]
+    start, end = (of_group(frame, int(frame.group.max())) for frame in (before, all_frames[-1]))
     r_start = float((np.hypot(start.position[:, 0], start.position[:, 1]) + start.radius).max())
     height = top_of(start) - float((start.position[:, 2] - start.radius).min())
     lines = [f"r0 {1e3 * r_start:.1f} mm, h0 {1e3 * height:.1f} mm, a = {height / r_start:.2f}"]
     for covered in (0.75, COVERED, 0.25):
         run_out = edge_of(end.position, end.radius, covered) / r_start - 1
         lines.append(f"(r - r0) / r0 = {run_out:.2f} where {covered:.0%} is covered")
-    away = np.hypot(end.position[:, 0], end.position[:, 1]) > r_start * (1 + run_out)
-    lines.append(f"top {1e3 * top_of(end):.1f} mm, beads farther out {away.sum()}")
+    distant = np.hypot(end.position[:, 0], end.position[:, 1]) > r_start * (1 + run_out)
+    lines.append(f"top {1e3 * top_of(end):.1f} mm, particles farther out {distant.sum()}")
     return "\n".join(lines)
 
 
 def of_group(frame: Frame, group: int) -> Frame:
     """The particles of one group."""
-    mine = frame.group == group
-    return Frame(frame.time, frame.position[mine], frame.radius[mine], frame.group[mine])
+    selected = frame.group == group
+    return Frame(frame.time, frame.position[selected], frame.radius[selected], frame.group[selected])
 
 
 def opening(folder: Path) -> float:
-    """When the last stage began [s]: the last row of the stage before it."""
+    """Start of the last stage [s]: time of the last row of the previous stage."""
     rows = read_rows(folder)
     return max((float(row["time [s]"]) for row in rows if row["stage"] != rows[-1]["stage"]), default=0.0)
 
@@ -104,17 +105,17 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
 
 
 def quadrants(position: np.ndarray) -> np.ndarray:
-    """Beads (4,) in x < 0, z >= 0; x >= 0, z >= 0; x < 0, z < 0; x >= 0, z < 0: top left first."""
+    """Particle counts (4,) in x < 0, z >= 0; x >= 0, z >= 0; x < 0, z < 0; x >= 0, z < 0."""
     right, below = position[:, 0] >= 0, position[:, 2] < 0
     return np.bincount(2 * below + right, minlength=4)
 
 
 def drum(folder: Path) -> str:
-    """Beads of every group in each quadrant of the plane of rotation, against time."""
-    everything = frames(folder)
+    """Particles of each group in each quadrant of the plane of rotation, over time."""
+    all_frames = frames(folder)
     names = ("top left", "top right", "bottom left", "bottom right")
     lines = [f"{'time [s]':>8} {'group':>6} " + " ".join(f"{name:>12}" for name in names)]
-    for frame in everything[:: max(len(everything) // 16, 1)]:
+    for frame in all_frames[:: max(len(all_frames) // 16, 1)]:
         for group in range(int(frame.group.max()) + 1):
             counts = quadrants(of_group(frame, group).position)
             lines.append(f"{frame.time:8.2f} {group:6d} " + " ".join(f"{count:12d}" for count in counts))
@@ -122,7 +123,7 @@ def drum(folder: Path) -> str:
 
 
 def ball(folder: Path) -> str:
-    """Height of the largest sphere against time, over the top of the others when it was first there."""
+    """Lowest point of the largest particle over time, and its depth below the initial surface of the bed."""
     lines, surface, depths = [f"{'time [s]':>8} {'lowest point [mm]':>18} {'depth [mm]':>11}"], None, []
     for frame in frames(folder):
         largest = int(frame.radius.argmax())
@@ -138,17 +139,21 @@ def ball(folder: Path) -> str:
 
 
 def silo(folder: Path) -> str:
-    """Beads left against time, and the flow in the first and second half of the steady middle."""
+    """Remaining particles over time, and the flow in both halves of the steady part of the discharge."""
     rows = [row for row in read_rows(folder) if row["stage"] == "discharge"]
-    time, left, out = (
+    time, remaining, out = (
         np.array([float(row[name]) for row in rows]) for name in ("time [s]", "particle_count", "flow_count.outlet")
     )
-    lines = [f"{time[i] - time[0]:6.2f} s: {left[i]:.0f} left" for i in range(0, len(time), max(len(time) // 12, 1))]
+    lines = [
+        f"{time[i] - time[0]:6.2f} s: {remaining[i]:.0f} remaining"
+        for i in range(0, len(time), max(len(time) // 12, 1))
+    ]
     count = out[-1] - out[0]
-    moments = [float(np.interp(share * count, out - out[0], time)) for share in (0.1, 0.45, 0.8)]
-    first, second = (0.35 * count / (end - start) for start, end in zip(moments, moments[1:], strict=False))
+    times = [float(np.interp(share * count, out - out[0], time)) for share in (0.1, 0.45, 0.8)]
+    first, second = (0.35 * count / (end - start) for start, end in zip(times, times[1:], strict=False))
     lines.append(
-        f"10 to 45 % of what left: {first:.0f} beads/s; 45 to 80 %: {second:.0f} beads/s, {second / first - 1:+.1%}"
+        f"10 to 45 % of the discharge: {first:.0f} particles/s; 45 to 80 %: {second:.0f} particles/s, "
+        f"{second / first - 1:+.1%}"
     )
     return "\n".join(lines)
 
@@ -157,7 +162,7 @@ KINDS: dict[str, Callable[[Path], str]] = {"column": column, "drum": drum, "ball
 
 
 def main() -> None:
-    """Print the numbers of one run."""
+    """Prints the numbers of one run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("folder", type=Path)

@@ -1,12 +1,12 @@
-"""The tables of docs/scenes.md, written between markers from stored numbers; nothing in them is edited by hand.
+"""Writes the tables of docs/scenes.md between markers from stored numbers; the tables are not edited by hand.
 
 python tools/scene_table.py                     write the tables into docs/scenes.md
-python tools/scene_table.py --check             exit code 1 where the tables are not what the stored numbers give
-python tools/scene_table.py --record out/mixer  store the numbers of a finished run first, from its result.json
+python tools/scene_table.py --check             exit code 1 if the tables differ from the stored numbers
+python tools/scene_table.py --record out/mixer  first store the numbers of a finished run from its result.json
 
-docs/scenes_comparisons.yaml holds the published values beside the measured ones of the comparisons, with the date and
-commit of the measurement. docs/scenes_results.json holds what runs of the shipped scenes gave for the quantities of
-their `expect`, with date and commit.
+docs/scenes_comparisons.yaml contains the published and the measured values of the comparisons, with date and commit of
+the measurement. docs/scenes_results.json contains the results of the shipped scenes for the quantities of their
+`expect`, with date and commit.
 """
 
 import argparse
@@ -29,7 +29,7 @@ COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "d
 
 
 def names() -> list[str]:
-    """Every shipped scene: its path below scenes/ without the ending."""
+    """Names of the shipped scenes: paths relative to scenes/ without suffix."""
     return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml"))
 
 
@@ -39,7 +39,7 @@ def row(cells: Sequence[str]) -> str:
 
 
 def comparisons() -> Iterator[str]:
-    """The comparisons with published values."""
+    """Rows of the comparisons with published values."""
     yield row(COLUMNS)
     yield row(["---"] * len(COLUMNS))
     for each in YAML(typ="safe").load(COMPARISONS):
@@ -47,7 +47,7 @@ def comparisons() -> Iterator[str]:
 
 
 def expected(expectation: Any) -> str:
-    """What a scene expects of a quantity [SI]."""
+    """Expected value or range of a quantity [SI] as text."""
     if expectation.between is not None:
         return "{:.6g} to {:.6g}".format(*expectation.between)
     if expectation.equals is not None:
@@ -57,7 +57,7 @@ def expected(expectation: Any) -> str:
 
 
 def expectations() -> Iterator[str]:
-    """One row for each quantity that a shipped scene expects, with what a run gave."""
+    """One row for each expectation of a shipped scene, with the result of a run."""
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     yield row(("scene", "quantity [SI]", "expected", "run", "recorded"))
     yield row(["---"] * 5)
@@ -66,15 +66,15 @@ def expectations() -> Iterator[str]:
         recorded = f"{run['date']}, {run['commit']}" if run else "not recorded"
         for each in load(SCENES / f"{name}.yaml").expect:
             number = run.get("numbers", {}).get(each.quantity)
-            shown = "" if number is None else f"{number:.5g}"
-            yield row((f"`{name}`", f"`{each.quantity}`", expected(each), shown, recorded))
+            value = "" if number is None else f"{number:.5g}"
+            yield row((f"`{name}`", f"`{each.quantity}`", expected(each), value, recorded))
 
 
 TABLES = {"comparisons": comparisons, "expectations": expectations}
 
 
 def written(text: str) -> str:
-    """The page with its tables as the stored numbers give them. Raises ValueError where a marker is missing."""
+    """The page with tables from the stored numbers. Raises ValueError if a marker is missing."""
     for name, table in TABLES.items():
         begin, end = f"<!-- {name}: written by tools/scene_table.py -->\n", f"<!-- end of {name} -->\n"
         if begin not in text or end not in text:
@@ -85,22 +85,22 @@ def written(text: str) -> str:
 
 
 def record(folder: Path) -> None:
-    """Store the numbers of a finished run of a shipped scene. Raises ValueError for a run of another scene."""
+    """Stores the numbers of a finished run of a shipped scene. Raises ValueError for other scenes."""
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     numbers = numbers_of(result)
     name, scene = shipped(load(folder / "scene_as_run.yaml"))
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
-    wanted = [each.quantity for each in scene.expect]
+    quantities = [each.quantity for each in scene.expect]
     stored[name] = {
         "date": datetime.date.fromtimestamp((folder / "result.json").stat().st_mtime).isoformat(),
         "commit": git("rev-parse", "--short", "HEAD"),
-        "numbers": {quantity: numbers[quantity] for quantity in wanted if quantity in numbers},
+        "numbers": {quantity: numbers[quantity] for quantity in quantities if quantity in numbers},
     }
     RESULTS.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def numbers_of(result: dict[str, Any]) -> dict[str, float]:
-    """The numbers of a result.json by the names that `expect` uses."""
+    """Numbers of a result.json by the names of quantities in `expect`."""
     found = {**result["run"], **result["totals"]}
     for section in ("flow_meters", "wall_forces", "metrics", "insertion"):
         for part, readings in result[section].items():
@@ -109,25 +109,25 @@ def numbers_of(result: dict[str, Any]) -> dict[str, float]:
 
 
 def shipped(scene: Scene) -> tuple[str, Scene]:
-    """Name and text of the shipped scene that this one is, by its title and its expectations."""
+    """Name and content of the shipped scene with this title and these expectations."""
     for name in names():
         other = load(SCENES / f"{name}.yaml")
         if (other.title, other.expect) == (scene.title, scene.expect):
             return name, other
-    raise ValueError(f"{scene.title} is not a shipped scene with its own expectations: run it without --set.")
+    raise ValueError(f"{scene.title} is not a shipped scene with its original expectations: run it without --set.")
 
 
 def git(*arguments: str) -> str:
-    """What git says of the repository."""
+    """Output of git for this repository."""
     return subprocess.run(
         ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=True
     ).stdout.strip()
 
 
 def main() -> int:
-    """Write or check the tables."""
+    """Writes or checks the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="only compare")
+    parser.add_argument("--check", action="store_true", help="only compare the tables")
     parser.add_argument("--record", nargs="+", type=Path, default=[], metavar="OUT", help="folders of finished runs")
     options = parser.parse_args()
     for folder in options.record:

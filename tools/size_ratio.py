@@ -1,10 +1,10 @@
-"""What wide sizes cost: the search class by class against one grid for all, in the same settled beds.
+"""Cost of polydispersity: neighbor-list rebuilds with one cell grid per size class and with one grid for all sizes.
 
     python tools/size_ratio.py [--count 20000] [--ratios 1 2 3 5 10 20] [--rounds 3]
 
-Every bed holds the same mass of each of its sizes, which are about twice as wide from one to the next, between
-periodic sides over a floor. Both ways of searching go on from the same settled state, in turn, on one thread; CPU time
-is counted, and the least of all rounds is printed.
+Each bed has equal masses of its sizes, which increase by a factor of about two, periodic sides and a floor. Both
+methods start from the same settled state and are measured in turn on one thread. The table shows the smallest CPU time
+of all rounds.
 """
 
 import argparse
@@ -19,17 +19,17 @@ from granflow.scene import Scene
 from granflow.simulation import Simulation
 
 SMALLEST = 1e-3
-"""Diameter [m] of the smallest."""
+"""Smallest diameter [m]."""
 
-STEPS_A_SEARCH = 50
-"""Steps from search to search in a bed that flows, for the rate of both together."""
+STEPS_PER_REBUILD = 50
+"""Assumed steps between rebuilds of a flowing bed, for the total rate."""
 
 SOLID_FRACTION = 0.5
 STEPS = 200
 
 
 def scene_of(ratio: float, count: int) -> Scene:
-    """A bed of so many particles, whose largest are `ratio` times as wide as the smallest."""
+    """Scene of a bed of `count` particles with a ratio `ratio` of the largest to the smallest diameter."""
     steps = max(ceil(log2(ratio)), 1)
     diameters = SMALLEST * ratio ** (np.arange(steps + 1) / steps) if ratio > 1.0 else np.array([SMALLEST])
     volume = count * len(diameters) * np.pi / 6.0 / np.sum(diameters**-3.0)
@@ -57,59 +57,66 @@ def scene_of(ratio: float, count: int) -> Scene:
     })  # fmt: skip
 
 
-def relaxed(ratio: float, count: int) -> tuple[Simulation, Simulation]:
-    """The same bed at rest, searched class by class and with one grid."""
-    scene, wide = scene_of(ratio, count), size_classes.CLASSES_FROM_RATIO
+def settled_beds(ratio: float, count: int) -> tuple[Simulation, Simulation]:
+    """The same settled bed twice: with one grid per size class, and with one grid."""
+    scene, threshold = scene_of(ratio, count), size_classes.CLASSES_FROM_RATIO
     size_classes.CLASSES_FROM_RATIO = 1.0 + 1e-9
     by_class = Simulation(scene, threads=1)
     by_class.run()
     size_classes.CLASSES_FROM_RATIO = inf
     one_grid = Simulation(scene, threads=1)
-    size_classes.CLASSES_FROM_RATIO = wide
+    size_classes.CLASSES_FROM_RATIO = threshold
     EngineCheckpoint(one_grid.engine).load_state_dict(EngineCheckpoint(by_class.engine).state_dict(), [()])
     return by_class, one_grid
 
 
 def cpu_seconds(simulation: Simulation) -> tuple[float, float]:
-    """CPU seconds of one search, and of one step without."""
+    """CPU time [s] of one rebuild, and of one step without rebuild."""
     stepper, began = simulation.engine.stepper, time.process_time()
     stepper.rebuild_neighbor_lists()
-    searched, searches = time.process_time(), stepper.timing.rebuild_count
+    rebuild, rebuilds_before = time.process_time() - began, stepper.timing.rebuild_count
     stepper.forces(history_step=0.0)
     stepping = time.process_time()
     simulation.engine.advance(STEPS)
     ended = time.process_time()
-    again = stepper.timing.rebuild_count - searches
-    return searched - began, max(ended - stepping - again * (searched - began), 0.0) / STEPS
+    rebuilds = stepper.timing.rebuild_count - rebuilds_before
+    return rebuild, max(ended - stepping - rebuilds * rebuild, 0.0) / STEPS
 
 
 def row(ratio: float, count: int, rounds: int) -> str:
-    """One line of the table."""
-    both = relaxed(ratio, count)
+    """One row of the table."""
+    both = settled_beds(ratio, count)
     for simulation in both:
         cpu_seconds(simulation)
     times = np.array([[cpu_seconds(simulation) for simulation in both] for _ in range(rounds)]).min(axis=0)
-    (search, step), (search_one, step_one) = times.tolist()
+    (rebuild, step), (rebuild_one_grid, step_one_grid) = times.tolist()
     classes, contacts = len(both[0].plan.size_classes), both[0].snapshot().totals["contact_count"]
-    gain = (search_one + STEPS_A_SEARCH * step_one) / (search + STEPS_A_SEARCH * step)
-    rate = count / (search / STEPS_A_SEARCH + step) / 1e6
+    speedup = (rebuild_one_grid + STEPS_PER_REBUILD * step_one_grid) / (rebuild + STEPS_PER_REBUILD * step)
+    rate = count / (rebuild / STEPS_PER_REBUILD + step) / 1e6
     for simulation in both:
         simulation.free()
     return (
-        f"| 1 : {ratio:g} | {classes} | {contacts / count:.2f} | {1e6 * search_one / count:.2f} | "
-        f"{1e6 * search / count:.2f} | {search_one / search:.2f} | {1e6 * step / count:.3f} | {rate:.2f} | {gain:.2f} |"
+        f"| 1 : {ratio:g} | {classes} | {contacts / count:.2f} | {1e6 * rebuild_one_grid / count:.2f} | "
+        f"{1e6 * rebuild / count:.2f} | {rebuild_one_grid / rebuild:.2f} | "
+        f"{1e6 * step / count:.3f} | {rate:.2f} | {speedup:.2f} |"
     )
 
 
 def main() -> None:
-    """Print the table, line by line as it is found."""
+    """Prints the table, each row when it is measured."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=20_000, help="particles in a bed (20000)")
-    parser.add_argument("--ratios", type=float, nargs="+", default=[1, 2, 3, 5, 10, 20], help="largest over smallest")
+    parser.add_argument(
+        "--ratios",
+        type=float,
+        nargs="+",
+        default=[1, 2, 3, 5, 10, 20],
+        help="ratios of the largest to the smallest diameter",
+    )
     parser.add_argument("--rounds", type=int, default=3, help="rounds (3)")
     options = parser.parse_args()
-    print(f"{options.count} particles, microseconds of CPU for each; with a search every {STEPS_A_SEARCH} steps:")
-    print("| sizes | classes | contacts | search, one grid | by class | faster | step | million a second | faster |")
+    print(f"{options.count} particles, CPU time in us per particle; one rebuild every {STEPS_PER_REBUILD} steps:")
+    print("| sizes | classes | contacts | rebuild, one grid | per class | speedup | step | M steps/s | total speedup |")
     print("|---|---|---|---|---|---|---|---|---|")
     for ratio in options.ratios:
         print(row(ratio, options.count, options.rounds), flush=True)

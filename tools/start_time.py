@@ -1,10 +1,10 @@
-"""How long granflow takes to its first step: with an empty cache, with a filled one, and where the time goes.
+"""Time from the start of granflow to its first step, with an empty and with a filled kernel cache, by stage.
 
-    python tools/start_time.py                 two spheres and a bed of 50 000, each cold and three times warm
+    python tools/start_time.py                 two particles and a bed of 50 000, each cold and three times warm
     python tools/start_time.py --out FILE.json
 
-Each start is a process of its own with a cache folder of its own (GRANFLOW_CACHE). A run to its first step is
-`Simulation.run` to the end of one step with all files written: what `granflow run` does until then, and the closing.
+Each start is a separate process; each scene has a separate cache folder (GRANFLOW_CACHE). The measured run is
+`Simulation.run` to the end of one step, with all files written and closed.
 """
 
 import argparse
@@ -31,7 +31,7 @@ pairs: {m-m: {restitution: 0.9, friction: 0.5}}
 contact: {normal: zhou, tangential: mindlin, rolling: none}
 walls: {floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: m}}
 particles:
-  grains:
+  beads:
     material: m
     count: 50000
     diameter: 4 mm
@@ -46,32 +46,32 @@ WARM_STARTS = 3
 
 
 def child(scene: str, out: str) -> None:
-    """Run a scene to its first step, and print when each stage was done [s since 1970]."""
-    moments = [time.time()]
+    """Runs a scene to its first step and prints the times at the ends of the stages [s since 1970]."""
+    times = [time.time()]
     from granflow.scene import load
     from granflow.simulation import Simulation
 
-    moments.append(time.time())
-    described = load(scene)
-    moments.append(time.time())
-    simulation = Simulation(described, out=out)
-    moments.append(time.time())
+    times.append(time.time())
+    loaded_scene = load(scene)
+    times.append(time.time())
+    simulation = Simulation(loaded_scene, out=out)
+    times.append(time.time())
     simulation.run(until=simulation.plan.time_step)
-    moments.append(time.time())
+    times.append(time.time())
     used = resource.getrusage(resource.RUSAGE_SELF)
-    answer = {"moments": moments, "compile": simulation.engine.timing.compile, "cpu": used.ru_utime + used.ru_stime}
+    answer = {"moments": times, "compile": simulation.engine.timing.compile, "cpu": used.ru_utime + used.ru_stime}
     print(json.dumps(answer))
 
 
 def start(scene: Path, cache: Path) -> dict[str, Any]:
-    """Seconds of one start by stage, from before the process was made, and kernels compiled in it."""
+    """Time [s] of each stage of one start, from the start of the process, and number of compiled kernels."""
     before = kernel_count(cache)
     with tempfile.TemporaryDirectory() as out:
         began = time.time()
         command = [sys.executable, __file__, "--child", str(scene), out]
         environment = os.environ | {"GRANFLOW_CACHE": str(cache)}
-        done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    answer = json.loads(done.stdout.splitlines()[-1])
+        process = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    answer = json.loads(process.stdout.splitlines()[-1])
     entered, imported, loaded, built, finished = answer["moments"]
     compiling = answer["compile"]
     seconds = (imported - began, loaded - imported, built - loaded - compiling, compiling, finished - built)
@@ -85,23 +85,23 @@ def start(scene: Path, cache: Path) -> dict[str, Any]:
 
 
 def kernel_count(cache: Path) -> int:
-    """Kernels in a cache folder; Taichi writes them when a process ends."""
+    """Number of kernels in a cache folder; Taichi writes them at the end of a process."""
     return len(list(cache.glob("*.tic")))
 
 
 def import_seconds() -> dict[str, float]:
-    """Seconds of importing granflow.simulation by package, without what a package imports from others."""
+    """Time [s] to import granflow.simulation by package, excluding nested imports of other packages."""
     command = [sys.executable, "-X", "importtime", "-c", "import granflow.simulation"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
     found = dict.fromkeys((*PACKAGES, "others"), 0.0)
-    for own, name in re.findall(r"import time:\s+(\d+) \|\s+\d+ \| +(\S+)", done.stderr):
+    for microseconds, name in re.findall(r"import time:\s+(\d+) \|\s+\d+ \| +(\S+)", process.stderr):
         package = name.split(".")[0].split("_core")[0]
-        found[package if package in PACKAGES else "others"] += 1e-6 * int(own)
+        found[package if package in PACKAGES else "others"] += 1e-6 * int(microseconds)
     return found
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """Everything; each scene cold once, then warm."""
+    """Measures all starts: each scene once cold, then WARM_STARTS times warm."""
     bed = folder / "bed.yaml"
     bed.write_text(BED)
     result: dict[str, Any] = {"kind": "start", "machine": machine(), "imports": import_seconds(), "starts": []}
@@ -115,7 +115,7 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def line(found: dict[str, Any]) -> str:
-    """One start in one line."""
+    """One start as a line of text."""
     stages = ", ".join(f"{stage} {found[stage]:.2f}" for stage in STAGES)
     kernels = f"{found['kernels_compiled']} kernels compiled, {found['kernels_in_cache']} in the cache"
     return (
@@ -124,12 +124,12 @@ def line(found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure, show, and write JSON where asked."""
+    """Measures and prints all starts; writes them as JSON if requested."""
     if sys.argv[1:2] == ["--child"]:
         child(*sys.argv[2:4])
         return
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", metavar="FILE", type=Path, help="where the numbers go as JSON")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="JSON file of the results")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         result = measure(Path(folder))

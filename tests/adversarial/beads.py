@@ -1,4 +1,4 @@
-"""The scene that most cases start from, and its small variations."""
+"""The scene of most cases, and functions that write variations of it."""
 
 from scene_builders import plane
 
@@ -23,7 +23,7 @@ output: {interval: 10 ms}
 
 
 def changed(text: str, *pairs: tuple[str, str]) -> str:
-    """The text with passages replaced; each must occur."""
+    """Text with replaced passages; each passage must occur."""
     for old, new in pairs:
         assert old in text, old
         text = text.replace(old, new, 1)
@@ -36,7 +36,7 @@ def beads(*pairs: tuple[str, str]):
 
 
 def scene(text: str, **files: str | bytes):
-    """A `prepare` that writes beads.yaml with that text, and other files by name (`__` stands for a dot)."""
+    """A `prepare` that writes beads.yaml with this text, and other files by name (`__` replaces a dot)."""
 
     def prepare(sandbox):
         sandbox.write("beads.yaml", text)
@@ -46,9 +46,9 @@ def scene(text: str, **files: str | bytes):
     return prepare
 
 
-def built(made, **files: str | bytes):
+def built(build, **files: str | bytes):
     """A `prepare` that writes a scene built by `scene_builders.build_scene`; `made` is the function that builds it."""
-    return lambda sandbox: scene(made().text(), **files)(sandbox)
+    return lambda sandbox: scene(build().text(), **files)(sandbox)
 
 
 def solid(point, normal):

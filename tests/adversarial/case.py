@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from adversarial.sandbox import Done, Sandbox, Skip
+from adversarial.sandbox import FinishedProcess, Sandbox, Skip
 
 MEGABYTES = 1500
 """Peak memory of one process [MB]: Taichi and its compiler take about 500."""
@@ -21,12 +21,12 @@ MEGABYTES = 1500
 
 @dataclass(frozen=True)
 class Case:
-    """An input, and what granflow must do with it.
+    """An input and the expected behavior of granflow.
 
     `commands`: command lines of granflow, run in order; all but the last must succeed. `act`: replaces them by a
-    function that returns the process to judge. `says`: regular expressions that must all occur in its output.
-    `verify`: further assertions; `verified`: what they establish, for the page. `blur`: a regular expression for the
-    part of the message that differs from run to run.
+    function that returns the process to check. `patterns`: regular expressions that must occur in its output.
+    `verify`: further assertions; `verified`: their meaning, for the page. `blur`: a regular expression for the part of
+    the message that differs from run to run.
     """
 
     group: str
@@ -34,12 +34,12 @@ class Case:
     input: str
     commands: tuple[str, ...] = ()
     code: int | tuple[int, ...] = 2
-    says: tuple[str, ...] = ()
+    patterns: tuple[str, ...] = ()
     prepare: Callable[[Sandbox], object] | None = None
-    act: Callable[[Sandbox], Done] | None = None
-    verify: Callable[[Sandbox, Done], None] | None = None
+    act: Callable[[Sandbox], FinishedProcess] | None = None
+    verify: Callable[[Sandbox, FinishedProcess], None] | None = None
     verified: str = ""
-    blur: str = ""
+    mask: str = ""
     seconds: float = 600.0
     megabytes: float = MEGABYTES
     quick: bool = False
@@ -48,7 +48,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case did: the text for the page, and what is wrong with it. `skipped` is the reason it did not run."""
+    """Result of a case as text for the page, and its faults. `skipped`: the reason if it did not run."""
 
     case: Case
     result: str
@@ -57,68 +57,70 @@ class Outcome:
 
 
 def outcome_of(case: Case) -> Outcome:
-    """Run one case in a fresh temporary directory and judge it."""
+    """Runs one case in a new temporary directory and checks its result."""
     folder = Path(tempfile.mkdtemp(prefix="granflow-"))
     try:
         folder.chmod(0o755)
         home = folder / "home"
         home.mkdir()
-        return _judged(case, Sandbox(home, case.seconds))
+        return _checked(case, Sandbox(home, case.seconds))
     except Skip as skip:
         return Outcome(case, "", skipped=str(skip))
     finally:
         _remove(folder)
 
 
-def _judged(case: Case, sandbox: Sandbox) -> Outcome:
+def _checked(case: Case, sandbox: Sandbox) -> Outcome:
     if case.prepare is not None:
         case.prepare(sandbox)
     try:
-        done = case.act(sandbox) if case.act is not None else _in_order(case, sandbox)
+        finished = case.act(sandbox) if case.act is not None else _in_order(case, sandbox)
     except (AssertionError, OSError, subprocess.SubprocessError) as error:
-        done = sandbox.history[-1] if sandbox.history else Done("", None, "", "")
-        return Outcome(case, _result_text(case, done, False), (f"{type(error).__name__}: {error}",))
-    faults = [*_faults_of_result(case, done), *_faults_of_processes(case, sandbox)]
+        finished = sandbox.history[-1] if sandbox.history else FinishedProcess("", None, "", "")
+        return Outcome(case, _result_text(case, finished, False), (f"{type(error).__name__}: {error}",))
+    faults = [*_faults_of_result(case, finished), *_faults_of_processes(case, sandbox)]
     if not case.killed:
-        faults += [f"{folder.name}: {damage}" for folder in run_folders(sandbox.home) for damage in damages(folder)]
+        faults += [f"{folder.name}: {defect}" for folder in run_folders(sandbox.home) for defect in defects(folder)]
     if case.verify is not None and not faults:
         try:
-            case.verify(sandbox, done)
+            case.verify(sandbox, finished)
         except AssertionError as error:
             faults.append(f"verification failed: {error}")
-    return Outcome(case, _result_text(case, done, not faults), tuple(faults))
+    return Outcome(case, _result_text(case, finished, not faults), tuple(faults))
 
 
-def _in_order(case: Case, sandbox: Sandbox) -> Done:
+def _in_order(case: Case, sandbox: Sandbox) -> FinishedProcess:
     for command in case.commands[:-1]:
         before = sandbox.run(command)
         assert before.code == 0, f"granflow {command} exits with {before.code}: {before.err[-1000:]}"
     return sandbox.run(case.commands[-1])
 
 
-def _faults_of_result(case: Case, done: Done) -> list[str]:
+def _faults_of_result(case: Case, finished: FinishedProcess) -> list[str]:
     codes = case.code if isinstance(case.code, tuple) else (case.code,)
     found = []
-    if done.code is None:
+    if finished.code is None:
         found.append(f"does not end within {case.seconds:g} s")
-    elif done.code not in codes:
-        found.append(f"exit code {done.code}, expected {' or '.join(map(str, codes))}: {done.err[-600:]}")
-    text = " ".join(done.text.split())
+    elif finished.code not in codes:
+        found.append(f"exit code {finished.code}, expected {' or '.join(map(str, codes))}: {finished.err[-600:]}")
+    text = " ".join(finished.text.split())
     missing = [
-        f"no {words!r} in the output: {done.text[-600:]}" for words in case.says if not re.search(words, text, re.I)
+        f"no {pattern!r} in the output: {finished.text[-600:]}"
+        for pattern in case.patterns
+        if not re.search(pattern, text, re.I)
     ]
     return found + missing
 
 
 def _faults_of_processes(case: Case, sandbox: Sandbox) -> list[str]:
     found = []
-    for done in sandbox.history:
-        if re.search(r"Traceback|Logging error|Segmentation|core dumped", done.text):
-            found.append(f"granflow {done.command} prints a traceback: {done.text[-400:]}")
-        if re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u202e\u2066-\u2069]", done.text):
-            found.append(f"granflow {done.command} prints control characters: {ascii(done.err[:400])}")
-        if done.megabytes > case.megabytes:
-            found.append(f"granflow {done.command} takes {done.megabytes:.0f} MB, more than {case.megabytes:g}")
+    for finished in sandbox.history:
+        if re.search(r"Traceback|Logging error|Segmentation|core dumped", finished.text):
+            found.append(f"granflow {finished.command} prints a traceback: {finished.text[-400:]}")
+        if re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u202e\u2066-\u2069]", finished.text):
+            found.append(f"granflow {finished.command} prints control characters: {ascii(finished.err[:400])}")
+        if finished.megabytes > case.megabytes:
+            found.append(f"granflow {finished.command} takes {finished.megabytes:.0f} MB, more than {case.megabytes:g}")
     return found
 
 
@@ -127,9 +129,9 @@ def run_folders(home: Path) -> list[Path]:
     return sorted(path.parent for path in home.rglob("scene_as_run.yaml") if path.is_file())
 
 
-def damages(folder: Path) -> list[str]:
-    """What is wrong with the files of a run: temporary files, unreadable or unlisted frames, NaN, unequal rows."""
-    found = [f"{path.name} is left over" for path in folder.glob(".*.part")]
+def defects(folder: Path) -> list[str]:
+    """Defects of the files of a run: temporary files, unreadable or unlisted frames, NaN, rows of unequal length."""
+    found = [f"the temporary file {path.name} remains" for path in folder.glob(".*.part")]
     for pvd in folder.glob("*.pvd"):
         try:
             listed = {each.get("file") for each in ElementTree.parse(pvd).iter("DataSet")}
@@ -142,10 +144,10 @@ def damages(folder: Path) -> list[str]:
             found.append(f"{path.name} is incomplete")
     for path in folder.glob("result.json"):
         json.loads(path.read_text())
-    return found + _damages_of_rows(folder / "timeseries.csv")
+    return found + _row_defects(folder / "timeseries.csv")
 
 
-def _damages_of_rows(path: Path) -> list[str]:
+def _row_defects(path: Path) -> list[str]:
     if not path.is_file():
         return []
     with path.open(newline="") as file:
@@ -164,31 +166,31 @@ def _damages_of_rows(path: Path) -> list[str]:
         except ValueError:
             continue
         if not finite:
-            found.append(f"row {i} of {path.name} holds {text}")
+            found.append(f"row {i} of {path.name} contains {text}")
     return found
 
 
-def _result_text(case: Case, done: Done, passed: bool) -> str:
-    """Exit code, first line of the message, and what was verified; the same text in every run."""
-    message = done.message or (
-        "" if done.code else next(iter(done.out.splitlines()), "") if len(done.out) < 400 else ""
+def _result_text(case: Case, finished: FinishedProcess, passed: bool) -> str:
+    """Exit code, first line of the message, and verified properties; the text is equal in all runs."""
+    message = finished.message or (
+        "" if finished.code else next(iter(finished.out.splitlines()), "") if len(finished.out) < 400 else ""
     )
-    for pattern, text in (*BLURRED, *([(case.blur, "...")] if case.blur else [])):
+    for pattern, text in (*VARIABLE_PARTS, *([(case.mask, "...")] if case.mask else [])):
         message = re.sub(pattern, text, message)
-    parts = [f"exit code {done.code}" if done.code is not None else f"no end within {case.seconds:g} s"]
+    parts = [f"exit code {finished.code}" if finished.code is not None else f"no end within {case.seconds:g} s"]
     parts += [f"`{plain(message)}`"] if message else []
     parts += [case.verified] if case.verified and passed else []
     return "; ".join(parts)
 
 
-BLURRED = (
+VARIABLE_PARTS = (
     (r"\(choose from .*\)", "(choose from ...)"),
     (r"(?i)(stopped at|goes on from|continues from) [-+.\de]+ s\b", r"\1 T s"),
     (r"[-+.\de]+ (GB|MB|GiB|MiB)", r"N \1"),
     (r"checkpoint_\d+", "checkpoint_N"),
     (r"/tmp/[^\s:]*", "/tmp/..."),
 )
-"""What differs from run to run in messages."""
+"""Patterns of values that differ from run to run, and their replacements."""
 
 
 def plain(text: str, longest: int = 300) -> str:

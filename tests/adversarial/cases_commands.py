@@ -1,4 +1,4 @@
-"""Command lines that are wrong, for every verb, and values in wrong units or out of range."""
+"""Invalid command lines for each verb, and values in wrong units or out of range."""
 
 import json
 
@@ -6,35 +6,37 @@ from adversarial.beads import BEADS, beads
 from adversarial.case import Case
 
 
-def line(name: str, command: str, *says: str, text: str = "", **more) -> Case:
-    """One command line, beside the scene of ten beads."""
-    given = {"prepare": beads(), "code": 2} | more
-    return Case("command lines", f"line_{name}", text or f"`granflow {command}`", (command,), says=says, **given)
+def line(name: str, command: str, *patterns: str, text: str = "", **more) -> Case:
+    """Case of one command line, in a directory with the scene of ten particles."""
+    options = {"prepare": beads(), "code": 2} | more
+    return Case(
+        "command lines", f"line_{name}", text or f"`granflow {command}`", (command,), patterns=patterns, **options
+    )
 
 
 def directory_without_run(sandbox) -> None:
-    """A scene, and a directory that holds other files."""
+    """Writes a scene, and a directory with other files."""
     sandbox.write("beads.yaml", BEADS)
-    sandbox.write("out/notes.txt", "mine")
+    sandbox.write("out/notes.txt", "other")
 
 
-def notes_kept(sandbox, done) -> None:
-    """Files that granflow did not write are left alone."""
-    assert sandbox.path("out/notes.txt").read_text() == "mine"
+def other_files_unchanged(sandbox, finished) -> None:
+    """Files that granflow did not write are unchanged."""
+    assert sandbox.path("out/notes.txt").read_text() == "other"
 
 
-def nothing_written(sandbox, done) -> None:
-    """A refused command writes no directory."""
+def nothing_written(sandbox, finished) -> None:
+    """A rejected command writes no directory."""
     assert not sandbox.path("out").exists(), sorted(sandbox.path("out").rglob("*"))
 
 
-def reaches_restitution(sandbox, done) -> None:
-    """The collision reaches the restitution of the closed form."""
-    numbers = json.loads(done.out)
+def reaches_restitution(sandbox, finished) -> None:
+    """The restitution of the collision equals that of the closed form."""
+    numbers = json.loads(finished.out)
     assert abs(numbers["restitution"] / numbers["restitution_asked"] - 1.0) < 1e-3, numbers
 
 
-WRONG = [
+INVALID = [
     line("none", "", "required: VERB", text="`granflow` without a verb"),
     line("verb", "bake beads.yaml", "invalid choice: 'bake'"),
     line("run_none", "run", "required: SCENE"),
@@ -71,18 +73,18 @@ WRONG = [
         "run beads.yaml --out out --until 1ms",
         code=0,
         prepare=directory_without_run,
-        verify=notes_kept,
+        verify=other_files_unchanged,
         verified="other files in the directory are kept",
         text="an output directory that holds other files",
     ),
     line("resume_none", "resume", "required: DIR"),
-    line("resume_gone", "resume nowhere", "no such directory"),
+    line("resume_missing", "resume nowhere", "no such directory"),
     line(
         "resume_no_run",
         "resume out",
         "holds no run",
         prepare=directory_without_run,
-        verify=notes_kept,
+        verify=other_files_unchanged,
         verified="the directory is unchanged",
     ),
     line("resume_file", "resume beads.yaml", "directory"),
@@ -90,9 +92,9 @@ WRONG = [
     line("check_unknown_unit", "check beads.yaml --set 'particles.beads.diameter=4 furlong'", "furlong is not a unit"),
     line("check_negative", "check beads.yaml --set particles.beads.diameter=-4mm", "above 0"),
     line("check_count", "check beads.yaml --set particles.beads.count=1e12", "count"),
-    line("check_room", "check beads.yaml --set particles.beads.count=1000", "only"),
+    line("check_small_region", "check beads.yaml --set particles.beads.count=1000", "only"),
     line("explain_until", "explain beads.yaml --until 1s", "--measure"),
-    line("explain_gone", "explain no.yaml", "no such file"),
+    line("explain_missing", "explain no.yaml", "no such file"),
     line("schema_extra", "schema beads.yaml", "unrecognized arguments"),
     line("collide_material", "collide --material butter --diameter 1mm --velocity 1", "butter"),
     line("collide_law", "collide --law newton --material stainless_316 --diameter 1mm --velocity 1", "newton"),
@@ -120,14 +122,14 @@ WRONG = [
         "collide --material stainless_316 --diameter 1mm --velocity 1 --steps-per-contact nan",
         "steps",
     ),
-    line("restitution_gone", "restitution no.yaml", "no such file"),
-    line("fit_gone", "fit no.csv --fit-limit", "no.csv"),
+    line("restitution_missing", "restitution no.yaml", "no such file"),
+    line("fit_missing", "fit no.csv --fit-limit", "no.csv"),
     line("fit_both", "fit no.csv --fit-limit --limit-velocity 3", "not allowed with"),
     line("fit_directory", "fit . --fit-limit", "directory"),
-    line("analyze_gone", "analyze nowhere", "not the directory of a run|no run|no such"),
+    line("analyze_missing", "analyze nowhere", "not the directory of a run|no run|no such"),
     line("analyze_no_run", "analyze out", "scene_as_run.yaml|no run", prepare=directory_without_run),
     line("beverloo_none", "beverloo --diameter 5mm --bulk-density 1500", "required: OUT"),
-    line("beverloo_gone", "beverloo nowhere --diameter 5mm --bulk-density 1500", "nowhere"),
+    line("beverloo_missing", "beverloo nowhere --diameter 5mm --bulk-density 1500", "nowhere"),
     line("paper_out", "paper --out beads.yaml", "beads.yaml|granflow\\[plot\\]"),
     line("paper_extra", "paper beads.yaml", "unrecognized arguments"),
     line("compare_law", "compare beads.yaml --laws newton", "newton"),
@@ -135,13 +137,13 @@ WRONG = [
     line("stability_extra", "stability beads.yaml", "unrecognized arguments"),
     line("accuracy_target", "accuracy --target=-1", "target"),
     line("accuracy_target_text", "accuracy --target small", "target"),
-    line("render_gone", "render nowhere", "nowhere"),
+    line("render_missing", "render nowhere", "nowhere"),
     line("render_no_run", "render out", "out", prepare=directory_without_run),
     line("render_size", "render out --size 0x0", "0x0"),
     line("render_range", "render out --range 2,1", "2,1"),
-    line("report_gone", "report nowhere", "nowhere"),
-    line("report_no_run", "report out", "out", prepare=directory_without_run, verify=notes_kept),
+    line("report_missing", "report nowhere", "nowhere"),
+    line("report_no_run", "report out", "out", prepare=directory_without_run, verify=other_files_unchanged),
     line("cache_extra", "cache --delete", "unrecognized arguments"),
 ]
 
-CASES = WRONG
+CASES = INVALID

@@ -10,53 +10,53 @@ from pathlib import Path
 
 from adversarial.beads import beads
 from adversarial.case import Case
-from adversarial.runs import SAME, as_undisturbed, case, half_way, rain, reference, stopped
-from adversarial.sandbox import Done, Sandbox, Skip, as_nobody, hear_interrupts, limited
-from resume.faults import assert_whole
+from adversarial.runs import IDENTICAL, assert_undisturbed, case, killed_run, partial_run, reference, write_scene
+from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited, restore_interrupts
+from resume.faults import assert_complete
 
 RESTARTS = 3
-"""Times a run is killed before it is resumed to its end."""
+"""Number of times a run is killed before it is resumed to its end."""
 
 # ---------------------------------------------------------------- processes and signals
 
 
 def signalled(number: int, wait: float = 0.0):
-    """A signal after half of the frames; the process must end within a second of it."""
+    """Sends a signal after half of the frames; asserts that the process ends within 10 s."""
 
-    def act(sandbox: Sandbox) -> Done:
-        running = half_way(sandbox, preexec_fn=hear_interrupts)
+    def act(sandbox: Sandbox) -> FinishedProcess:
+        running = partial_run(sandbox, preexec_fn=restore_interrupts)
         time.sleep(wait)
         running.send_signal(number)
         began = time.monotonic()
-        done = sandbox.finish(running, "run beads.yaml --out out")
-        copied = time.monotonic() - began
-        assert copied < 10.0, f"{copied:.1f} s from the signal to the end"
-        return done
+        finished = sandbox.finish(running, "run beads.yaml --out out")
+        elapsed = time.monotonic() - began
+        assert elapsed < 10.0, f"{elapsed:.1f} s from the signal to the end"
+        return finished
 
     return act
 
 
-def resumes(sandbox: Sandbox, done: Done) -> None:
-    """The run resumes to the files of an undisturbed one."""
+def resumes(sandbox: Sandbox, finished: FinishedProcess) -> None:
+    """Resumes the run and compares its files with the undisturbed run."""
     again = sandbox.run("resume out")
     assert again.code == 0, again.err
-    as_undisturbed(sandbox)
+    assert_undisturbed(sandbox)
 
 
-def early_signal(sandbox: Sandbox) -> Done:
-    """SIGTERM while the program still imports and compiles."""
+def early_signal(sandbox: Sandbox) -> FinishedProcess:
+    """Sends SIGTERM during imports and compilation."""
     running = sandbox.start("run beads.yaml --out out", env={"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items())
     time.sleep(4.0)
     running.send_signal(signal.SIGTERM)
     began = time.monotonic()
-    done = sandbox.finish(running, "run beads.yaml --out out")
+    finished = sandbox.finish(running, "run beads.yaml --out out")
     assert time.monotonic() - began < 20.0, "the signal takes effect too late"
-    return done
+    return finished
 
 
-def killed_at_random(sandbox: Sandbox) -> Done:
-    """SIGKILL at random moments, each time resumed, then to the end."""
-    dice = random.Random(7)
+def killed_at_random(sandbox: Sandbox) -> FinishedProcess:
+    """Kills and resumes the run at random times, then resumes it to its end."""
+    rng = random.Random(7)
     command = "run beads.yaml --out out"
     for _ in range(RESTARTS):
         running = sandbox.start(command)
@@ -64,7 +64,7 @@ def killed_at_random(sandbox: Sandbox) -> Done:
         size = log.stat().st_size if log.exists() else 0
         while running.poll() is None and (log.stat().st_size if log.exists() else 0) <= size:
             time.sleep(0.01)
-        time.sleep(dice.uniform(0.0, 0.5))
+        time.sleep(rng.uniform(0.0, 0.5))
         if running.poll() is None:
             running.send_signal(signal.SIGKILL)
             running.wait()
@@ -72,9 +72,9 @@ def killed_at_random(sandbox: Sandbox) -> Done:
     return sandbox.run("resume out")
 
 
-def paused(sandbox: Sandbox) -> Done:
-    """SIGSTOP for two seconds in the middle of the run, then SIGCONT."""
-    running = half_way(sandbox)
+def paused(sandbox: Sandbox) -> FinishedProcess:
+    """Sends SIGSTOP in the middle of the run, and SIGCONT after two seconds."""
+    running = partial_run(sandbox)
     running.send_signal(signal.SIGSTOP)
     time.sleep(2.0)
     running.send_signal(signal.SIGCONT)
@@ -82,29 +82,29 @@ def paused(sandbox: Sandbox) -> Done:
 
 
 def pair_of(*commands: str, env=()):
-    """Two processes at once; the judged one is the one that ends with the larger exit code."""
+    """Runs two processes simultaneously; returns the one with the larger exit code."""
 
-    def act(sandbox: Sandbox) -> Done:
+    def act(sandbox: Sandbox) -> FinishedProcess:
         running = [sandbox.start(command, env=env(sandbox) if callable(env) else env) for command in commands]
-        done = [sandbox.finish(each, command) for each, command in zip(running, commands, strict=True)]
-        return max(done, key=lambda each: 999 if each.code is None else each.code)
+        finished = [sandbox.finish(each, command) for each, command in zip(running, commands, strict=True)]
+        return max(finished, key=lambda each: 999 if each.code is None else each.code)
 
     return act
 
 
-def cold_cache(sandbox: Sandbox):
+def empty_cache(sandbox: Sandbox):
     return {"GRANFLOW_CACHE": str(sandbox.path("cold"))}.items()
 
 
-def both_equal(sandbox: Sandbox, done: Done) -> None:
-    """Both runs of the scene end with the same files."""
-    assert_whole(sandbox.path("out"), reference())
-    assert_whole(sandbox.path("other"), reference())
+def both_equal(sandbox: Sandbox, finished: FinishedProcess) -> None:
+    """Compares the files of both runs with the undisturbed run."""
+    assert_complete(sandbox.path("out"), reference())
+    assert_complete(sandbox.path("other"), reference())
 
 
-def two_resumes(sandbox: Sandbox) -> Done:
-    """One resume holds the directory; the second one starts while it runs."""
-    stopped(sandbox)
+def two_resumes(sandbox: Sandbox) -> FinishedProcess:
+    """Starts a second resume while the first one runs in the same directory."""
+    killed_run(sandbox)
     first = sandbox.start("resume out --set stages.1.duration=2s --set output.interval=1s")
     size = sandbox.path("out/run.log").stat().st_size
     while first.poll() is None and sandbox.path("out/run.log").stat().st_size <= size:
@@ -115,8 +115,8 @@ def two_resumes(sandbox: Sandbox) -> Done:
     return second
 
 
-def many_threads(sandbox: Sandbox) -> Done:
-    """More threads than cores, with enough particles that all of them are used."""
+def many_threads(sandbox: Sandbox) -> FinishedProcess:
+    """More threads than cores, with enough particles to use all threads."""
     return sandbox.run(f"run beads.yaml --out out --threads {4 * (os.cpu_count() or 1)} --until 5ms")
 
 
@@ -128,15 +128,15 @@ MANY = (
 
 
 def piped(command: str, reader: list[str]):
-    """Output into a pipe whose reader closes early."""
+    """Output into a pipe that is closed early."""
 
-    def act(sandbox: Sandbox) -> Done:
+    def act(sandbox: Sandbox) -> FinishedProcess:
         run = sandbox.start(command, stdout=subprocess.PIPE)
         head = subprocess.Popen(reader, stdin=run.stdout, stdout=subprocess.DEVNULL)
         run.stdout.close()
-        done = sandbox.finish(run, command)
+        finished = sandbox.finish(run, command)
         head.wait()
-        return done
+        return finished
 
     return act
 
@@ -150,7 +150,7 @@ def needs_root() -> None:
 
 
 def mounted(sandbox: Sandbox, name: str, options: str) -> Path:
-    """A tmpfs below the directory of the case."""
+    """Mounts a tmpfs in the directory of the case."""
     needs_root()
     path = sandbox.path(name)
     path.mkdir(exist_ok=True)
@@ -161,32 +161,32 @@ def mounted(sandbox: Sandbox, name: str, options: str) -> Path:
     return path
 
 
-def full_disk(sandbox: Sandbox) -> Done:
-    """A disk of 200 kB that fills up; then it is enlarged and the run resumed."""
+def full_disk(sandbox: Sandbox) -> FinishedProcess:
+    """Runs on a disk of 200 kB until it is full; then enlarges the disk and resumes."""
     disk = mounted(sandbox, "out", "size=200k")
     try:
         full = sandbox.run("run beads.yaml --out out")
         subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
         again = sandbox.run("resume out")
         assert again.code == 0, again.err
-        as_undisturbed(sandbox)
+        assert_undisturbed(sandbox)
     finally:
         subprocess.run(["umount", str(disk)], check=True)
     return full
 
 
-def file_limit(sandbox: Sandbox) -> Done:
-    """A quota on the size of a file that the checkpoint exceeds; then resumed without the quota."""
+def file_limit(sandbox: Sandbox) -> FinishedProcess:
+    """Runs with a file size limit below the size of a checkpoint; then resumes without the limit."""
     size = max(path.stat().st_size for path in reference().glob("checkpoint_*.npz"))
     full = sandbox.run("run beads.yaml --out out", preexec_fn=limited(FSIZE=int(0.7 * size)))
     again = sandbox.run("resume out")
     assert again.code == 0, again.err
-    as_undisturbed(sandbox)
+    assert_undisturbed(sandbox)
     return full
 
 
-def read_only(sandbox: Sandbox) -> Done:
-    """HOME on a read-only disk, no GRANFLOW_CACHE: the run works without a cache."""
+def read_only(sandbox: Sandbox) -> FinishedProcess:
+    """Runs with HOME on a read-only disk and without GRANFLOW_CACHE, thus without a cache."""
     disk = mounted(sandbox, "closed", "ro")
     try:
         env = {"HOME": str(disk), "GRANFLOW_CACHE": None, "XDG_CACHE_HOME": None}
@@ -195,7 +195,7 @@ def read_only(sandbox: Sandbox) -> Done:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def read_only_out(sandbox: Sandbox) -> Done:
+def read_only_out(sandbox: Sandbox) -> FinishedProcess:
     """An output directory on a read-only disk."""
     disk = mounted(sandbox, "closed", "ro")
     try:
@@ -204,15 +204,15 @@ def read_only_out(sandbox: Sandbox) -> Done:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def unreadable(sandbox: Sandbox) -> Done:
-    """A scene that the user may not read."""
+def unreadable(sandbox: Sandbox) -> FinishedProcess:
+    """Checks a scene without read permission."""
     sandbox.path("beads.yaml").chmod(0)
     probe = [sys.executable, "-c", "import granflow"]
     try:
-        subprocess.run(probe, preexec_fn=as_nobody, cwd="/", capture_output=True, check=True)
+        subprocess.run(probe, preexec_fn=as_unprivileged_user, cwd="/", capture_output=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        raise Skip("the user nobody cannot start granflow here") from None
-    return sandbox.run("check beads.yaml", preexec_fn=as_nobody)
+        raise Skip("an unprivileged user cannot start granflow here") from None
+    return sandbox.run("check beads.yaml", preexec_fn=as_unprivileged_user)
 
 
 def with_env(command: str, **env: str | None):
@@ -225,8 +225,8 @@ def with_limits(command: str, **limits: int):
     return lambda sandbox: sandbox.run(command, preexec_fn=limited(**limits))
 
 
-def damaged_cache(sandbox: Sandbox) -> Done:
-    """A cache of compiled kernels whose files are cut short: the run compiles again."""
+def damaged_cache(sandbox: Sandbox) -> FinishedProcess:
+    """Runs with a cache of truncated kernel files, which are compiled again."""
     env = {"GRANFLOW_CACHE": str(sandbox.path("cache"))}
     assert sandbox.run("run beads.yaml --out first", env=env.items()).code == 0
     for path in sandbox.path("cache").iterdir():
@@ -235,15 +235,15 @@ def damaged_cache(sandbox: Sandbox) -> Done:
     return sandbox.run("run beads.yaml --out out", env=env.items())
 
 
-def jumping_clock(sandbox: Sandbox) -> Done:
-    """The computer's clock jumps by hours and to before 1980 while the run writes checkpoints."""
+def jumping_clock(sandbox: Sandbox) -> FinishedProcess:
+    """The system time jumps by hours and to before 1980 while the run writes checkpoints."""
     command = "run beads.yaml --out out --set 'output.checkpoint={wall_clock: 1 ms}'"
     return sandbox.run(command, fault=("clock", "-"))
 
 
-def moved_away(sandbox: Sandbox) -> Done:
-    """The output directory is renamed while the run writes into it."""
-    running = half_way(sandbox, frame=6)
+def moved_away(sandbox: Sandbox) -> FinishedProcess:
+    """Renames the output directory while the run writes into it."""
+    running = partial_run(sandbox, frame=6)
     os.rename(sandbox.path("out"), sandbox.path("moved"))
     return sandbox.finish(running, "run beads.yaml --out out")
 
@@ -251,7 +251,7 @@ def moved_away(sandbox: Sandbox) -> Done:
 def signals() -> list[Case]:
     """Signals, threads and pipes."""
     group = "signals, threads and pipes"
-    whole = {"verify": resumes, "verified": f"resumed: {SAME}"}
+    whole = {"verify": resumes, "verified": f"resumed: {IDENTICAL}"}
     return [
         case(
             group,
@@ -283,12 +283,12 @@ def signals() -> list[Case]:
         case(
             group,
             "signal_kill",
-            f"SIGKILL at random moments, {RESTARTS} times",
+            f"SIGKILL at random times, {RESTARTS} times",
             killed_at_random,
             0,
             ("goes on|continues|resumes",),
-            verify=as_undisturbed,
-            verified=SAME,
+            verify=assert_undisturbed,
+            verified=IDENTICAL,
         ),
         case(
             group,
@@ -297,7 +297,7 @@ def signals() -> list[Case]:
             early_signal,
             (143, -15),
             killed=True,
-            prepare=rain,
+            prepare=write_scene,
         ),
         case(
             group,
@@ -305,8 +305,8 @@ def signals() -> list[Case]:
             "SIGSTOP for two seconds, then SIGCONT",
             paused,
             0,
-            verify=as_undisturbed,
-            verified=SAME,
+            verify=assert_undisturbed,
+            verified=IDENTICAL,
         ),
         case(
             group,
@@ -361,7 +361,7 @@ def machine() -> list[Case]:
             full_disk,
             4,
             ("No space left on device",),
-            verified=f"resumed: {SAME}",
+            verified=f"resumed: {IDENTICAL}",
             killed=True,
         ),
         case(
@@ -371,7 +371,7 @@ def machine() -> list[Case]:
             file_limit,
             4,
             ("File too large",),
-            verified=f"resumed: {SAME}",
+            verified=f"resumed: {IDENTICAL}",
         ),
         case(
             group,
@@ -420,10 +420,10 @@ def machine() -> list[Case]:
             group,
             "cache_both",
             "two runs that compile into the same empty cache at once",
-            pair_of("run beads.yaml --out out", "run beads.yaml --out other", env=cold_cache),
+            pair_of("run beads.yaml --out out", "run beads.yaml --out other", env=empty_cache),
             0,
             verify=both_equal,
-            verified=f"twice: {SAME}",
+            verified=f"twice: {IDENTICAL}",
         ),
         case(
             group,
@@ -432,7 +432,7 @@ def machine() -> list[Case]:
             pair_of("run beads.yaml --out out", "run beads.yaml --out out"),
             2,
             ("Another run is writing|contains an earlier run",),
-            blur=r"(?<=granflow: ).*",
+            mask=r"(?<=granflow: ).*",
         ),
         case(
             group,
@@ -473,8 +473,8 @@ def machine() -> list[Case]:
             "the clock jumps by hours and to before 1980",
             jumping_clock,
             0,
-            verify=as_undisturbed,
-            verified=SAME,
+            verify=assert_undisturbed,
+            verified=IDENTICAL,
         ),
         case(
             group,
@@ -485,10 +485,10 @@ def machine() -> list[Case]:
             ("No such file or directory", "resume"),
             killed=True,
         ),
-        case(group, "unreadable", "a scene that the user may not read", unreadable, 2, ("Permission denied",)),
+        case(group, "unreadable", "a scene without read permission", unreadable, 2, ("Permission denied",)),
         case(
             group,
-            "cwd_gone",
+            "cwd_deleted",
             "the working directory is deleted",
             lambda s: s.run(
                 "check beads.yaml", preexec_fn=lambda: (os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone"))

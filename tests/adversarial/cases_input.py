@@ -1,4 +1,4 @@
-"""Tables of particles, meshes and measurements that are damaged, misleading or huge."""
+"""Tables of particles, meshes and measurements that are damaged, inconsistent or huge."""
 
 import base64
 import os
@@ -22,20 +22,25 @@ WITH_MESH = changed(
 ROWS = "x,y,z,r\n0.005,0.005,0.01,0.002\n0.015,0.015,0.01,0.002\n"
 
 
-def table(name: str, text: str, content: str | bytes, *says: str, file: str = "beads.csv", **more) -> Case:
-    """A scene whose particles come from a file with that content, checked."""
+def table(name: str, text: str, content: str | bytes, *patterns: str, file: str = "beads.csv", **more) -> Case:
+    """Case of `granflow check` of a scene with particles from a file with this content."""
 
     def prepare(sandbox):
         sandbox.write("beads.yaml", FROM_TABLE.replace("FILE", f"'{file}'"))
         sandbox.write(file, content)
 
     return Case(
-        "tables of particles", f"table_{name}", text, ("check beads.yaml",), says=says, **({"prepare": prepare} | more)
+        "tables of particles",
+        f"table_{name}",
+        text,
+        ("check beads.yaml",),
+        patterns=patterns,
+        **({"prepare": prepare} | more),
     )
 
 
-def mesh(name: str, text: str, file: str, content, *says: str, **more) -> Case:
-    """A scene with a mesh wall from a file, checked; `content`: bytes, or a function of the path that writes it."""
+def mesh(name: str, text: str, file: str, content, *patterns: str, **more) -> Case:
+    """Case of `granflow check` of a scene with a mesh wall; `content`: bytes, or a function that writes the file."""
 
     def prepare(sandbox):
         sandbox.write("beads.yaml", WITH_MESH.replace("FILE", f"'{file}'"))
@@ -45,11 +50,11 @@ def mesh(name: str, text: str, file: str, content, *says: str, **more) -> Case:
             sandbox.write(file, content)
 
     command = "check beads.yaml"
-    return Case("meshes", f"mesh_{name}", text, (command,), says=says, **({"prepare": prepare} | more))
+    return Case("meshes", f"mesh_{name}", text, (command,), patterns=patterns, **({"prepare": prepare} | more))
 
 
-def leads_out(sandbox):
-    """A symbolic link in the scene's directory to a file outside of it."""
+def link_outside(sandbox):
+    """Writes a symbolic link in the directory of the scene to a file outside of it."""
     sandbox.write("beads.yaml", FROM_TABLE.replace("FILE", "beads.csv"))
     outside = sandbox.home.parent / "secret.csv"
     outside.write_text(ROWS)
@@ -57,7 +62,7 @@ def leads_out(sandbox):
 
 
 def loop(file: str, text: str):
-    """A file that is a loop of symbolic links."""
+    """A `prepare` with a loop of symbolic links as input file."""
 
     def prepare(sandbox):
         sandbox.write("beads.yaml", text.replace("FILE", file))
@@ -67,7 +72,7 @@ def loop(file: str, text: str):
 
 
 def vtu(points: int) -> bytes:
-    """A VTU file whose compressed array of points expands to 24 bytes per point, all zero."""
+    """A VTU file with a compressed array of points that expands to 24 zero bytes per point."""
     block = 2**20
     raw_size = 24 * points
     count, rest = divmod(raw_size, block)
@@ -138,7 +143,7 @@ def tables() -> list[Case]:
         ),
         table(
             "above",
-            "a path that leads out of the scene's directory",
+            "a path outside the directory of the scene",
             "",
             "scene's folder|scene's directory",
             prepare=lambda s: s.write("beads.yaml", FROM_TABLE.replace("FILE", "../../etc/passwd")),
@@ -148,7 +153,7 @@ def tables() -> list[Case]:
             "a symbolic link to a file outside the scene's directory",
             "",
             "out of the scene",
-            prepare=leads_out,
+            prepare=link_outside,
         ),
         table("link_loop", "a loop of symbolic links", "", "beads.csv", prepare=loop("beads.csv", FROM_TABLE)),
         table(
@@ -177,7 +182,7 @@ def tables() -> list[Case]:
 
 
 def holes(path):
-    """A cube of 2 cm without its top: open, which is allowed."""
+    """Writes a cube of 2 cm without its top; open meshes are valid."""
     points, corners = cube()
     path.write_bytes(as_stl(2 * points, corners[:-2]))
 
@@ -253,7 +258,7 @@ def meshes() -> list[Case]:
             "1[ ,_]?000[ ,_]?000|triangles",
             seconds=200,
         ),
-        mesh("gone", "no such file", "m.stl", lambda path: None, "does not exist|no such"),
+        mesh("missing", "no such file", "m.stl", lambda path: None, "does not exist|no such"),
         mesh("link_loop", "a loop of symbolic links", "m.stl", b"", "m.stl", prepare=loop("m.stl", WITH_MESH)),
         mesh("directory", "a directory", "m.stl", lambda path: path.mkdir(), "regular file"),
         mesh(
@@ -286,14 +291,14 @@ def meshes() -> list[Case]:
     ]
 
 
-def fit(name: str, text: str, content: str, *says: str) -> Case:
-    """`granflow fit` of measurements."""
+def fit(name: str, text: str, content: str, *patterns: str) -> Case:
+    """Case of `granflow fit` with this file of measurements."""
     return Case(
         "measurements",
         f"fit_{name}",
         text,
         ("fit data.csv --fit-limit",),
-        says=says,
+        patterns=patterns,
         prepare=lambda sandbox: sandbox.write("data.csv", content),
     )
 

@@ -1,4 +1,4 @@
-"""Long runs: 100 000 frames, and a million steps of 1000 particles with memory and file descriptors watched."""
+"""Long runs: 100 000 frames, and a million steps of 1000 particles with monitored memory and file descriptors."""
 
 import os
 import time
@@ -7,25 +7,25 @@ from pathlib import Path
 import numpy as np
 from adversarial.beads import BEADS, changed, scene, solid
 from adversarial.case import Case
-from adversarial.sandbox import Done, Sandbox, Skip
+from adversarial.sandbox import FinishedProcess, Sandbox, Skip
 from scene_builders import build_scene, particle_group
 
 FRAMES = 100_000
 STEPS = 1_000_000
 WARM = 20.0
-"""Seconds after the first frame until kernels, buffers and file caches have been used."""
+"""Time [s] after the first frame until kernels, buffers and file caches are allocated."""
 
 GROWTH = 1.02
-"""Largest ratio of resident memory later to that after WARM."""
+"""Largest ratio of the final resident memory to that after WARM."""
 
 
-def many_frames(sandbox: Sandbox) -> Done:
-    """One particle falls; a frame every step."""
+def many_frames(sandbox: Sandbox) -> FinishedProcess:
+    """Runs one falling particle with one frame per step."""
     return sandbox.run("run beads.yaml --out out")
 
 
-def all_frames(sandbox: Sandbox, done: Done) -> None:
-    """Every frame is listed once."""
+def all_frames(sandbox: Sandbox, finished: FinishedProcess) -> None:
+    """Asserts that each frame is listed once."""
     listed = sandbox.path("out/particles.pvd").read_text().count("particles_")
     found = sum(1 for _ in sandbox.path("out").glob("particles_*.vtu"))
     assert found == listed and found >= FRAMES, (found, listed)
@@ -40,7 +40,7 @@ FRAMES_SCENE = changed(
 
 
 def settled_bed():
-    """1000 particles that settle in a box with a vibrating floor, for a million steps of 10 us."""
+    """Scene of 1000 particles in a box with a vibrating floor, for a million steps of 10 us."""
     side, step = 0.06, 1e-5
     shake = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 20.0}
     walls = {"floor": solid([0, 0, 0], [0, 0, 1]) | {"motion": [shake]}}
@@ -62,8 +62,8 @@ def settled_bed():
     )
 
 
-def run_and_sample(sandbox: Sandbox) -> Done:
-    """Resident memory [kB] and open files of the process every second, compared after the run has warmed up."""
+def run_and_sample(sandbox: Sandbox) -> FinishedProcess:
+    """Samples resident memory [kB] and open files of the process; asserts that they do not grow after WARM."""
     if not Path("/proc/self/statm").exists():
         raise Skip("memory and open files are read from /proc")
     running = sandbox.start("run beads.yaml --out out")
@@ -77,21 +77,21 @@ def run_and_sample(sandbox: Sandbox) -> Done:
             files = len(os.listdir(f"/proc/{running.pid}/fd"))
         except OSError:
             break
-        if not pages:  # a process that has ended keeps no memory
+        if not pages:  # an ended process has no memory
             break
         samples.append((time.monotonic() - began, pages * os.sysconf("SC_PAGE_SIZE") // 1024, files))
         time.sleep(1.0)
-    done = sandbox.finish(running, "run beads.yaml --out out")
+    finished = sandbox.finish(running, "run beads.yaml --out out")
     late = [sample for sample in samples if sample[0] > WARM]
-    assert len(late) > 5, f"the run is too short to be watched: {samples}"
+    assert len(late) > 5, f"the run is too short for sampling: {samples}"
     memory, files = [sample[1] for sample in late], [sample[2] for sample in late]
     assert max(memory) <= GROWTH * memory[0], f"resident memory [kB] grows: {memory[::10]}"
     assert max(files) <= min(files) + 3, f"open files: {sorted(set(files))}"  # a frame or a checkpoint being written
-    return done
+    return finished
 
 
-def all_particles(sandbox: Sandbox, done: Done) -> None:
-    """A million steps, all particles inside."""
+def all_particles(sandbox: Sandbox, finished: FinishedProcess) -> None:
+    """Asserts a million steps with all particles inside the box."""
     import json
 
     result = json.loads(sandbox.path("out/result.json").read_text())

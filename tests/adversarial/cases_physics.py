@@ -1,4 +1,4 @@
-"""Awkward geometry, motion and speeds: runs whose particles are examined."""
+"""Extreme geometry, motion and velocities: runs with checks of the particles."""
 
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from adversarial.cases_input import as_stl  # isort: skip
 LATTICE = "{kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}"
 
 
-def ran(name: str, text: str, made, verified: str, verify, code=0, says=(), files=None, **more) -> Case:
-    """A scene built by `made`, run to its end, whose particles are then examined by `verify(frames)`."""
+def ran(name: str, text: str, build, verified: str, verify, code=0, patterns=(), files=None, **more) -> Case:
+    """Case of a run of the scene built by `made`, with a check `verify(frames)` of its particles."""
 
     def prepare(sandbox):
         for file, content in (files or {}).items():
             sandbox.write(file, content)
-        sandbox.write("beads.yaml", made() if isinstance(made(), str) else made().text())
+        sandbox.write("beads.yaml", build() if isinstance(build(), str) else build().text())
 
     return Case(
         "physics",
@@ -27,9 +27,9 @@ def ran(name: str, text: str, made, verified: str, verify, code=0, says=(), file
         text,
         ("run beads.yaml --out out",),
         code,
-        says=says,
+        patterns=patterns,
         prepare=prepare,
-        verify=lambda sandbox, done: verify(frames(sandbox.path("out"))),
+        verify=lambda sandbox, finished: verify(frames(sandbox.path("out"))),
         verified=verified,
         **more,
     )
@@ -61,7 +61,7 @@ HARD = {"restitution": 0.5, "friction": 0.3}
 
 
 def corner():
-    """A particle pressed into the corner of three planes that enclose 45 degrees: it stays inside."""
+    """A particle that moves into the corner of planes that enclose 45 degrees."""
     walls = {
         "floor": solid([0, 0, 0], [0, 0, 1]),
         "left": solid([0, 0, 0], [1, 0, 0]),
@@ -72,14 +72,14 @@ def corner():
     return build_scene({"ball": ball}, walls, pair=HARD, **FALL)
 
 
-def check_corner(seen):
-    x, y, z = last(seen)[0]
+def check_corner(run_frames):
+    x, y, z = last(run_frames)[0]
     assert z > 0.0045 and y > 0.0045, (x, y, z)
     assert (x - z) / np.sqrt(2.0) > 0.0045, "the particle is behind the inclined plane"
 
 
 def hole():
-    """Two particles above a floor of triangles with a square hole of 6 cm in its middle."""
+    """Two particles above a floor of triangles with a square hole of 6 cm in its center."""
     ball = particle_group([[0.0, 0.0, 0.02], [0.06, 0.06, 0.02]])
     floor = {"shape": "mesh", "file": "floor.stl", "material": "glass"}
     return build_scene({"ball": ball}, {"floor": floor}, pair=HARD, **(FALL | {"run": {"duration": 0.15}}))
@@ -92,27 +92,27 @@ def floor_with_hole() -> bytes:
     return as_stl(points, corners[middle > 0.03])
 
 
-def check_hole(seen):
+def check_hole(run_frames):
     """Free fall through the hole: z = z0 - g t^2 / 2; the other rests or bounces on the floor."""
-    position = last(seen)
+    position = last(run_frames)
     assert position[0, 2] < 0.02 - 0.4 * 9.81 * 0.15**2, position
     assert 0.0045 < position[1, 2] < 0.02, position
 
 
 def fixed_on_fixed():
-    """Two fixed particles that overlap, and a free one that falls beside them."""
+    """Two overlapping fixed particles, and a free particle."""
     fixed = particle_group([[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]]) | {"fixed": True}
     return build_scene({"fixed": fixed, "free": particle_group([[0.1, 0.0, 0.1]])}, pair=HARD, **FALL)
 
 
-def check_fixed(seen):
-    position = last(seen)
+def check_fixed(run_frames):
+    position = last(run_frames)
     assert np.allclose(position[:2], [[0.0, 0.0, 0.0], [0.004, 0.0, 0.0]], atol=1e-9)
     assert np.isclose(position[2, 2], 0.1 - 0.5 * 9.81 * 0.1**2, rtol=1e-3), position
 
 
 def walls_cross():
-    """A plane that moves through another plane, with a particle between them: it is squeezed until a limit aborts."""
+    """A plane that moves through another plane and compresses a particle until a limit aborts the run."""
     down = {"kind": "translation", "velocity": [0, 0, -0.5]}
     walls = {"floor": solid([0, 0, 0], [0, 0, 1]), "lid": solid([0, 0, 0.02], [0, 0, -1]) | {"motion": [down]}}
     return build_scene(
@@ -139,8 +139,8 @@ def walls_cross_empty():
     return build_scene({"ball": particle_group([[0.1, 0.0, 0.0049]])}, walls, pair=HARD, **FALL)
 
 
-def check_rest(seen):
-    assert 0.004 < last(seen)[0, 2] < 0.006
+def check_rest(run_frames):
+    assert 0.004 < last(run_frames)[0, 2] < 0.006
 
 
 def narrow(width: float):
@@ -155,9 +155,9 @@ def narrow(width: float):
     )
 
 
-def check_narrow(seen):
-    """The column collapses; no pair is closer than 0.9 diameters, over the nearest images."""
-    position, width = last(seen), 0.025
+def check_narrow(run_frames):
+    """The column collapses; the minimum-image distance of each pair is at least 0.9 diameters."""
+    position, width = last(run_frames), 0.025
     away = position[:, None] - position[None]
     away[..., :2] -= width * np.round(away[..., :2] / width)
     distance = np.sqrt((away**2).sum(axis=-1))[np.triu_indices(4, 1)]
@@ -166,7 +166,7 @@ def check_narrow(seen):
 
 
 def ratio():
-    """A sphere of 10 cm on which particles of 0.1 mm fall: a radius ratio of 1000."""
+    """Particles of 0.1 mm that fall on a particle of 10 cm: a radius ratio of 1000."""
     side = 1.5e-4 * np.argwhere(np.ones((5, 5, 1))) + [0.0, 0.0, 0.0502]
     groups = {"large": particle_group([[0.0, 0.0, 0.0]], 0.1) | {"fixed": True}, "small": particle_group(side, 1e-4)}
     return build_scene(
@@ -174,9 +174,9 @@ def ratio():
     )
 
 
-def check_ratio(seen):
-    """No small particle is inside the large one by more than a tenth of its radius."""
-    distance = np.linalg.norm(last(seen)[1:], axis=1)
+def check_ratio(run_frames):
+    """No small particle overlaps the large one by more than a tenth of its radius."""
+    distance = np.linalg.norm(last(run_frames)[1:], axis=1)
     assert distance.min() > 0.05 + 0.9 * 5e-5, distance.min()
 
 
@@ -192,7 +192,7 @@ def fast_motion():
 
 
 def bullet(velocity: float, **numerics):
-    """A particle of 2 mm that flies at a thin rectangle 5 cm away."""
+    """A particle of 2 mm that moves toward a thin rectangle at a distance of 5 cm."""
     plate = {
         "shape": "rectangle",
         "corner": [-0.1, -0.1, 0.0],
@@ -210,22 +210,22 @@ def bullet(velocity: float, **numerics):
     )
 
 
-def check_not_through(seen):
-    assert all(frame["position"][:, 2].min() > -0.001 for frame in seen), [
-        frame["position"][:, 2].min() for frame in seen
+def check_not_through(run_frames):
+    assert all(frame["position"][:, 2].min() > -0.001 for frame in run_frames), [
+        frame["position"][:, 2].min() for frame in run_frames
     ]
 
 
 def speed_of_light():
-    """Two particles that collide at 1e6 m/s although the time step is for 1 m/s."""
+    """Two particles that collide at 1e6 m/s with a time step for 1 m/s."""
     ball = particle_group([[-0.02, 0, 0], [0.02, 0, 0]], velocity=[[1e6, 0, 0], [-1e6, 0, 0]])
     return build_scene(
         {"ball": ball}, pair=HARD, run={"duration": 1e-4, "velocity_max": 1.0}, output={"interval": 1e-5}
     )
 
 
-def abort_files(sandbox, done):
-    """An aborted run leaves finite numbers in every frame and no result.json."""
+def abort_files(sandbox, finished):
+    """An aborted run has finite values in all frames and no result.json."""
     for frame in frames(sandbox.path("out")):
         for name, values in frame.items():
             assert np.isfinite(values).all(), f"{name} is not finite"
@@ -233,11 +233,11 @@ def abort_files(sandbox, done):
 
 
 def physics() -> list[Case]:
-    """Runs whose particles are examined."""
+    """Runs with checks of the particles."""
     return [
         ran(
             "corner",
-            "a particle shot into the corner of planes that enclose 45 degrees",
+            "a fast particle in the corner of planes that enclose 45 degrees",
             corner,
             "it stays inside",
             check_corner,
@@ -252,7 +252,7 @@ def physics() -> list[Case]:
         ),
         ran(
             "fixed_on_fixed",
-            "fixed particles that overlap, beside a free one",
+            "overlapping fixed particles, and a free particle",
             fixed_on_fixed,
             "the fixed ones stay, the free one falls by g t^2 / 2",
             check_fixed,
@@ -262,9 +262,9 @@ def physics() -> list[Case]:
             "a plane that moves through another, a particle between them",
             walls_cross,
             "",
-            lambda seen: None,
+            lambda run_frames: None,
             code=3,
-            says=("overlap",),
+            patterns=("overlap",),
         ),
         ran(
             "walls_cross",
@@ -287,9 +287,9 @@ def physics() -> list[Case]:
             "a periodic box of two diameters",
             lambda: narrow(0.02),
             "",
-            lambda seen: None,
+            lambda run_frames: None,
             code=2,
-            says=("periodic|wide|images",),
+            patterns=("periodic|wide|images",),
         ),
         ran("radius_ratio", "a radius ratio of 1000", ratio, "no small particle enters the large one", check_ratio),
         ran(
@@ -297,9 +297,9 @@ def physics() -> list[Case]:
             "a wall whose period of motion is a tenth of the time step",
             fast_motion,
             "",
-            lambda seen: None,
+            lambda run_frames: None,
             code=2,
-            says=("period|frequency|vibration|motion",),
+            patterns=("period|frequency|vibration|motion",),
         ),
         ran(
             "bullet_skin",
@@ -311,7 +311,7 @@ def physics() -> list[Case]:
         ),
         ran(
             "bullet",
-            "the same with the default skin",
+            "a particle at 110 m/s with the default skin and a time step for 27 m/s, at a thin rectangle",
             lambda: bullet(110.0),
             "the particle does not pass",
             check_not_through,
@@ -324,7 +324,7 @@ def physics() -> list[Case]:
             ("run beads.yaml --out out",),
             3,
             prepare=lambda s: s.write("beads.yaml", speed_of_light().text()),
-            says=("limit|overlap|fast|speed|moved|outside",),
+            patterns=("limit|overlap|fast|speed|moved|outside",),
             verify=abort_files,
             verified="no NaN in any file",
         ),
@@ -334,7 +334,7 @@ def physics() -> list[Case]:
             "particles that begin behind a plane",
             ("run beads.yaml --out out",),
             (2, 3),
-            says=("overlap|behind|inside",),
+            patterns=("overlap|behind|inside",),
             verify=abort_files,
             prepare=beads(("point: [0, 0, 0], normal", "point: [0, 0, 2 cm], normal")),
         ),
@@ -344,7 +344,7 @@ def physics() -> list[Case]:
             "two particles at the same position",
             ("run beads.yaml --out out",),
             (2, 3),
-            says=("overlap|same position|coincide",),
+            patterns=("overlap|same position|coincide",),
             verify=abort_files,
             prepare=beads(
                 ("    count: 10\n", ""), (LATTICE, "{kind: positions, positions: [[0, 0, 1 cm], [0, 0, 1 cm]]}")

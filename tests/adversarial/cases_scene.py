@@ -1,4 +1,4 @@
-"""Scene files that are no scenes, and invalid values in every block."""
+"""Invalid scene files, and invalid values in each block."""
 
 from pathlib import Path
 
@@ -33,24 +33,24 @@ BLOCKS = {
     "output": ("interval bad", "fields with too many cells", "meter normal"),
     "expect": ("expect nothing", "expect unknown meter"),
 }
-"""Cases of tests/messages/cases.yaml that stand for their block here; all of them are tested there."""
+"""Cases of tests/messages/cases.yaml by block; that file contains further cases with their own tests."""
 
 
 def shown(change: dict) -> str:
-    """The replaced text as the description of an input."""
+    """Description of an input: the new text, or the removed one."""
     old, new = next(iter(change.items()))
     return f"`{' '.join(new.split())}`" if new.strip() else f"`{' '.join(old.split())}` is missing"
 
 
 def block_cases() -> list[Case]:
-    """One case for every name in BLOCKS: `granflow check` refuses it with the position and the key."""
+    """One case for each name in BLOCKS: `granflow check` rejects it with the position and the key."""
     return [
         Case(
             f"invalid scenes: {block}",
             f"block_{name.replace(' ', '_')}",
             shown(SENTENCES[name]["change"]),
             ("check beads.yaml",),
-            says=(r"beads.yaml:\d+:\d+: ", r"\d+ problems? found"),
+            patterns=(r"beads.yaml:\d+:\d+: ", r"\d+ problems? found"),
             prepare=scene(changed(GOOD, *SENTENCES[name]["change"].items())),
             quick=name in ("density 1e308", "zero normal"),
         )
@@ -60,15 +60,15 @@ def block_cases() -> list[Case]:
 
 
 def aliases() -> str:
-    """Nine levels of ten aliases each: 1e9 values where all aliases are copied."""
+    """Nine levels of ten aliases each: 1e9 values if all aliases are expanded."""
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 10)]
     return "\n".join(lines) + "\n"
 
 
-def file_case(name: str, text: str, content: str | bytes, *says: str, **more) -> Case:
-    """A scene file with that content, checked."""
-    return Case("scene files", name, text, ("check beads.yaml",), says=says, prepare=scene(content), **more)
+def file_case(name: str, text: str, content: str | bytes, *patterns: str, **more) -> Case:
+    """Case of `granflow check` of a scene file with this content."""
+    return Case("scene files", name, text, ("check beads.yaml",), patterns=patterns, prepare=scene(content), **more)
 
 
 def no_scene(sandbox) -> None:
@@ -91,7 +91,7 @@ def device(name: str):
 
 
 def file_cases() -> list[Case]:
-    """Files that are empty, binary, endless, too large or not there."""
+    """Files that are empty, binary, endless, too large or missing."""
     return [
         file_case("empty", "an empty file", "", "empty", quick=True),
         file_case("binary", "random bytes with NUL", bytes(range(256)) * 40, "binary|UTF-8"),
@@ -129,10 +129,10 @@ def file_cases() -> list[Case]:
         Case(
             "scene files",
             "control_run",
-            "the same title in a run: nothing reaches the terminal unescaped",
+            "ESC and NUL escapes in the title, in a run: the terminal shows no control characters",
             ("run beads.yaml --out out",),
             0,
-            says=(),
+            patterns=(),
             verify=None,
             prepare=scene(BEADS.replace("Ten beads fall", '"\\e[31mred\\u202Eabc"')),
             verified="escaped",
@@ -143,17 +143,17 @@ def file_cases() -> list[Case]:
             "missing",
             "no such file",
             ("check beads.yaml",),
-            says=("no such file",),
+            patterns=("no such file",),
             prepare=no_scene,
             quick=True,
         ),
-        Case("scene files", "directory", "a directory", ("check .",), says=("directory",)),
+        Case("scene files", "directory", "a directory", ("check .",), patterns=("directory",)),
         Case(
             "scene files",
             "symlink_loop",
             "a loop of symbolic links",
             ("check beads.yaml",),
-            says=("symbolic links|loop|cannot be read",),
+            patterns=("symbolic links|loop|cannot be read",),
             prepare=loop,
         ),
         Case(
@@ -161,7 +161,7 @@ def file_cases() -> list[Case]:
             "pipe",
             "a named pipe without a writer",
             ("check beads.yaml",),
-            says=("beads.yaml", "file"),
+            patterns=("beads.yaml", "file"),
             prepare=pipe,
             seconds=300,
         ),
@@ -170,7 +170,7 @@ def file_cases() -> list[Case]:
             "zero_device",
             "/dev/zero, which never ends",
             ("check beads.yaml",),
-            says=("beads.yaml",),
+            patterns=("beads.yaml",),
             prepare=device("/dev/zero"),
             seconds=300,
             megabytes=1000,
@@ -180,7 +180,7 @@ def file_cases() -> list[Case]:
             "io_error",
             "a file whose reading fails (/proc/self/mem)",
             ("check beads.yaml",),
-            says=("Input/output error",),
+            patterns=("Input/output error",),
             prepare=device("/proc/self/mem"),
         ),
         Case(
@@ -188,7 +188,7 @@ def file_cases() -> list[Case]:
             "name_newline",
             "a newline in the name of the file: the message stays on one line",
             ("check 'be\nads.yaml'",),
-            says=("no such file",),
+            patterns=("no such file",),
             verify=one_line,
         ),
         Case(
@@ -213,10 +213,10 @@ def file_cases() -> list[Case]:
     ]
 
 
-def one_line(sandbox, done) -> None:
-    """The path of the message is escaped, so that a message is one line."""
-    lines = [line for line in done.err.splitlines() if line and "problem" not in line.split()[1:2]]
-    assert len(lines) == 1, done.err
+def one_line(sandbox, finished) -> None:
+    """The path in the message is escaped, so that the message is one line."""
+    lines = [line for line in finished.err.splitlines() if line and "problem" not in line.split()[1:2]]
+    assert len(lines) == 1, finished.err
 
 
 CASES = [*file_cases(), *block_cases()]

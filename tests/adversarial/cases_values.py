@@ -1,53 +1,55 @@
-"""Values at the ends of what a scene may say: refused with a reason, or computed correctly."""
+"""Extreme values in a scene: rejected with a reason, or computed correctly."""
 
 from adversarial.beads import beads
 from adversarial.case import Case
 from adversarial.cases_physics import abort_files, frames, last
 
 
-def refused(name: str, text: str, pairs, *says: str, verb: str = "check beads.yaml", **more) -> Case:
-    """The scene of ten beads with passages replaced: refused before anything runs."""
-    return Case("extreme values", f"value_{name}", text, (verb,), says=says, **({"prepare": beads(*pairs)} | more))
+def rejected(name: str, text: str, pairs, *patterns: str, verb: str = "check beads.yaml", **more) -> Case:
+    """Case of the scene of ten particles with replaced passages, which `granflow check` rejects."""
+    return Case(
+        "extreme values", f"value_{name}", text, (verb,), patterns=patterns, **({"prepare": beads(*pairs)} | more)
+    )
 
 
-def rests_or_refused(sandbox, done):
-    """A run that is not refused ends with all particles at finite positions above the floor."""
-    if done.code == 0:
+def rests_or_refused(sandbox, finished):
+    """If the run is not rejected, it ends with all particles at finite positions above the floor."""
+    if finished.code == 0:
         assert last(frames(sandbox.path("out")))[:, 2].min() > 0.0015
 
 
 def values() -> list[Case]:
-    """Values at the ends of what a scene may write."""
+    """Extreme values in a scene."""
     step = ("run: {duration: 50 ms}", "run: {duration: 50 ms, time_step: 1e-30}")
     return [
-        refused("step_large", "a time step of 1 ms", [("50 ms}", "50 ms, time_step: 1 ms}")], "above the stable"),
-        refused("step_small", "a time step of 1e-30 s", [step], "time_step|steps|years|long"),
-        refused("duration", "a duration of 1e30 s", [("50 ms", "1e30")], "duration|steps|years|long"),
-        refused("density", "a density of 1e30 kg/m3", [("density: 2500", "density: 1e30")], "density|step|time_step"),
-        refused(
+        rejected("step_large", "a time step of 1 ms", [("50 ms}", "50 ms, time_step: 1 ms}")], "above the stable"),
+        rejected("step_small", "a time step of 1e-30 s", [step], "time_step|steps|years|long"),
+        rejected("duration", "a duration of 1e30 s", [("50 ms", "1e30")], "duration|steps|years|long"),
+        rejected("density", "a density of 1e30 kg/m3", [("density: 2500", "density: 1e30")], "density|step|time_step"),
+        rejected(
             "density_run",
-            "the same, run",
+            "a density of 1e30 kg/m3, in a run",
             [("density: 2500", "density: 1e30")],
             "density|step|time_step",
             verb="run beads.yaml --out out",
         ),
-        refused(
+        rejected(
             "density_small",
             "a density of 1e-30 kg/m3",
             [("density: 2500", "density: 1e-30")],
             "density|step|long|mass|1e-",
         ),
-        refused("modulus", "Young's modulus of 1e30 Pa", [("10 MPa", "1e30")], "step|long|young_modulus"),
-        refused(
+        rejected("modulus", "Young's modulus of 1e30 Pa", [("10 MPa", "1e30")], "step|long|young_modulus"),
+        rejected(
             "diameter",
             "a diameter of 1e-30 m",
             [("diameter: 4 mm", "diameter: 1e-30")],
             "diameter|small|cells|step|long|positions",
         ),
-        refused(
+        rejected(
             "diameter_large", "a diameter of 1e30 m", [("diameter: 4 mm", "diameter: 1e30")], "room|only|large|region"
         ),
-        refused(
+        rejected(
             "gravity",
             "gravity of 1e30 m/s2",
             [("-9.81", "-1e30")],
@@ -56,7 +58,7 @@ def values() -> list[Case]:
             code=(2, 3),
             verify=abort_files,
         ),
-        refused(
+        rejected(
             "domain",
             "a domain of 1e30 m",
             [("max: [3 cm, 3 cm, 3 cm]", "max: [1e30, 1e30, 1e30]")],
@@ -64,7 +66,7 @@ def values() -> list[Case]:
             code=(0, 2),
             verify=rests_or_refused,
         ),
-        refused(
+        rejected(
             "velocity",
             "a velocity of 1e30 m/s",
             [("    count: 10\n", "    count: 10\n    velocity: [1e30, 0, 0]\n")],
@@ -73,16 +75,16 @@ def values() -> list[Case]:
             code=(2, 3),
             verify=abort_files,
         ),
-        refused("count", "2 147 483 647 particles", [("count: 10", "count: 2147483647")], "only|most|memory|room"),
-        refused(
+        rejected("count", "2 147 483 647 particles", [("count: 10", "count: 2147483647")], "only|most|memory|room"),
+        rejected(
             "chunk",
             "a chunk size of 2 147 483 647",
             [("run:", "numerics: {chunk_size: 2147483647}\nrun:")],
             "chunk_size",
         ),
-        refused("skin", "a skin of 1e30 m", [("run:", "numerics: {skin: 1e30}\nrun:")], "skin"),
-        refused("skin_small", "a skin of 1e-30 m", [("run:", "numerics: {skin: 1e-30}\nrun:")], code=(0, 2)),
-        refused(
+        rejected("skin", "a skin of 1e30 m", [("run:", "numerics: {skin: 1e30}\nrun:")], "skin"),
+        rejected("skin_small", "a skin of 1e-30 m", [("run:", "numerics: {skin: 1e-30}\nrun:")], code=(0, 2)),
+        rejected(
             "f32_far",
             "f32 at 1e6 m from the origin",
             [
@@ -93,20 +95,20 @@ def values() -> list[Case]:
             "f32|precision",
             "mixed|f64",
         ),
-        refused(
+        rejected(
             "stage_zero",
             "a stage of zero length",
             [("run: {duration: 50 ms}", "stages: [{name: a, duration: 0}, {name: b, duration: 10 ms}]")],
             "duration",
             "above 0",
         ),
-        refused(
+        rejected(
             "interval_zero", "an output interval of 0", [("interval: 10 ms", "interval: 0")], "interval", "above 0"
         ),
-        refused(
+        rejected(
             "interval_tiny", "an output interval of 1e-30 s", [("interval: 10 ms", "interval: 1e-30")], code=(0, 2)
         ),
-        refused(
+        rejected(
             "amplitude",
             "a vibration of 1e30 m",
             [
@@ -158,7 +160,7 @@ def values() -> list[Case]:
 
 
 def at_rest(sandbox):
-    """Particles of zero restitution lie on the floor."""
+    """Particles with zero restitution rest on the floor."""
     heights = last(frames(sandbox.path("out")))[:, 2]
     assert heights.max() < 0.01 and heights.min() > 0.0015, heights
 

@@ -1,4 +1,4 @@
-"""The table of all adversarial cases in docs/adversarial.md: written and compared by the same function."""
+"""The table of all adversarial cases in docs/adversarial.md; one function writes and compares it."""
 
 from collections.abc import Mapping
 
@@ -24,14 +24,14 @@ CASES: list[Case] = [case for module in MODULES for case in module.CASES]
 INTRODUCTION = """\
 # Invalid inputs and faults
 
-What granflow does with invalid files, values and command lines, and with faults of the machine. `python
-tools/adversarial.py` runs every case in a process of its own and writes this table; `python3 tools/dev.py slow
-tests/adversarial` compares it. In every case no traceback and no control character reaches the terminal, the process
-ends within its time limit and takes at most 1.5 GB of memory, and the files of a run are complete: no temporary
-file, no unlisted frame, no NaN.
+Behavior of granflow with invalid files, values and command lines, and with faults of the machine. `python
+tools/adversarial.py` runs each case in separate processes and writes this table; `python3 tools/dev.py slow
+tests/adversarial` compares it. In each case, the terminal shows neither a traceback nor control characters, the process
+ends within its time limit and uses at most 1.5 GB of memory, and the files of a run are complete: no temporary file, no
+unlisted frame, no NaN.
 
-Exit codes: 0 done; 1 an expectation is not satisfied; 2 refused; 3 aborted by a limit; 4 files cannot be written;
-130 and 143 stopped by SIGINT and SIGTERM; negative: ended by that signal.
+Exit codes: 0 success; 1 an expectation is not satisfied; 2 input rejected; 3 aborted by a limit; 4 files cannot be
+written; 130 and 143 stopped by SIGINT and SIGTERM; negative: killed by that signal.
 
 | group | input | result |
 |---|---|---|
@@ -39,18 +39,18 @@ Exit codes: 0 done; 1 an expectation is not satisfied; 2 refused; 3 aborted by a
 
 
 def row_of(outcome: Outcome) -> str:
-    """One line of the table; a case that fails says so."""
+    """One line of the table; failed cases are marked."""
     failed = f"**fails: {plain(outcome.faults[0])}**; " if outcome.faults else ""
     return f"| {outcome.case.group} | {cell(outcome.case.input)} | {failed}{outcome.result} |"
 
 
 def cell(text: str) -> str:
-    """The description of an input; it may contain code in backticks and bars."""
+    """Description of an input for a table cell; it may contain code in backticks and bars."""
     return text.replace("|", "\\|").replace("\n", " ")
 
 
 def page_of(outcomes: Mapping[str, Outcome], before: str) -> str:
-    """The whole page; a case that has no outcome, or did not run on this machine, keeps its line of `before`."""
+    """The page; a case without outcome, or skipped on this machine, keeps its line of `before`."""
     return INTRODUCTION + "\n".join(_line(case, outcomes.get(case.name), before) for case in CASES) + "\n"
 
 
@@ -63,5 +63,5 @@ def _line(case: Case, outcome: Outcome | None, before: str) -> str:
 
 
 def page_text() -> str:
-    """The page as it is in the repository."""
+    """Text of the page in the repository."""
     return PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""

@@ -15,12 +15,12 @@ from resume.faults import FAULT_INJECTION
 
 ROOT = Path(__file__).parents[2]
 CACHE = ROOT / ".pytest_cache" / "kernels"
-"""Compiled kernels that all cases share, unless a case is about the cache."""
+"""Folder of compiled kernels, common to all cases except those that test the cache."""
 
 POLL = 0.01
-"""Seconds between two looks at a running process."""
+"""Polling interval of running processes [s]."""
 
-PASSED_OVER = re.compile(r"particle-steps/s|^usage:|^ ")
+IGNORED_LINES = re.compile(r"particle-steps/s|^usage:|^ ")
 
 
 class Skip(Exception):
@@ -28,7 +28,7 @@ class Skip(Exception):
 
 
 @dataclass
-class Done:
+class FinishedProcess:
     """One finished process: exit code (None: it exceeded the time limit), output and peak memory [MB]."""
 
     command: str
@@ -39,72 +39,72 @@ class Done:
 
     @property
     def text(self) -> str:
-        """Both outputs."""
+        """Standard output and standard error."""
         return f"{self.out}\n{self.err}"
 
     @property
     def message(self) -> str:
         """First line on stderr that is neither progress nor the usage of a verb, or an empty string."""
-        lines = [line for line in self.err.splitlines() if line.strip() and not PASSED_OVER.search(line)]
+        lines = [line for line in self.err.splitlines() if line.strip() and not IGNORED_LINES.search(line)]
         return lines[0] if lines else ""
 
 
 @dataclass
 class Sandbox:
-    """The directory of one case and everything that ran in it."""
+    """Directory of one case and the processes that ran in it."""
 
     home: Path
     seconds: float = 600.0
-    history: list[Done] = field(default_factory=list)
+    history: list[FinishedProcess] = field(default_factory=list)
 
     def path(self, name: str) -> Path:
-        """A path in the directory."""
+        """Path in the directory."""
         return self.home / name
 
     def write(self, name: str, content: str | bytes) -> Path:
-        """Write a file, with its parent directories."""
+        """Writes a file and its parent directories."""
         path = self.home / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
         return path
 
-    def run(self, command: str, fault: tuple[str, str] | None = None, **options) -> Done:
-        """`granflow COMMAND` to its end; `fault`: in a process with that fault, see tests/resume/fault_injection.py."""
+    def run(self, command: str, fault: tuple[str, str] | None = None, **options) -> FinishedProcess:
+        """Runs `granflow COMMAND` to its end; `fault`: arguments of tests/resume/fault_injection.py."""
         return self.finish(self.start(command, fault, **options), command)
 
     def start(self, command: str, fault: tuple[str, str] | None = None, **options) -> subprocess.Popen:
-        """`granflow COMMAND` as a running process, its outputs in files beside the directory."""
+        """Starts `granflow COMMAND`; its outputs are files next to the directory."""
         program = ["-m", "granflow"] if fault is None else [FAULT_INJECTION, *fault]
         return self.start_program([sys.executable, *program, *shlex.split(command)], **options)
 
-    def start_program(self, words: list[str], env=(), **options) -> subprocess.Popen:
-        """Any program as a running process; `env` adds to the environment, a value of None removes a variable."""
+    def start_program(self, arguments: list[str], env=(), **options) -> subprocess.Popen:
+        """Starts a program; `env` adds to the environment, a value of None removes a variable."""
         number = len(list(self.home.parent.glob("output_*.out")))
         outputs = [open(self.home.parent / f"output_{number}.{end}", "w+b") for end in ("out", "err")]
         variables = {**os.environ, "GRANFLOW_CACHE": str(CACHE), **dict(env)}
-        given = {"cwd": self.home, "stdout": outputs[0], "stderr": outputs[1], "stdin": subprocess.DEVNULL} | options
+        settings = {"cwd": self.home, "stdout": outputs[0], "stderr": outputs[1], "stdin": subprocess.DEVNULL} | options
         saved = {name: value for name, value in variables.items() if value is not None}
-        process = subprocess.Popen(words, env=saved, **given)
+        process = subprocess.Popen(arguments, env=saved, **settings)
         process.outputs = outputs
         return process
 
-    def finish(self, process: subprocess.Popen, command: str = "") -> Done:
-        """Wait for a process within the time limit; kills it when it exceeds the limit."""
-        give_up, code, megabytes = time.monotonic() + self.seconds, None, 0.0
+    def finish(self, process: subprocess.Popen, command: str = "") -> FinishedProcess:
+        """Waits for a process; kills it if it exceeds the time limit."""
+        deadline, code, megabytes = time.monotonic() + self.seconds, None, 0.0
         while code is None:
             pid, status, usage = os.wait4(process.pid, os.WNOHANG)
             if pid:
                 code, megabytes = os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024.0
-            elif time.monotonic() > give_up:
+            elif time.monotonic() > deadline:
                 os.kill(process.pid, signal.SIGKILL)
                 os.wait4(process.pid, 0)
                 break
             else:
                 time.sleep(POLL)
         process.returncode = -signal.SIGKILL if code is None else code
-        done = Done(command, code, *(self._read(file) for file in process.outputs), megabytes)
-        self.history.append(done)
-        return done
+        finished = FinishedProcess(command, code, *(self._read(file) for file in process.outputs), megabytes)
+        self.history.append(finished)
+        return finished
 
     def _read(self, file) -> str:
         file.seek(0)
@@ -124,13 +124,13 @@ def limited(**limits: int):
     return limit
 
 
-def as_nobody() -> None:
-    """A `preexec_fn`: root ignores permissions, the user nobody does not."""
+def as_unprivileged_user() -> None:
+    """A `preexec_fn` that drops root privileges, since root ignores file permissions."""
     if os.geteuid() == 0:
         os.setgid(65534)
         os.setuid(65534)
 
 
-def hear_interrupts() -> None:
-    """A `preexec_fn`: a shell in the background lets its processes ignore SIGINT; the run must not inherit that."""
+def restore_interrupts() -> None:
+    """A `preexec_fn` that restores the SIGINT handler: background processes of a shell ignore SIGINT."""
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""The command line by itself: arguments, exit codes, messages and tables, with stand-ins for what it calls."""
+"""Arguments, exit codes, messages and tables of the command line; the functions behind it are replaced by stubs."""
 
 import json
 import subprocess
@@ -20,9 +20,9 @@ from granflow.scene.schema import MeshWall
 
 
 @pytest.fixture
-def stand_ins(monkeypatch, tmp_path):
-    """A scene, a simulation and a collision that only note how they were called; in an empty directory."""
-    calls = types.SimpleNamespace(raises=None, judged=(), warnings=())
+def stubs(monkeypatch, tmp_path):
+    """Stubs of scene, simulation and collision that record their arguments; in an empty directory."""
+    calls = types.SimpleNamespace(raises=None, expectations=(), warnings=())
 
     class Simulation:
         time = checkpoint_time = 0.25
@@ -38,7 +38,9 @@ def stand_ins(monkeypatch, tmp_path):
             calls.until = until
             if calls.raises:
                 raise calls.raises
-            return Result({"time_step": 1.25e-6}, {"forces": 3.0}, {"particle_count": 2.0}, expectations=calls.judged)
+            return Result(
+                {"time_step": 1.25e-6}, {"forces": 3.0}, {"particle_count": 2.0}, expectations=calls.expectations
+            )
 
     def load(path, overrides=()):
         calls.overrides = overrides
@@ -61,20 +63,20 @@ def stand_ins(monkeypatch, tmp_path):
     return calls
 
 
-# ---------------------------------------------------------------- starting
+# ---------------------------------------------------------------- arguments
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["collide", "--help"]])
-def test_help_loads_nothing_heavy(arguments):
+def test_help_imports_neither_numpy_nor_taichi(arguments):
     program = f"import sys, granflow.cli\ntry: granflow.cli.main({arguments})\nfinally: print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert not {"taichi", "numpy", "rich", "pydantic"} & set(done.stdout.split())
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert not {"taichi", "numpy", "rich", "pydantic"} & set(process.stdout.split())
 
 
-def test_the_module_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "granflow", "--version"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout.split()[0]) == (0, "granflow")
+def test_module_and_command_are_equivalent():
+    process = subprocess.run([sys.executable, "-m", "granflow", "--version"], capture_output=True, text=True)
+    assert (process.returncode, process.stdout.split()[0]) == (0, "granflow")
 
 
 @pytest.mark.parametrize(
@@ -92,14 +94,14 @@ def test_the_module_is_the_command():
         (["collide", "--wall", "--diameter2", "1mm"], "not allowed with argument --wall"),
     ],
 )
-def test_wrong_arguments_are_refused(arguments, message, capsys):
+def test_invalid_arguments_are_rejected(arguments, message, capsys):
     with pytest.raises(SystemExit) as exit_:
         main(arguments)
     assert exit_.value.code == 2
     assert message in capsys.readouterr().err
 
 
-def test_arguments_take_units():
+def test_arguments_accept_units():
     collide = "collide --material glass --diameter 25.4mm --velocity 0.5 --diameter2".split()
     options = build_parser().parse_args([*collide, "1 cm"])
     assert (options.diameter, options.velocity, options.diameter2) == (0.0254, 0.5, 0.01)
@@ -109,46 +111,49 @@ def test_arguments_take_units():
 # ---------------------------------------------------------------- running
 
 
-def test_run_passes_on_what_is_asked(stand_ins, capsys):
+def test_run_passes_arguments_to_the_simulation(stubs, capsys):
     arguments = "run a.yaml --set x.y=1 --set z=2 --arch cuda --precision f32 --threads 2 --until 1 --out here"
     assert main(arguments.split()) == 0
-    assert stand_ins.overrides == ["x.y=1", "z=2", "run.precision=f32"]
-    assert stand_ins.simulation == {
+    assert stubs.overrides == ["x.y=1", "z=2", "run.precision=f32"]
+    assert stubs.simulation == {
         "arch": "cuda",
         "threads": 2,
         "out": Path("here"),
         "progress": True,
         "allow_long": False,
     }
-    assert stand_ins.until == 1.0
-    shown = capsys.readouterr().out
-    assert "Two [spheres]" in shown and "particle count" in shown and "1.25e-06" in shown
+    assert stubs.until == 1.0
+    output = capsys.readouterr().out
+    assert "Two [spheres]" in output and "particle count" in output and "1.25e-06" in output
 
 
-def test_results_go_beside_others_under_the_name_of_the_scene(stand_ins):
+def test_default_output_directory_is_named_after_the_scene(stubs):
     main(["run", "scenes/hopper.yaml"])
-    assert stand_ins.simulation == {
+    assert stubs.simulation == {
         **{"arch": "cpu", "threads": None},
         **{"out": Path("out/hopper"), "progress": True, "allow_long": False},
     }
 
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (False, 1)])
-def test_unmet_expectations_show_in_the_exit_code(stand_ins, capsys, met, code):
-    stand_ins.judged = (ExpectationResult("kinetic_energy is 1 J", True), ExpectationResult("mass_flow is 2 kg/s", met))
+def test_unsatisfied_expectations_set_the_exit_code(stubs, capsys, met, code):
+    stubs.expectations = (
+        ExpectationResult("kinetic_energy is 1 J", True),
+        ExpectationResult("mass_flow is 2 kg/s", met),
+    )
     assert main(["run", "a.yaml"]) == code
-    shown = capsys.readouterr().out
-    assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in shown) is not met
-    assert "left out" not in shown
+    output = capsys.readouterr().out
+    assert ("NOT AS EXPECTED: mass_flow is 2 kg/s" in output) is not met
+    assert "left out" not in output
 
 
-def test_expectations_left_out_are_mentioned(stand_ins, capsys):
+def test_skipped_expectations_are_reported(stubs, capsys):
     assert main(["run", "a.yaml", "--until", "0.25"]) == 0
     assert "Expectations are not evaluated: --until ended the run at 0.25 s." in capsys.readouterr().out
 
 
-def test_warnings_of_the_plan_are_said_once(stand_ins, capsys):
-    stand_ins.warnings = ("a-b: too little.", "b-b: too much.")
+def test_warnings_of_the_plan_are_printed_once(stubs, capsys):
+    stubs.warnings = ("a-b: too little.", "b-b: too much.")
     assert main(["run", "a.yaml"]) == 0
     assert capsys.readouterr().err == "granflow: warning: a-b: too little.\ngranflow: warning: b-b: too much.\n"
 
@@ -161,7 +166,7 @@ STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} 
     ("error", "code", "message"),
     [
         (GranflowError("There is no CUDA here."), 2, "granflow: There is no CUDA here.\n"),
-        (RunError("Grain 7 left at 0.1 s."), 3, "granflow: Grain 7 left at 0.1 s.\n"),
+        (RunError("Particle 7 left at 0.1 s."), 3, "granflow: Particle 7 left at 0.1 s.\n"),
         (KeyboardInterrupt(), 130, STOPPED),
         (Terminated(), 143, STOPPED),
         (PermissionError(13, "Permission denied", "out"), 2, "granflow: out: Permission denied.\n"),
@@ -174,14 +179,14 @@ STOPPED = f"granflow: stopped at 0.25 s; granflow resume {OUT} continues. {OUT} 
         (SceneError("a.yaml:1:1: A."), 2, "a.yaml:1:1: A.\n1 problem found.\n"),
     ],
 )
-def test_errors_are_said_without_traceback(stand_ins, capsys, error, code, message):
-    stand_ins.raises = error
+def test_errors_are_printed_without_traceback(stubs, capsys, error, code, message):
+    stubs.raises = error
     assert main(["run", "a.yaml"]) == code
     assert capsys.readouterr().err == message
 
 
-def test_our_own_mistakes_keep_their_traceback(stand_ins):
-    stand_ins.raises = ZeroDivisionError()
+def test_unexpected_exceptions_keep_their_traceback(stubs):
+    stubs.raises = ZeroDivisionError()
     with pytest.raises(ZeroDivisionError):
         main(["run", "a.yaml"])
 
@@ -189,8 +194,8 @@ def test_our_own_mistakes_keep_their_traceback(stand_ins):
 # ---------------------------------------------------------------- earlier runs
 
 
-def test_earlier_run_is_refused_without_force_and_left_to_the_new_run_with_it(stand_ins, capsys):
-    """The verb deletes nothing: the stand-in for Simulation never begins, so every file is still there."""
+def test_command_deletes_no_files_of_an_earlier_run(stubs, capsys):
+    """Without --overwrite an earlier run is rejected; with it the simulation, here a stub, replaces the files."""
     out = Path("out/a")
     out.mkdir(parents=True)
     names = {"particles_0000.vtu", "timeseries.csv", "notes.txt"}
@@ -199,13 +204,13 @@ def test_earlier_run_is_refused_without_force_and_left_to_the_new_run_with_it(st
     assert main(["run", "a.yaml"]) == 2
     assert "out/a contains an earlier run" in capsys.readouterr().err.replace("\\", "/")
     assert main(["run", "a.yaml", "--overwrite"]) == 0
-    stand_ins.raises = GranflowError("This machine has no cuda device.")
+    stubs.raises = GranflowError("This machine has no cuda device.")
     assert main(["run", "a.yaml", "--overwrite"]) == 2
     assert {path.name: path.read_text() for path in out.iterdir()} == {name: name for name in names} | {".lock": ""}
 
 
 @pytest.mark.parametrize("pattern", RESULT_FILES)
-def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
+def test_every_result_file_identifies_an_earlier_run(tmp_path, pattern):
     prepare_output(tmp_path, empty_scene(), overwrite=False)
     path = tmp_path / pattern.replace("*", "0003")
     path.parent.mkdir(exist_ok=True)
@@ -215,15 +220,15 @@ def test_every_file_of_a_run_tells_of_it(tmp_path, pattern):
 
 
 def empty_scene(folder=".", start_from=None, walls=(), particles=()):
-    """What `prepare_output` reads of a scene."""
+    """The attributes of a scene that `prepare_output` reads."""
     return types.SimpleNamespace(
         folder=Path(folder), start_from=start_from, walls=dict(walls), particles=dict(particles)
     )
 
 
 @pytest.mark.parametrize("inside", ["start_from", "walls.bowl.file", "particles.beads.insert.file"])
-def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
-    """Also through a symbolic link; a scene whose inputs lie elsewhere replaces the run."""
+def test_input_files_in_the_output_directory_are_rejected(tmp_path, inside):
+    """Also through a symbolic link; inputs in another directory are accepted."""
     out = tmp_path / "out"
     out.mkdir()
     for name in ("timeseries.csv", "bowl.stl", "particles_0007.vtu"):
@@ -231,18 +236,18 @@ def test_inputs_in_the_directory_to_be_replaced_are_refused(tmp_path, inside):
     (tmp_path / "link").symlink_to(out)
     bowl = MeshWall.model_construct(shape="mesh", file="link/bowl.stl")
     beads = types.SimpleNamespace(insert=FileInsertion.model_construct(kind="file", file="link/particles_0007.vtu"))
-    given = {
+    scene_with_input = {
         "start_from": empty_scene(start_from=str(tmp_path / "link")),
         "walls.bowl.file": empty_scene(tmp_path, walls={"bowl": bowl}),
         "particles.beads.insert.file": empty_scene(tmp_path, particles={"beads": beads}),
     }[inside]
     with pytest.raises(GranflowError, match=rf"^{inside} is .*, which is in the output directory .*--out\.$"):
-        prepare_output(out, given, overwrite=True)
+        prepare_output(out, scene_with_input, overwrite=True)
     prepare_output(out, empty_scene(tmp_path, start_from=str(tmp_path / "other")), overwrite=True)
 
 
-def test_the_directory_stays_locked_while_the_run_is_made(stand_ins, monkeypatch):
-    """No second process writes into it between the checks and the last file."""
+def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
+    """The lock is held from the first check to the last file, so that no second process writes into the directory."""
     seen = []
 
     def lock_from_another_thread():
@@ -267,13 +272,13 @@ def test_the_directory_stays_locked_while_the_run_is_made(stand_ins, monkeypatch
 # ---------------------------------------------------------------- collide
 
 
-def test_collide_as_json(stand_ins, capsys):
+def test_collide_prints_json(stubs, capsys):
     arguments = (
         "collide --material glass --diameter 4mm --velocity 1 --wall --restitution 0.7 --set damping_ratio=0 --json"
     )
     assert main(arguments.split()) == 0
     assert json.loads(capsys.readouterr().out)["duration_theory"] == 4.1e-5
-    assert stand_ins.collide == {
+    assert stubs.collide == {
         "law": "zhou",
         "material": "glass",
         "diameter": 0.004,
@@ -289,7 +294,7 @@ def test_collide_as_json(stand_ins, capsys):
     }
 
 
-def test_collide_as_a_table(capsys):
+def test_collide_prints_a_table(capsys):
     show_comparison({"restitution_asked": 0.7, "restitution": 0.71, "time_step": 1e-6, "duration": 4e-5})
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["restitution", "0.71", "0.7"] in rows

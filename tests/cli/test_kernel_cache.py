@@ -1,4 +1,4 @@
-"""`granflow cache`, and runs with a cache folder that cannot be written, is shared, or was left locked."""
+"""`granflow cache`, and runs with a cache folder that cannot be written, is shared, or contains a stale lock."""
 
 import os
 import subprocess
@@ -18,9 +18,9 @@ def start(cache, *arguments):
 
 def granflow(cache, *arguments):
     process = start(cache, *arguments)
-    message, complained = process.communicate(timeout=200)
-    assert process.returncode == 0, complained
-    return message, complained
+    output, errors = process.communicate(timeout=200)
+    assert process.returncode == 0, errors
+    return output, errors
 
 
 def kernels(folder):
@@ -28,57 +28,57 @@ def kernels(folder):
 
 
 @pytest.fixture(scope="module")
-def filled(tmp_path_factory):
-    """A folder after two processes filled it at once, and what they said."""
+def filled_cache(tmp_path_factory):
+    """A cache folder filled by two simultaneous processes, and their outputs."""
     folder = tmp_path_factory.mktemp("cache") / "made" / "by granflow"
-    both = [start(folder, *COLLISION) for _ in range(2)]
-    message = [process.communicate(timeout=200) for process in both]
-    assert [process.returncode for process in both] == [0, 0], message
-    return folder, message
+    processes = [start(folder, *COLLISION) for _ in range(2)]
+    output = [process.communicate(timeout=200) for process in processes]
+    assert [process.returncode for process in processes] == [0, 0], output
+    return folder, output
 
 
-def test_two_processes_share_a_cache(filled):
-    folder, message = filled
-    assert message[0] == message[1]
-    assert message[0][1] == ""
+def test_two_processes_share_a_cache(filled_cache):
+    folder, output = filled_cache
+    assert output[0] == output[1]
+    assert output[0][1] == ""
     assert kernels(folder)
 
 
-def test_a_second_run_compiles_nothing(filled):
-    folder, message = filled
+def test_second_run_compiles_nothing(filled_cache):
+    folder, output = filled_cache
     before = kernels(folder)
-    assert granflow(folder, *COLLISION) == message[0]
+    assert granflow(folder, *COLLISION) == output[0]
     assert kernels(folder) == before
 
 
-def test_a_lock_that_a_killed_process_left_is_broken(filled):
-    folder, message = filled
+def test_stale_lock_is_removed(filled_cache):
+    folder, output = filled_cache
     lock = folder / "ticache.lock"
     lock.touch()
     os.utime(lock, (time.time() - 3600.0,) * 2)
-    assert granflow(folder, *COLLISION) == message[0]
+    assert granflow(folder, *COLLISION) == output[0]
     assert not lock.exists()
 
 
-def test_damaged_kernels_are_compiled_anew(filled, tmp_path):
-    folder, message = filled
+def test_damaged_kernels_are_recompiled(filled_cache, tmp_path):
+    folder, output = filled_cache
     for path in folder.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert granflow(tmp_path, *COLLISION)[0] == message[0][0]
+    assert granflow(tmp_path, *COLLISION)[0] == output[0][0]
 
 
-def test_a_folder_that_cannot_be_written_is_said_once(filled, tmp_path):
+def test_unwritable_cache_is_reported_once(filled_cache, tmp_path):
     (tmp_path / "file").touch()
-    message, complained = granflow(tmp_path / "file" / "cache", *COLLISION)
-    assert message == filled[1][0][0]
-    assert "cannot be written" in complained and "GRANFLOW_CACHE" in complained
-    assert len(complained.splitlines()) == 1
+    output, errors = granflow(tmp_path / "file" / "cache", *COLLISION)
+    assert output == filled_cache[1][0][0]
+    assert "cannot be written" in errors and "GRANFLOW_CACHE" in errors
+    assert len(errors.splitlines()) == 1
 
 
-def test_the_cache_is_shown_and_cleared_and_strange_files_stay(tmp_path):
+def test_cache_is_listed_and_cleared_without_other_files(tmp_path):
     (tmp_path / "one.tic").write_bytes(b"x" * 600_000)
     (tmp_path / "ticache.tcb").write_bytes(b"x" * 600_000)
-    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "notes.txt").write_text("other")
     assert f"{tmp_path}: 1 compiled kernels, 1.2 MB cached" in granflow(tmp_path, "cache")[0]
     assert "1.2 MB deleted" in granflow(tmp_path, "cache", "--clear")[0]
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -15,7 +15,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 
 @pytest.fixture(scope="module")
 def readme_scene():
-    """The first scene a reader meets."""
+    """The first scene of README.md."""
     return re.search(r"```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[1]
 
 
@@ -27,21 +27,21 @@ def scene_file(tmp_path, monkeypatch, readme_scene):
     return path
 
 
-def test_the_scene_of_the_readme_has_no_problems(scene_file, capsys):
+def test_scene_of_the_readme_has_no_problems(scene_file, capsys):
     assert main(["check", "two.yaml"]) == 0
     assert capsys.readouterr().out == "two.yaml: no problems found.\n"
 
 
-def test_every_problem_has_its_line_and_they_are_counted(scene_file, capsys):
+def test_problems_are_listed_with_lines_and_counted(scene_file, capsys):
     text = scene_file.read_text().replace("friction: 0", "frcition: 0").replace("duration: 20 ms", "duration: 20 mm")
     scene_file.write_text(text)
     assert main(["check", "two.yaml"]) == 2
-    shown = capsys.readouterr()
-    *problems, count = shown.err.splitlines()
-    assert shown.out == ""
+    output = capsys.readouterr()
+    *problems, count = output.err.splitlines()
+    assert output.out == ""
     assert len(problems) >= 2 and count == f"{len(problems)} problems found."
     assert all(re.match(r"two\.yaml:\d+:\d+: .*[.?]$", problem) for problem in problems)
-    assert "Did you mean friction?" in shown.err
+    assert "Did you mean friction?" in output.err
 
 
 def test_values_set_on_the_command_line_are_checked(scene_file, capsys):
@@ -50,27 +50,27 @@ def test_values_set_on_the_command_line_are_checked(scene_file, capsys):
     assert "run.duration" in capsys.readouterr().err
 
 
-def test_missing_file_is_one_sentence(tmp_path, monkeypatch, capsys):
+def test_missing_file_is_reported_in_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["check", "nosuch.yaml"]) == 2
     assert capsys.readouterr().err.startswith("nosuch.yaml: ")
 
 
-def test_schema_is_json_that_names_the_parts_of_a_scene(capsys):
+def test_schema_is_json_with_the_blocks_of_a_scene(capsys):
     assert main(["schema"]) == 0
     assert {"materials", "particles", "walls", "run"} <= json.loads(capsys.readouterr().out)["properties"].keys()
 
 
-def test_taichi_is_loaded_only_once_the_scene_is_sound(scene_file):
+def test_taichi_is_not_imported_for_an_invalid_scene(scene_file):
     arguments = ["check", "two.yaml", "--set", "run.duration=-1 s"]
     program = f"import sys, granflow.cli; print(granflow.cli.main({arguments}), 'taichi' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "2 False", done.stderr
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.stdout.splitlines()[-1] == "2 False", process.stderr
 
 
 def test_explain_prints_the_plan(scene_file, capsys):
     assert main(["explain", "two.yaml", "--precision", "f32"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith("Two steel spheres (two.yaml)\n")
-    for words in ("friction off", "stable below", "smallest reachable value", "precision f32"):
-        assert words in " ".join(shown.split())
+    output = capsys.readouterr().out
+    assert output.startswith("Two steel spheres (two.yaml)\n")
+    for fragment in ("friction off", "stable below", "smallest reachable value", "precision f32"):
+        assert fragment in " ".join(output.split())

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM end every phase of a run within a second: placing particles, compiling kernels, stepping."""
+"""SIGINT and SIGTERM end every phase of a run within one second: packing, compilation, time stepping."""
 
 import os
 import signal
@@ -30,8 +30,8 @@ run: {velocity_max: 5 m/s, duration: 1000 s}
 """
 
 
-def hear_interrupts():
-    """A shell starts background processes with SIGINT ignored; the run must not inherit that."""
+def restore_interrupts():
+    """Restores the SIGINT handler: background processes of a shell ignore SIGINT, and the run inherits that."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -41,19 +41,19 @@ def started(home, count=2000, *arguments):
     environment = os.environ | {"GRANFLOW_CACHE": str(home / "cache")}
     return subprocess.Popen(
         command, cwd=home, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        preexec_fn=hear_interrupts
+        preexec_fn=restore_interrupts
     )  # fmt: skip
 
 
-def wait_until(ready, running):
-    give_up = time.monotonic() + 120.0
-    while not ready() and running.poll() is None and time.monotonic() < give_up:
+def wait_until(is_ready, running):
+    deadline = time.monotonic() + 120.0
+    while not is_ready() and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
     assert running.poll() is None, running.stderr.read()
 
 
-def end(running, number):
-    """Send a signal; seconds until the process has ended, its exit code as a shell gives it, and its messages."""
+def send_signal(running, number):
+    """Sends a signal; returns the seconds until the process ends, its exit code as in a shell, and its messages."""
     began = time.monotonic()
     running.send_signal(number)
     _, message = running.communicate(timeout=60)
@@ -63,31 +63,31 @@ def end(running, number):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay", [0.3, 0.8, 2.0])
-def test_stop_while_kernels_compile(tmp_path, number, delay):
-    """The cache is empty: C++ code compiles for several seconds from the moment the directory exists."""
+def test_signal_during_compilation_ends_the_run(tmp_path, number, delay):
+    """With an empty cache, compilation takes several seconds after the output directory appears."""
     running = started(tmp_path)
     wait_until((tmp_path / "out").exists, running)
     time.sleep(delay)
-    seconds, code, message = end(running, number)
+    seconds, code, message = send_signal(running, number)
     assert seconds < LIMIT
     assert code == 128 + number
     assert "Traceback" not in message
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stop_while_a_large_packing_is_placed(tmp_path, number):
+def test_signal_during_packing_ends_the_run(tmp_path, number):
     running = started(tmp_path, 900_000)
     time.sleep(2.0)
-    seconds, code, message = end(running, number)
+    seconds, code, message = send_signal(running, number)
     assert seconds < LIMIT
     assert code == 128 + number
     assert "Traceback" not in message
 
 
-def test_stop_between_launches_writes_a_checkpoint(tmp_path):
+def test_signal_between_launches_writes_a_checkpoint(tmp_path):
     running = started(tmp_path)
     wait_until((tmp_path / "out" / "particles_0001.vtu").exists, running)
-    seconds, code, message = end(running, signal.SIGTERM)
+    seconds, code, message = send_signal(running, signal.SIGTERM)
     assert seconds < LIMIT
     assert code == 143
     assert "granflow resume out" in message

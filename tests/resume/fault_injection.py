@@ -1,11 +1,10 @@
-"""granflow's command line in a process that is killed at its n-th write, or whose clock is set while it runs.
+"""Runs the command line of granflow in a process that is killed at its n-th write, or whose clock jumps.
 
     python fault_injection.py kill N VERB ...      SIGKILL before write number N, a row of the time series half written
-    python fault_injection.py count - VERB ...     print to stderr how many writes there are
-    python fault_injection.py clock - VERB ...     the computer's time jumps to and fro by hours at every look
+    python fault_injection.py count - VERB ...     print the number of writes to stderr
+    python fault_injection.py clock - VERB ...     the system time jumps by hours at every query
 
-Writes are: a file brought to the disk, a file given its name, a file removed or cut, a piece of the time series or of a
-PVD file.
+Writes are fsync, rename, truncation and deletion of files, and each part of the time series or of a PVD file.
 """
 
 import itertools
@@ -17,39 +16,39 @@ import time
 
 from granflow.observe import frames, timeseries
 
-count = itertools.count(1)
-done = 0
+write_numbers = itertools.count(1)
+write_count = 0
 
 
-def counted(function, last):
+def counted(function, fatal_write):
     def write(*arguments, **options):
-        global done
-        done = next(count)
-        if done == last:
+        global write_count
+        write_count = next(write_numbers)
+        if write_count == fatal_write:
             os.kill(os.getpid(), signal.SIGKILL)
         return function(*arguments, **options)
 
     return write
 
 
-def watch_writes(last):
+def count_writes(fatal_write):
     for name in ("replace", "fsync", "truncate"):
-        setattr(os, name, counted(getattr(os, name), last))
-    pathlib.Path.unlink = counted(pathlib.Path.unlink, last)
+        setattr(os, name, counted(getattr(os, name), fatal_write))
+    pathlib.Path.unlink = counted(pathlib.Path.unlink, fatal_write)
 
-    class Halves(timeseries.FileIO):
-        """Writes half of what it is given, as a full disk or a signal may make it do; the writer must ask again."""
+    class PartialWrites(timeseries.FileIO):
+        """Writes half of the data, as after a signal or on a full disk; the caller must write the rest."""
 
         def write(self, data):
-            return counted(super().write, last)(data[: max(len(data) // 2, 1)])
+            return counted(super().write, fatal_write)(data[: max(len(data) // 2, 1)])
 
-    timeseries.FileIO = frames.FileIO = Halves
+    timeseries.FileIO = frames.FileIO = PartialWrites
 
 
-def set_clock():
+def inject_clock_jumps():
     jumps = itertools.cycle([3600.0, -7200.0, 86400.0, -1.7e9])
-    real = time.time
-    time.time = lambda: real() + next(jumps)
+    system_time = time.time
+    time.time = lambda: system_time() + next(jumps)
 
 
 if __name__ == "__main__":
@@ -57,10 +56,10 @@ if __name__ == "__main__":
 
     fault, number, *arguments = sys.argv[1:]
     if fault == "clock":
-        set_clock()
+        inject_clock_jumps()
     else:
-        watch_writes(int(number) if fault == "kill" else 0)
+        count_writes(int(number) if fault == "kill" else 0)
     code = main(arguments)
     if fault == "count":
-        print(f"writes: {done}", file=sys.stderr)
+        print(f"writes: {write_count}", file=sys.stderr)
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""A small run on the command line that writes much, for processes that come to harm."""
+"""A small run with frequent output for fault injection, and helpers to start, wait for and compare such runs."""
 
 import json
 import os
@@ -11,8 +11,8 @@ from pathlib import Path
 from resume.runs import files_of
 
 FAULT_INJECTION = str(Path(__file__).with_name("fault_injection.py"))
-STARTED = 120.0
-"""Seconds to wait at most until a process has written its first frame."""
+START_TIMEOUT = 120.0
+"""Longest wait [s] for the first frame of a process."""
 
 SCENE = """\
 title: Beads rain on a shaken floor
@@ -45,26 +45,26 @@ run: {velocity_max: 1 m/s}
 
 
 def granflow(home, *arguments, fault=("count", "-"), **options):
-    """One call of the command line to its end, in a process of its own."""
+    """Runs the command line to its end in a separate process."""
     command = [sys.executable, FAULT_INJECTION, *fault, *arguments]
-    return subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=STARTED * 2, **options)
+    return subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=START_TIMEOUT * 2, **options)
 
 
 def started(home, *arguments, **options):
-    """A process of the command line that goes on by itself."""
+    """Starts the command line in a separate process and returns the running process."""
     command = [sys.executable, "-m", "granflow", *arguments]
     return subprocess.Popen(command, cwd=home, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)
 
 
 def wait_for(path, running):
-    """Wait until a process has written a file, or is over."""
-    give_up = time.monotonic() + STARTED
-    while not path.exists() and running.poll() is None and time.monotonic() < give_up:
+    """Waits until a process has written a file or has ended."""
+    deadline = time.monotonic() + START_TIMEOUT
+    while not path.exists() and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
 
 
-def assert_whole(out, reference):
-    """The directory holds just what the run that nothing happened to has left, and no scraps."""
+def assert_complete(out, reference):
+    """Asserts that a directory contains the files of the undisturbed run and no temporary files."""
     assert files_of(out) == files_of(reference)
     listed = {name for pvd in out.glob("*.pvd") for name in re.findall(r'file="([^"]+)"', pvd.read_text())}
     assert listed == {path.name for path in out.glob("*.vtu")}

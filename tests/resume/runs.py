@@ -1,4 +1,4 @@
-"""A run that has everything in it that a checkpoint must bring back, and what two runs are compared by."""
+"""A scene with all state that a checkpoint must restore, and digests of files and states to compare two runs."""
 
 import hashlib
 import json
@@ -13,11 +13,11 @@ MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequ
 
 
 def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
-    """Rain into a shaken box over a lattice that falls, two materials, three stages, chunks of 32.
+    """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
 
-    Friction, rolling springs, the ledger, a flow meter, fields and indices are on; a row of fixed grains lies in the
-    gate, which goes with the first stage, and some enter through a face. The floor and one side go with the second;
-    small beads leave before they reach that side.
+    Friction, rolling springs, the energy budget, a flow meter, fields and metrics are enabled. A row of fixed particles
+    lies in the gate, which is removed after the first stage; an inlet inserts particles through a face. The floor and
+    one side wall are removed after the second stage; particles are deleted at `domain.max` before they reach that wall.
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
@@ -47,14 +47,17 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
             "face": {"disc": {"center": [0.001, 0.05, 0.052], "normal": [1, 0, 0], "radius": 0.006}},
         },
     }  # fmt: skip
-    third = duration / 3.0
-    middle = {"kinetic_energy_below": 1e-9, "max_duration": third} if rest else {"duration": third}
-    given = {
+    stage_duration = duration / 3.0
+    middle = {"kinetic_energy_below": 1e-9, "max_duration": stage_duration} if rest else {"duration": stage_duration}
+    defaults = {
         "walls": walls, "rolling": "epsd", "normal": normal,
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.4},
         "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 32, "max_overlap": 0.3},
         "run": {"velocity_max": 2.0, "time_step": 4e-6},
-        "stages": [{"name": "fill", "duration": third}, {"name": "shake"} | middle, {"name": "out", "duration": third}],
+        "stages": [
+            {"name": "fill", "duration": stage_duration}, {"name": "shake"} | middle,
+            {"name": "out", "duration": stage_duration},
+        ],
         "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "on_exit": "delete"},
         "output": {
             "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy_budget": True, "contacts": True,
@@ -67,33 +70,33 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
             "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
         },
     }  # fmt: skip
-    return build_scene({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(given | parts))
+    return build_scene({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(defaults | parts))
 
 
 def files_of(out):
-    """Digest of every file of results by name, but for what holds wall clock; of result.json the physics."""
+    """Digest of each result file by name, except files with wall-clock times; of result.json the physical results."""
     found = {}
     for path in out.iterdir():
         if path.suffix in (".vtu", ".pvd", ".csv"):
             found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
     result = out / "result.json"
     if result.exists():
-        message = json.loads(result.read_text())
-        found |= {part: message[part] for part in ("totals", "flow_meters", "wall_forces")}
+        content = json.loads(result.read_text())
+        found |= {part: content[part] for part in ("totals", "flow_meters", "wall_forces")}
     return found
 
 
 def state_of(path):
-    """Everything in a checkpoint but wall clock, and counts that follow it launch by launch; arrays as digests."""
+    """Content of a checkpoint without wall-clock times and counters that depend on them; arrays as digests."""
     saved = read_checkpoint(path).saved
     del saved["wall_clock"]
-    for clocked in ("neighbor_list", "advance", "sampled_forces", "sampled_integration", "particle_steps"):
-        del saved["engine"]["clocks"][clocked]
+    for name in ("neighbor_list", "advance", "sampled_forces", "sampled_integration", "particle_steps"):
+        del saved["engine"]["clocks"][name]
     return _digested(saved)
 
 
 def last_state(out):
-    """What the newest checkpoint of a directory holds."""
+    """Content of the newest checkpoint of a directory, as returned by `state_of`."""
     checkpoint, skipped = newest_checkpoint(out)
     assert checkpoint is not None and not skipped
     return state_of(checkpoint.path)
@@ -103,11 +106,11 @@ def _digested(saved):
     if isinstance(saved, dict):
         return {name: _digested(each) for name, each in saved.items()}
     if isinstance(saved, np.ndarray):
-        saved = saved + np.zeros((), saved.dtype)  # a slot not in touch may hold 0 or -0, which no sum tells apart
+        saved = saved + np.zeros((), saved.dtype)  # turns -0 into 0: history of an open contact may be either
         return str(saved.dtype), saved.shape, hashlib.sha256(saved.tobytes()).hexdigest()
     return saved
 
 
 def states_of(out):
-    """What all checkpoints of a directory hold, by name."""
+    """Content of all checkpoints of a directory by file name, as returned by `state_of`."""
     return {path.name: state_of(path) for path in out.glob("checkpoint_*.npz")}

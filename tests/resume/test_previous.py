@@ -1,4 +1,4 @@
-"""The previous run in a directory is replaced when the new run has begun, and is still there if it never does."""
+"""The previous run in a directory is replaced when the new run starts, and is restored if the start fails."""
 
 import errno
 import itertools
@@ -38,105 +38,107 @@ def as_bytes(files):
 
 @pytest.fixture
 def out(tmp_path):
-    write(tmp_path, OLD | {"notes.txt": "mine"})
+    write(tmp_path, OLD | {"notes.txt": "other"})
     return tmp_path
 
 
-MINE = {"notes.txt": b"mine"}
+OTHER_FILES = {"notes.txt": b"other"}
 
 
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt(), GranflowError("no such device")])
-def test_a_start_that_fails_leaves_the_previous_run(out, error):
+def test_failed_start_restores_the_previous_run(out, error):
     with pytest.raises(type(error)), replaced_run(out):
         write(out, NEW)
         raise error
-    assert contents(out) == as_bytes(OLD) | MINE
+    assert contents(out) == as_bytes(OLD) | OTHER_FILES
 
 
 @pytest.mark.parametrize("error", [None, OSError("disk full")])
-def test_a_run_that_has_begun_replaces_it(out, error):
+def test_started_run_replaces_the_previous_run(out, error):
     try:
-        with replaced_run(out) as prepared_simulation:
+        with replaced_run(out) as confirm_start:
             write(out, NEW)
-            assert contents(out / "previous_run") == as_bytes(OLD), "until then it is there"
-            prepared_simulation()
-            assert contents(out) == as_bytes(NEW) | MINE
+            assert contents(out / "previous_run") == as_bytes(OLD), (
+                "the previous run is kept until the new run has started"
+            )
+            confirm_start()
+            assert contents(out) == as_bytes(NEW) | OTHER_FILES
             if error:
                 raise error
     except OSError:
         pass
-    assert contents(out) == as_bytes(NEW) | MINE
+    assert contents(out) == as_bytes(NEW) | OTHER_FILES
 
 
-def test_a_run_that_ends_without_a_frame_replaces_it_too(out):
+def test_run_without_frames_replaces_the_previous_run(out):
     with replaced_run(out):
         write(out, NEW)
-    assert contents(out) == as_bytes(NEW) | MINE
+    assert contents(out) == as_bytes(NEW) | OTHER_FILES
 
 
-def replace_until_killed(out, last, then):
-    """Replace a run in this process, which ends at once before file operation number `last`."""
+def replace_until_killed(out, fatal_operation, event):
+    """Replaces a run in this process, which exits before file operation number `fatal_operation`."""
     count = itertools.count(1)
 
-    def killed_at_last(function):
+    def exits_at_operation(function):
         def call(*arguments, **options):
-            if next(count) == last:
+            if next(count) == fatal_operation:
                 os._exit(9)
             return function(*arguments, **options)
 
         return call
 
     for name in ("replace", "unlink", "rmdir"):
-        setattr(os, name, killed_at_last(getattr(os, name)))
-    Path.unlink = killed_at_last(Path.unlink)
-    with replaced_run(out) as prepared_simulation:
+        setattr(os, name, exits_at_operation(getattr(os, name)))
+    Path.unlink = exits_at_operation(Path.unlink)
+    with replaced_run(out) as confirm_start:
         write(out, NEW)
-        prepared_simulation() if then == "begun" else restore_previous_run(out)
+        confirm_start() if event == "begun" else restore_previous_run(out)
     os._exit(0)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-@pytest.mark.parametrize("then", ["begun", "restored"])
-def test_killed_at_every_file_operation(tmp_path, then):
-    """Whatever is left, the next start finds one of the two runs, complete, and the files that are not of a run."""
+@pytest.mark.parametrize("event", ["begun", "restored"])
+def test_kill_at_any_file_operation_keeps_one_complete_run(tmp_path, event):
+    """After each kill, the directory can be restored to one of the two complete runs; other files are unchanged."""
     found, code, number = set(), 9, 0
     while code:
         number += 1
-        out = tmp_path / f"{then}{number}"
-        write(out, OLD | {"notes.txt": "mine"})
-        subprocess_runner = os.fork()
-        if not subprocess_runner:
+        out = tmp_path / f"{event}{number}"
+        write(out, OLD | {"notes.txt": "other"})
+        child_pid = os.fork()
+        if not child_pid:
             try:
-                replace_until_killed(out, number, then)
+                replace_until_killed(out, number, event)
             finally:
                 os._exit(1)
-        code = os.waitstatus_to_exitcode(os.waitpid(subprocess_runner, 0)[1])
+        code = os.waitstatus_to_exitcode(os.waitpid(child_pid, 0)[1])
         assert code in (0, 9)
         restore_previous_run(out)
-        left = contents(out)
-        assert left in (as_bytes(OLD) | MINE, as_bytes(NEW) | MINE), number
-        found.add(left["run.log"])
+        remaining = contents(out)
+        assert remaining in (as_bytes(OLD) | OTHER_FILES, as_bytes(NEW) | OTHER_FILES), number
+        found.add(remaining["run.log"])
     assert number > 8
-    assert found == ({b"old", b"new"} if then == "begun" else {b"old"})
+    assert found == ({b"old", b"new"} if event == "begun" else {b"old"})
 
 
 # ---------------------------------------------------------------- a simulation
 
 
-def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(out, monkeypatch):
+def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5})
 
-    def full(path, mesh):
-        assert contents(out / "previous_run") == as_bytes(OLD), "it is not deleted before the first frame"
+    def raise_disk_full(path, mesh):
+        assert contents(out / "previous_run") == as_bytes(OLD), "the previous run is deleted only after the first frame"
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     failing = Simulation(scene, out=out)
     with monkeypatch.context() as patched:
-        patched.setattr(frames, "write_vtu", full)
+        patched.setattr(frames, "write_vtu", raise_disk_full)
         with pytest.raises(OutputError, match="No space left on device"):
             failing.run()
     failing.free()
-    assert contents(out) == as_bytes(OLD) | MINE
+    assert contents(out) == as_bytes(OLD) | OTHER_FILES
     succeeding = Simulation(scene, out=out)
     succeeding.run()
     succeeding.free()
@@ -144,7 +146,7 @@ def test_a_simulation_that_cannot_write_its_first_frame_leaves_the_previous_run(
     assert b"old" not in contents(out).values() and (out / "notes.txt").exists()
 
 
-def test_a_simulation_that_would_delete_its_own_start_is_refused(tmp_path):
+def test_start_from_in_the_output_directory_is_rejected(tmp_path):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, start_from=str(tmp_path))
     write(tmp_path, OLD)
     with pytest.raises(GranflowError, match="start_from is .*, which is in the output directory"):
@@ -155,81 +157,81 @@ def test_a_simulation_that_would_delete_its_own_start_is_refused(tmp_path):
 # ---------------------------------------------------------------- resume
 
 
-def refused_resume(out, capsys, *more):
-    """The sentence with which `granflow resume` refuses; every file is as before."""
+def resume_error(out, capsys, *arguments):
+    """Error message of `granflow resume`; asserts that all files are unchanged."""
     before = contents(out)
-    assert main(["resume", str(out), *more]) == 2
+    assert main(["resume", str(out), *arguments]) == 2
     assert contents(out) == before
     return capsys.readouterr().err
 
 
 @pytest.fixture
 def stopped(out):
-    """A run that was stopped, as far as `resume` can see before it reads the scene."""
-    write(out, {"scene_as_run.yaml": "title: A scene that no test reads\n"})
+    """Directory with the files of a stopped run that `resume` checks before it reads the scene."""
+    write(out, {"scene_as_run.yaml": "title: Not read\n"})
     write_checkpoint(out, "title: A scene\n", 0.5, 7, {"step": 7})
     return out
 
 
-def test_a_newer_checkpoint_of_another_format_is_refused(stopped, monkeypatch, capsys):
+def test_newer_checkpoint_of_unknown_format_is_rejected(stopped, monkeypatch, capsys):
     monkeypatch.setattr(format_of, "FORMAT", 99)
     monkeypatch.setattr(format_of, "version_of", lambda package: "7.8.9")
     write_checkpoint(stopped, "title: A scene\n", 0.6, 8, {"step": 8})
     monkeypatch.undo()
-    message = refused_resume(stopped, capsys)
+    message = resume_error(stopped, capsys)
     assert "checkpoint_000000000008.npz is in format 99, written by granflow 7.8.9; granflow " in message
     assert message.endswith(f"reads format {format_of.FORMAT}. Resume with the version that wrote it.\n")
     assert message.count("\n") == 1
 
 
 @pytest.mark.parametrize("code", [errno.EACCES, errno.EIO])
-def test_a_checkpoint_that_the_system_cannot_read_is_refused(stopped, monkeypatch, capsys, code):
-    """Neither an older checkpoint nor the start takes its place."""
+def test_unreadable_checkpoint_is_rejected(stopped, monkeypatch, capsys, code):
+    """Neither an older checkpoint nor the initial state replaces it."""
     write_checkpoint(stopped, "title: A scene\n", 0.6, 8, {"step": 8})
 
     def unreadable(file):
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(format_of, "_checksum", unreadable)
-    message = refused_resume(stopped, capsys)
+    message = resume_error(stopped, capsys)
     reason = os.strerror(code)
     assert f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n" in message
 
 
-def test_beginning_from_the_start_over_results_takes_a_flag(stopped, capsys):
+def test_restart_over_results_requires_from_start(stopped, capsys):
     for path in stopped.glob("checkpoint_*.npz"):
         path.write_bytes(b"nonsense")
-    message = refused_resume(stopped, capsys)
+    message = resume_error(stopped, capsys)
     assert "is damaged" in message and "contains no usable checkpoint, but 3 result files" in message
     assert f"granflow resume {stopped} --from-start.\n" in message
 
 
-def test_the_flag_begins_from_the_start(stopped, monkeypatch):
-    made = []
+def test_from_start_ignores_checkpoints(stopped, monkeypatch):
+    requested = []
 
-    class NotMade(Exception):
+    class NotCreated(Exception):
         pass
 
     def simulation(scene, resume, **options):
-        made.append(resume)
-        raise NotMade
+        requested.append(resume)
+        raise NotCreated
 
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=simulation))
     monkeypatch.setattr("granflow.cli.resume.scene_to_resume", lambda options, checkpoint: checkpoint)
     for flags in ([], ["--from-start"]):
-        with pytest.raises(NotMade):
+        with pytest.raises(NotCreated):
             main(["resume", str(stopped), *flags])
-    assert [checkpoint and checkpoint.saved for checkpoint in made] == [{"step": 7}, None]
+    assert [checkpoint and checkpoint.saved for checkpoint in requested] == [{"step": 7}, None]
 
 
-def test_resume_puts_back_a_run_whose_replacement_was_killed(out, capsys):
+def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
     write(out / "previous_run", {"checkpoint_000000000007.npz": "nonsense", "scene_as_run.yaml": "title: Old"})
     assert main(["resume", str(out)]) == 2
     assert "holds the previous run again" in capsys.readouterr().err
     assert (out / "scene_as_run.yaml").read_text() == "title: Old" and not Path(out / "run.log").exists()
 
 
-def test_a_second_resume_is_refused_before_anything_is_read(stopped, capsys):
+def test_second_resume_is_rejected_before_reading_files(stopped, capsys):
     holder = "import sys; from pathlib import Path; from granflow.observe.lock import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", holder, str(stopped)]

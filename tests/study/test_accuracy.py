@@ -39,14 +39,16 @@ def solved(force, speed, mass):
     def slope(_, state):
         return [state[1], -force(max(state[0], 0.0) * length, state[1] * speed) * time**2 / (mass * length)]
 
-    def freed(t, state):
+    def contact_ends(t, state):
         return force(state[0] * length, state[1] * speed) if t > 0.3 else 1.0
 
-    def turning(_, state):
+    def maximum_overlap_is_reached(_, state):
         return state[1]
 
-    freed.terminal = True
-    course = solve_ivp(slope, (0.0, 9.0), (0.0, 1.0), events=(freed, turning), rtol=1e-11, atol=1e-13)
+    contact_ends.terminal = True
+    course = solve_ivp(
+        slope, (0.0, 9.0), (0.0, 1.0), events=(contact_ends, maximum_overlap_is_reached), rtol=1e-11, atol=1e-13
+    )
     top = course.y_events[1][0]
     return -course.y_events[0][0][1], course.t_events[0][0] * time, course.t_events[1][0] * time, top[0] * length
 
@@ -54,16 +56,16 @@ def solved(force, speed, mass):
 def damping(e):
     """Damping ratio of an oscillator with restitution e at zero force, from its closed-form solution."""
 
-    def saved(zeta):
+    def restitution_of(zeta):
         root = np.sqrt(1.0 - zeta**2)
         end = np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)
         return np.exp(-zeta * end / root)
 
-    return brentq(lambda zeta: saved(zeta) - e, 1e-9, 0.999)
+    return brentq(lambda zeta: restitution_of(zeta) - e, 1e-9, 0.999)
 
 
 @pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
-def test_hertz_with_damping_is_exact(e):
+def test_hertz_with_damping_matches_scipy(e):
     zeta = damping(e)
 
     def force(d, rate):
@@ -76,7 +78,7 @@ def test_hertz_with_damping_is_exact(e):
 
 
 @pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
-def test_spring_and_dashpot_are_exact(e):
+def test_linear_spring_and_dashpot_match_scipy(e):
     zeta = damping(e)
     spring = 0.8 * K * np.sqrt((1.25 * MASS * SPEED**2 / K) ** 0.4)  # Eq. 19
     viscosity = 2.0 * zeta * np.sqrt(spring * MASS)
@@ -92,7 +94,7 @@ def test_zhou_and_hertz_are_equal_without_dissipation():
     )
 
 
-def test_overlap_at_the_end_of_a_contact():
+def test_residual_overlap_ratio_at_the_end_of_a_contact():
     y = brentq(lambda y: y - 0.8 * 0.25 - 0.2 * 0.125 * y**2.5, 0.0, 1.0)  # Eq. 8 at e = 1/2
     assert end_overlap_ratio("zhou", 0.5) == pytest.approx(1.0 - y)
     assert end_overlap_ratio("hertz", 1.0) == 0.0
@@ -138,7 +140,7 @@ def test_worst_error_is_at_least_the_rms_and_costs_are_ordered(lines):
         assert 0.0 < point.seconds_min <= point.seconds_median <= point.seconds_max
 
 
-def test_share_refers_to_the_shorter_phase(lines):
+def test_time_step_fraction_refers_to_the_shorter_phase(lines):
     """Of Zhou's collision at e = 1/2, unloading takes 0.6293 of 2.1010 (Eqs. 13-15, the model's table)."""
     point = next(point for point in lines[0].points if point.restitution == 0.5 and point.steps == 40)
     assert point.share == pytest.approx(2.1010 / 0.6293 / 40, rel=1e-3)
@@ -161,7 +163,7 @@ def test_single_precision_has_a_floor(lines):
 # ---------------------------------------------------------------- orders and recommendation
 
 
-def test_an_order_is_fitted_above_the_precision_floor_only():
+def test_order_is_fitted_above_the_precision_floor_only():
     steps = np.geomspace(5.0, 5000.0, 16)
     order = fitted_order(steps, 3.0 * steps**-1.7)
     assert order.order == pytest.approx(1.7)
@@ -186,12 +188,12 @@ def synthetic_line(law, precision, prefactor, seconds_per_step):
     return StudyLine(law, "leapfrog", precision, tuple(points))
 
 
-def test_requirement_of_a_line():
+def test_requirement_is_the_fewest_steps_within_the_target():
     """2 * 7 / 40^2 = 0.9 % is the first error of the worse kind below 1 %; at 20 steps 7/400 = 1.75 %."""
-    need = requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 0.01)
-    assert need.steps == 40.0
-    assert need.share == pytest.approx(min(1.0 / (0.4 * 40.0), 1.0 / (0.2 * 40.0)))
-    assert need.seconds == pytest.approx((4e-6, 3.6e-6, 4.4e-6))
+    requirement = requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 0.01)
+    assert requirement.steps == 40.0
+    assert requirement.share == pytest.approx(min(1.0 / (0.4 * 40.0), 1.0 / (0.2 * 40.0)))
+    assert requirement.seconds == pytest.approx((4e-6, 3.6e-6, 4.4e-6))
     assert requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
 
 
@@ -228,7 +230,7 @@ def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_figures(lines, tmp_path):
+def test_page_contains_two_figures(lines, tmp_path):
     pytest.importorskip("matplotlib")
     write_two_bodies(tmp_path, TwoBodyStudy(tuple(lines), (), 0.01))
     assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 2
@@ -243,6 +245,6 @@ def test_the_figures(lines, tmp_path):
         (["nowhere.yaml"], "nowhere.yaml: there is no such file"),
     ],
 )
-def test_bad_arguments(arguments, message, capsys):
+def test_invalid_arguments_are_rejected(arguments, message, capsys):
     assert main(["accuracy", *arguments]) == 2
     assert message in capsys.readouterr().err

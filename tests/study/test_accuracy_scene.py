@@ -50,13 +50,13 @@ output: {interval: 50 ms}
 
 @pytest.fixture
 def drop(tmp_path):
-    """The scene as a file."""
+    """Path of a file with the scene DROP."""
     path = tmp_path / "drop.yaml"
     path.write_text(DROP, encoding="utf-8")
     return path
 
 
-def test_reduction_of_groups_with_a_count(drop):
+def test_reduction_applies_to_groups_with_a_count(drop):
     scene = load(drop)
     assert reduced_counts(scene, most=12) == []
     assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
@@ -71,7 +71,7 @@ def test_the_share_is_time_step_fraction(drop):
     assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
 
 
-def test_one_run_of_free_fall(taichi_f64, drop):
+def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):
     """Before the impact the particles have no contacts; the mean height of the center of mass is g T^2 / 6 lower.
 
     Over n + 1 samples at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
@@ -146,7 +146,7 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_small_scene_from_end_to_end(drop, tmp_path):
+def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
     study = measure_scene(SceneTask(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
     reference, coarse, fine = study.points
     assert coarse.restitution_error > fine.restitution_error > reference.restitution_error

@@ -1,4 +1,4 @@
-"""What is measured from the frames of a run is what the run itself measured."""
+"""`granflow analyze` computes the same metrics and fields from the frames of a run as the run itself."""
 
 import csv
 
@@ -10,7 +10,7 @@ from scene_builders import box, build_scene, particle_group
 from granflow.cli.main import main
 from granflow.simulation import Simulation
 
-INDICES = {
+METRICS = {
     "mix": {"kind": "lacey", "cell": 0.02, "at_least": 2, "groups": ["red"]},
     "web": {"kind": "fabric"},
     "bed": {"kind": "coordination"},
@@ -21,7 +21,7 @@ FIELDS = {"bed": {"cells": [2, 2, 2], "region": {"min": [0.0] * 3, "max": [0.04]
 
 @pytest.fixture(scope="module")
 def out(taichi_f64, tmp_path_factory):
-    """A run of two groups thrown about in a box, with frames of contacts, indices and fields."""
+    """Directory of a run of two groups with random velocities in a box: contact frames, metrics and fields."""
     path = tmp_path_factory.mktemp("run")
     random = np.random.default_rng(1)
     positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
@@ -33,7 +33,7 @@ def out(taichi_f64, tmp_path_factory):
         groups, walls=box(0.0392), pair={"friction": 0.4}, gravity=[0.0, 0.0, -9.81],
         numerics={"max_overlap": 0.3}, run={"velocity_max": 2.0},
         stages=[{"name": "first", "duration": 0.001}, {"name": "last", "duration": 0.002}],
-        output={"interval": 0.001, "contacts": True, "metrics": INDICES, "fields": FIELDS},
+        output={"interval": 0.001, "contacts": True, "metrics": METRICS, "fields": FIELDS},
     )  # fmt: skip
     simulation = Simulation(scene, out=path)
     simulation.run()
@@ -41,15 +41,15 @@ def out(taichi_f64, tmp_path_factory):
     return path
 
 
-def neighbors_of(path):
+def rows_of(path):
     with open(path, newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_measured_indices_are_those_of_the_run(out, tmp_path):
-    """To the seven digits of the frames."""
+def test_analyzed_metrics_equal_those_of_the_run(out, tmp_path):
+    """Equal within the seven digits of the frames."""
     assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
-    measured, series = neighbors_of(tmp_path / "metrics.csv"), neighbors_of(out / "timeseries.csv")
+    measured, series = rows_of(tmp_path / "metrics.csv"), rows_of(out / "timeseries.csv")
     assert len(measured) == len(series) >= 4
     assert len(measured[0]) == 2 + 1 + 4 + 3 + 2
     for one, other in zip(measured, series, strict=True):
@@ -59,7 +59,7 @@ def test_measured_indices_are_those_of_the_run(out, tmp_path):
     assert 0.0 < float(measured[-1]["fabric_zz.web"]) < 1.0
 
 
-def test_measured_fields_are_those_of_the_run(out, tmp_path):
+def test_analyzed_fields_equal_those_of_the_run(out, tmp_path):
     assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
     names = sorted(path.name for path in out.glob("fields_*.vtu"))
     assert names == sorted(path.name for path in tmp_path.glob("fields_*.vtu"))
@@ -69,16 +69,16 @@ def test_measured_fields_are_those_of_the_run(out, tmp_path):
             np.testing.assert_allclose(one[field][0], values, rtol=1e-4, atol=1e-5 * np.nanmax(np.abs(values)))
 
 
-def test_other_indices_may_be_asked_for(out, tmp_path, capsys):
+def test_other_metrics_can_be_requested(out, tmp_path, capsys):
     requested = ["--set", "output.metrics={pile: {kind: coordination}}", "--set", "output.fields={}"]
     assert main(["analyze", str(out), "--out", str(tmp_path), *requested]) == 0
-    assert set(neighbors_of(tmp_path / "metrics.csv")[0]) == {
+    assert set(rows_of(tmp_path / "metrics.csv")[0]) == {
         "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile", "rattler_share.pile",
     }  # fmt: skip
     assert "rattler_share.pile" in capsys.readouterr().out
 
 
-def test_what_cannot_be_measured_is_said(out, tmp_path, capsys):
+def test_missing_input_is_reported(out, tmp_path, capsys):
     nothing = ["--set", "output.metrics={}", "--set", "output.fields={}"]
     assert main(["analyze", str(out), *nothing]) == 2
     assert "Nothing to analyze" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Beverloo's law is found again in flows that follow it."""
+"""Fit of Beverloo's law to mass flows computed from the law, with and without scatter."""
 
 import numpy as np
 import pytest
@@ -15,21 +15,21 @@ def flows(exponent=2.5):
     return C * DENSITY * np.sqrt(9.81) * PARTICLE**2.5 * (ORIFICE / PARTICLE - K) ** exponent
 
 
-def test_a_law_without_scatter_is_found_exactly():
+def test_fit_without_scatter_is_exact():
     found = fit_beverloo(Discharge(ORIFICE, flows()), PARTICLE, DENSITY)
     assert (found.c, found.k) == pytest.approx((C, K), rel=1e-6)
     assert found.exponent == 2.5
-    # W = C rho sqrt(g) (D - k d)^2.5 of the paper is the same number.
+    # W = C rho sqrt(g) (D - k d)^2.5 of the paper gives the same value.
     assert flows()[0] == pytest.approx(C * DENSITY * np.sqrt(9.81) * (0.03 - K * PARTICLE) ** 2.5)
 
 
-def test_a_free_exponent_is_found():
+def test_free_exponent_is_fitted():
     found = fit_beverloo(Discharge(ORIFICE, flows(2.2)), PARTICLE, DENSITY, exponent=None)
     assert (found.c, found.k, found.exponent) == pytest.approx((C, K, 2.2), rel=1e-4)
 
 
-def test_standard_errors_are_those_of_repeated_experiments():
-    """Of 300 with 1 % scatter: the spread of C and k is their mean standard error, within a fifth."""
+def test_standard_errors_match_repeated_experiments():
+    """The spread of C and k over 300 data sets with 1 % scatter is their mean standard error, within a fifth."""
     random = np.random.default_rng(0)
     found = [
         fit_beverloo(Discharge(ORIFICE, flows() * np.exp(random.normal(0.0, 0.01, 6))), PARTICLE, DENSITY)
@@ -53,7 +53,7 @@ def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("orifice\n1\n", "has no column mass_flow"),
         ("orifice,mass_flow\n5 kg,1\n", ":2: "),
@@ -61,8 +61,8 @@ def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
         ("orifice,mass_flow\n1,1\n2,0\n", "not above 0"),
     ],
 )
-def test_bad_tables_are_refused_in_a_sentence(tmp_path, text, says):
+def test_invalid_tables_are_rejected_with_one_sentence(tmp_path, text, message):
     path = tmp_path / "flows.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(GranflowError, match=says):
+    with pytest.raises(GranflowError, match=message):
         fit_beverloo(read_discharges([path]), PARTICLE, DENSITY)

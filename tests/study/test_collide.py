@@ -1,4 +1,4 @@
-"""`granflow collide` with every law of the catalog, and what it refuses."""
+"""`granflow collide` with every contact model of the catalog, and unsupported input."""
 
 import pytest
 
@@ -11,8 +11,8 @@ STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", NORMAL_LAWS)
-def test_collision_reaches_the_closed_forms_of_the_law(taichi_f64, law):
-    """At 200 steps: e within 0.1 % (0.2 % where a dashpot begins with a jump), the rest within 0.5 %."""
+def test_collision_matches_the_closed_forms(taichi_f64, law):
+    """At 200 steps: e within 0.1 % (0.2 % if the damping force starts with a jump), other quantities within 0.5 %."""
     needed = NORMAL_LAWS[law].restitution != "nothing"
     found = collide(law, restitution=0.7 if needed else None, steps_per_contact=200, **STEEL)
     assert found["restitution"] == pytest.approx(found["restitution_asked"], rel=2e-3 if law == "linear" else 1e-3)

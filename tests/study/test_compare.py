@@ -22,13 +22,13 @@ MODULUS = 0.5 * SOFT["young_modulus"] / (1.0 - SOFT["poisson_ratio"] ** 2)
 RADIUS_EFF = 0.25 * DIAMETER
 MASS_EFF = 0.5 * SOFT["density"] * np.pi / 6.0 * DIAMETER**3
 HERTZ = 4.0 / 3.0 * MODULUS * np.sqrt(RADIUS_EFF)
-LASTING = 2.9432751838
+DURATION_RATIO = 2.9432751838
 """T/Ts of an elastic Hertz contact: twice eta1 of Zhou's Eq. 14."""
 
 
 def duration(velocity):
     """Hertz: 2 eta1 (25 M^2 / (16 k^2 v))^(1/5) (Eq. 13)."""
-    return LASTING * (25.0 * MASS_EFF**2 / (16.0 * HERTZ**2 * velocity)) ** 0.2
+    return DURATION_RATIO * (25.0 * MASS_EFF**2 / (16.0 * HERTZ**2 * velocity)) ** 0.2
 
 
 def overlap_max(velocity):
@@ -43,15 +43,15 @@ def spring(velocity):
 
 def head_on():
     """Two particles that collide elastically; max_overlap lies between that of Eq. 5 and that of the one spring."""
-    tick = duration(REFERENCE)
-    reach = 0.5 * (DIAMETER + 4.0 * tick * SPEED)
+    contact_time = duration(REFERENCE)
+    reach = 0.5 * (DIAMETER + 4.0 * contact_time * SPEED)
     velocity = [[0.5 * SPEED, 0.0, 0.0], [-0.5 * SPEED, 0.0, 0.0]]
     return build_scene(
         {"spheres": particle_group([[-reach, 0.0, 0.0], [reach, 0.0, 0.0]], DIAMETER, velocity=velocity)},
         pair={"restitution": 1.0},
         numerics={"max_overlap": 1.25 * overlap_max(SPEED) / (0.5 * DIAMETER)},
-        run={"duration": 47.0 * tick, "time_step": 1e-7},
-        output={"interval": 5.0 * tick, "timeseries_interval": tick / 20.0},
+        run={"duration": 47.0 * contact_time, "time_step": 1e-7},
+        output={"interval": 5.0 * contact_time, "timeseries_interval": contact_time / 20.0},
     )
 
 
@@ -88,8 +88,8 @@ def test_overlap_and_contact_duration_match_theory(table, law):
     """Eq. 19 keeps the largest overlap of Eq. 5; the sampling interval is the resolution of contact durations."""
     expected = overlap_max(SPEED) / (0.5 * DIAMETER)
     assert table["maximum overlap/radius", law][0] == pytest.approx(expected, rel=0.01)
-    lasting = duration(SPEED) if law == "hertz" else np.pi * np.sqrt(MASS_EFF / spring(SPEED))
-    assert table["median contact duration", law][0] == pytest.approx(lasting, abs=duration(REFERENCE) / 8.0)
+    contact_duration = duration(SPEED) if law == "hertz" else np.pi * np.sqrt(MASS_EFF / spring(SPEED))
+    assert table["median contact duration", law][0] == pytest.approx(contact_duration, abs=duration(REFERENCE) / 8.0)
 
 
 def test_an_aborted_run_is_a_result(found, table):
@@ -97,8 +97,12 @@ def test_an_aborted_run_is_a_result(found, table):
     comparison, out = found
     stopped = {run.variant.key: run for run in comparison.runs if run.stopped}
     assert list(stopped) == ["linear_reference"]
-    touch = 4.0 * duration(REFERENCE)
-    assert touch < stopped["linear_reference"].time < touch + 0.5 * np.pi * np.sqrt(MASS_EFF / spring(REFERENCE))
+    first_contact = 4.0 * duration(REFERENCE)
+    assert (
+        first_contact
+        < stopped["linear_reference"].time
+        < first_contact + 0.5 * np.pi * np.sqrt(MASS_EFF / spring(REFERENCE))
+    )
     assert "overlaps by more than" in stopped["linear_reference"].stopped
     assert np.isnan(table["end of stage", "linear_reference"][0])
     assert "linear of 0.1 m/s was aborted at" in (out / "compare.html").read_text(encoding="utf-8")
@@ -106,9 +110,11 @@ def test_an_aborted_run_is_a_result(found, table):
 
 def test_the_springs_are_assessed_in_the_scene(found):
     """One spring fails if its run aborts; two particles form no bed for the assessment of the other."""
-    fails, mends = found[0].assessments[-2:]
-    assert fails.holds and re.match(r"The run was aborted at 0.0\d+ s: particle \d .* overlaps by more than", fails.why)
-    assert mends.holds is None and "too few contacts" in mends.why
+    one_spring, spring_per_contact = found[0].assessments[-2:]
+    assert one_spring.holds and re.match(
+        r"The run was aborted at 0.0\d+ s: particle \d .* overlaps by more than", one_spring.why
+    )
+    assert spring_per_contact.holds is None and "too few contacts" in spring_per_contact.why
 
 
 def test_energy_is_conserved(table):
@@ -127,14 +133,14 @@ def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
         assert (out / run.variant.key / "particles.pvd").exists()
 
 
-def test_script_for_paraview_names_every_run(found):
+def test_paraview_script_names_every_run(found):
     comparison, out = found
     text = (out / "side_by_side.py").read_text(encoding="utf-8")
     compile(text, "side_by_side.py", "exec")
     assert all(repr(run.variant.key) in text for run in comparison.runs)
 
 
-def test_figures_are_drawn_with_matplotlib(found, tmp_path):
+def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
     from granflow.study.compare.drawing import draw_all
 
@@ -181,7 +187,7 @@ def fitted(**materials):
     )  # fmt: skip
 
 
-def test_contact_models_get_a_restitution_of_their_kind():
+def test_variants_use_the_restitution_form_of_their_contact_model():
     variants = {each.key: each for each in variants_of(fitted(), ["zhou", "linear", "thornton"], 0.1)}
     assert variants["zhou"].scene.pairs["glass-glass"].restitution.sigma == 2.0
     expected = np.exp(-2.0 * np.sqrt(0.1 / 9.9))
@@ -210,6 +216,6 @@ def run_of(stages, stopped=""):
 
 def test_the_densest_stage_is_common_to_all_complete_runs():
     """A stage that waits for rest may end before its first row; aborted runs do not count."""
-    whole, quick = run_of({"fill": 5, "settle": 9, "open": 0}), run_of({"fill": 6, "open": 1})
+    whole, shorter = run_of({"fill": 5, "settle": 9, "open": 0}), run_of({"fill": 6, "open": 1})
     assert densest_stage([whole, whole]) == "settle"
-    assert densest_stage([whole, quick, run_of({"settle": 3}, "Stopped: x")]) == "fill"
+    assert densest_stage([whole, shorter, run_of({"settle": 3}, "Stopped: x")]) == "fill"

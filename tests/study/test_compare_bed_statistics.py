@@ -49,7 +49,7 @@ def test_contacts_without_force_are_ignored():
 
 
 def test_survival_matches_kaplan_and_meier():
-    """Of 5 one ends at 1 (4/5 left); one is censored at 2; of 3 one ends at 3 (4/5 2/3); of 2 one ends at 4 (half)."""
+    """Five contacts: an end at 1 (share 4/5), one censored at 2, an end at 3 (4/5 2/3), an end at 4 (half of it)."""
     times, share = survival(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([True, False, True, True, False]))
     np.testing.assert_array_equal(times, [1.0, 3.0, 4.0])
     np.testing.assert_allclose(share, [4 / 5, 8 / 15, 4 / 15])

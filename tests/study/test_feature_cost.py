@@ -121,7 +121,7 @@ def test_particle_size_is_no_feature(tmp_path):
 
 
 def measured(directory):
-    """A short run of the study, and the initial particle positions of every variant."""
+    """Result of a short run of the study, and the initial particle positions of every variant."""
     from granflow.study.feature_cost import cost_rows, measure, write_feature_costs
 
     path = Path(directory) / "beads.yaml"

@@ -1,4 +1,4 @@
-"""The fit of Eq. 12: against scipy, against known truth, and against files with mistakes."""
+"""Fit of Eq. 12: comparison with scipy, recovery of known parameters, and invalid input files."""
 
 import numpy as np
 import pytest
@@ -14,18 +14,18 @@ from granflow.study.measurements import Measurements, read_measurements
 
 STEEL = VelocityRestitution(3.0432, 0.540, 340.3)
 SOFT = VelocityRestitution(1.2, 0.8, 12.0)
-"""A curve of which the measured part bends: its limit velocity can be fitted."""
+"""Curve with visible curvature in the measured range, so that its limit velocity can be fitted."""
 
 
-def measured(curve, fastest, count=20, noise=0.0, seed=0):
+def synthetic_measurements(curve, fastest, count=20, noise=0.0, seed=0):
     velocity = np.geomspace(0.01, 1.0, count) * fastest
     e = curve(velocity) + np.random.default_rng(seed).normal(0.0, noise, count) if noise else curve(velocity)
     return Measurements(velocity, e, np.ones(count), False)
 
 
 @pytest.mark.parametrize("limit", [SOFT.limit_velocity, None])
-def test_exact_data_give_the_curve_back(limit):
-    found = fit(measured(SOFT, 8.0), limit)
+def test_fit_to_exact_data_recovers_the_curve(limit):
+    found = fit(synthetic_measurements(SOFT, 8.0), limit)
     for name in ("sigma", "psi", "limit_velocity"):
         assert getattr(found.curve, name) == pytest.approx(getattr(SOFT, name), rel=1e-7)
     assert found.correlation == pytest.approx(1.0, abs=1e-12)
@@ -34,8 +34,8 @@ def test_exact_data_give_the_curve_back(limit):
 
 @pytest.mark.parametrize("fitted_limit", [False, True])
 @pytest.mark.parametrize("absolute", [False, True])
-def test_values_and_errors_are_those_of_scipy(fitted_limit, absolute):
-    data = measured(SOFT, 8.0, noise=0.01, seed=5)
+def test_values_and_errors_match_scipy(fitted_limit, absolute):
+    data = synthetic_measurements(SOFT, 8.0, noise=0.01, seed=5)
     spread = np.random.default_rng(6).uniform(0.005, 0.02, len(data))
     data = Measurements(data.velocity, data.restitution, spread, absolute)
     found = fit(data, None if fitted_limit else SOFT.limit_velocity)
@@ -55,22 +55,24 @@ def test_values_and_errors_are_those_of_scipy(fitted_limit, absolute):
 @pytest.mark.parametrize(
     ("truth", "fastest", "fitted_limit"), [(STEEL, 30.0, False), (SOFT, 6.0, False), (SOFT, 9.0, True)]
 )
-def test_the_truth_lies_within_one_error_as_often_as_it_should(truth, fastest, fitted_limit):
-    """Two thirds of the time: Student's t with as many degrees of freedom as rows less parameters."""
-    scene_builders, rows = 400, 20
+def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted_limit):
+    """About two thirds of the fits: Student's t with (rows - parameters) degrees of freedom."""
+    sample_count, rows = 400, 20
     names = ("sigma", "psi", "limit_velocity")[: 2 + fitted_limit]
     inside = np.zeros(len(names))
-    for seed in range(scene_builders):
-        found = fit(measured(truth, fastest, rows, 0.004, seed), None if fitted_limit else truth.limit_velocity)
-        off = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
-        inside += np.array(off) < [getattr(found.errors, name) for name in names]
+    for seed in range(sample_count):
+        found = fit(
+            synthetic_measurements(truth, fastest, rows, 0.004, seed), None if fitted_limit else truth.limit_velocity
+        )
+        deviations = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
+        inside += np.array(deviations) < [getattr(found.errors, name) for name in names]
     expected = 1.0 - 2.0 * student.cdf(-1.0, rows - len(names))
-    scatter = np.sqrt(expected * (1.0 - expected) / scene_builders)
-    np.testing.assert_allclose(inside / scene_builders, expected, atol=3.5 * scatter)
+    scatter = np.sqrt(expected * (1.0 - expected) / sample_count)
+    np.testing.assert_allclose(inside / sample_count, expected, atol=3.5 * scatter)
 
 
-def test_the_correlation_is_that_of_numpy():
-    data = measured(SOFT, 8.0, noise=0.03, seed=2)
+def test_correlation_matches_numpy():
+    data = synthetic_measurements(SOFT, 8.0, noise=0.03, seed=2)
     found = fit(data, SOFT.limit_velocity)
     predicted = found.curve(data.velocity)
     assert found.correlation == pytest.approx(np.corrcoef(data.restitution, predicted)[0, 1], rel=1e-12)
@@ -79,35 +81,37 @@ def test_the_correlation_is_that_of_numpy():
     assert found.r_squared == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_weight_of_two_counts_as_two_rows():
-    data = measured(SOFT, 8.0, noise=0.01, seed=4)
+def test_weight_of_two_equals_a_repeated_row():
+    data = synthetic_measurements(SOFT, 8.0, noise=0.01, seed=4)
     twice = np.r_[np.arange(len(data)), 3]
     doubled = Measurements(data.velocity[twice], data.restitution[twice], np.ones(len(twice)), False)
     spread = np.where(np.arange(len(data)) == 3, np.sqrt(0.5), 1.0)
     weighted = Measurements(data.velocity, data.restitution, spread, False)
-    ours, theirs = (fit(each, SOFT.limit_velocity).curve for each in (weighted, doubled))
-    assert (ours.sigma, ours.psi) == pytest.approx((theirs.sigma, theirs.psi), rel=1e-8)
+    fitted_to_weights, fitted_to_rows = (fit(each, SOFT.limit_velocity).curve for each in (weighted, doubled))
+    assert (fitted_to_weights.sigma, fitted_to_weights.psi) == pytest.approx(
+        (fitted_to_rows.sigma, fitted_to_rows.psi), rel=1e-8
+    )
 
 
-def test_the_limit_velocity_of_steel_is_equation_11():
+def test_limit_velocity_from_materials_is_equation_11():
     assert limit_from_materials("stainless_316") == pytest.approx(np.sqrt(3.0 * 0.310e9 / 8030.0), rel=1e-12)
-    # of the two, 316 yields first
+    # the smaller yield strength, of 316, determines the limit
     assert limit_from_materials("chrome_52100", "stainless_316") == limit_from_materials("stainless_316")
 
 
 @pytest.mark.parametrize(
-    ("make", "limit", "expected"),
+    ("make_data", "limit", "expected"),
     [
-        (lambda: measured(SOFT, 8.0, count=2), 12.0, "2 rows are too few"),
-        (lambda: measured(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
+        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "2 rows are too few"),
+        (lambda: synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
         (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0, "at 1 different velocities"),
-        (lambda: measured(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),
+        (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),
     ],
     ids=["few", "above the limit", "one velocity", "far below"],
 )
-def test_data_that_determine_nothing_are_refused(make, limit, expected):
+def test_insufficient_data_are_rejected(make_data, limit, expected):
     with pytest.raises(GranflowError, match=expected):
-        fit(make(), limit)
+        fit(make_data(), limit)
 
 
 # ---------------------------------------------------------------- files
@@ -130,14 +134,14 @@ def written(tmp_path, text, encoding="utf-8"):
     ],
     ids=["plain", "BOM", "semicolons", "tabs", "units"],
 )
-def test_the_ways_a_table_may_be_written(tmp_path, text):
+def test_equivalent_table_formats_give_equal_data(tmp_path, text):
     data = read_measurements(written(tmp_path, text))
     np.testing.assert_allclose(data.velocity, [1.0, 2.0], rtol=1e-15)
     np.testing.assert_allclose(data.restitution, [0.8, 0.7], rtol=1e-15)
     np.testing.assert_array_equal(data.uncertainty, [1.0, 1.0])
 
 
-def test_deviations_and_weights(tmp_path):
+def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path):
     deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
     np.testing.assert_array_equal(deviations.uncertainty, [0.1, 0.2])
     weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
@@ -157,9 +161,9 @@ x;1.2;0.1
 """
 
 
-def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
+def test_each_invalid_row_is_reported_with_the_expected_value(tmp_path):
     path = written(tmp_path, BAD)
-    with pytest.raises(FileError) as refusal:
+    with pytest.raises(FileError) as error:
         read_measurements(path)
     expected = [
         ":2: restitution is 0,5, but a decimal point is expected, not a comma: 0.5.",
@@ -174,7 +178,7 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
         ":7: restitution is -0.1, but a restitution coefficient must be in [0, 1].",
         ":8: the row has 4 values, but the header has 3 columns; use a point as decimal separator.",
     ]
-    assert list(refusal.value.problems) == [f"{path}{each}" for each in expected]
+    assert list(error.value.problems) == [f"{path}{each}" for each in expected]
 
 
 @pytest.mark.parametrize(
@@ -191,19 +195,19 @@ def test_every_bad_row_is_named_with_what_would_be_right(tmp_path):
         ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns"),
     ],
 )
-def test_tables_that_cannot_be_used(tmp_path, text, expected):
-    with pytest.raises(FileError) as refusal:
+def test_unusable_tables_are_rejected(tmp_path, text, expected):
+    with pytest.raises(FileError) as error:
         read_measurements(written(tmp_path, text))
-    assert expected in refusal.value.problems[0]
+    assert expected in error.value.problems[0]
 
 
-def test_a_file_that_is_not_text_is_refused(tmp_path):
+def test_file_that_is_not_utf8_is_rejected(tmp_path):
     path = written(tmp_path, "v,e\n1,0.8 Größe\n", "latin-1")
     with pytest.raises(GranflowError, match="is not UTF-8 text"):
         read_measurements(path)
 
 
-# ---------------------------------------------------------------- the verb
+# ---------------------------------------------------------------- command line
 
 SCENE = """
 title: Pasted
@@ -219,8 +223,8 @@ output: {{interval: 1 ms}}
 """
 
 
-def test_the_snippet_goes_into_a_scene(tmp_path, capsys):
-    data = measured(STEEL, 30.0)
+def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
+    data = synthetic_measurements(STEEL, 30.0)
     table = "\n".join(f"{v!r},{e!r}" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True))
     path = written(tmp_path, f"velocity,restitution\n{table}\n")
     out = tmp_path / "out"
@@ -234,7 +238,7 @@ def test_the_snippet_goes_into_a_scene(tmp_path, capsys):
     assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
 
 
-def test_refusals_of_the_verb(tmp_path, capsys):
+def test_command_rejects_invalid_input(tmp_path, capsys):
     path = written(tmp_path, "v,e\n1,1.8\n2,0.7\n")
     assert main(["fit", str(path), "--fit-limit"]) == 2
     assert "restitution is 1.8" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The page of a study: one file with everything in it."""
+"""HTML page of a study: one self-contained file."""
 
 import re
 from html.parser import HTMLParser
@@ -10,8 +10,8 @@ from granflow.study.page import Page, PageTable, Picture, Section, html_of, writ
 TINY = bytes.fromhex("89504e470d0a1a0a")
 
 
-class Balance(HTMLParser):
-    """Counts what is opened and not closed."""
+class BalanceParser(HTMLParser):
+    """Tracks the open elements and collects the text."""
 
     def __init__(self):
         super().__init__()
@@ -37,14 +37,14 @@ def page(tmp_path):
 
 
 def test_html_is_balanced_and_escaped(page):
-    parser = Balance()
+    parser = BalanceParser()
     parser.feed(html_of(page))
     assert not parser.open
     text = "".join(parser.text)
     assert "Text <i>." in text and "a < b" in text and "A & B" in text
 
 
-def test_nothing_comes_from_the_network(page, tmp_path):
+def test_page_refers_to_no_external_files(page, tmp_path):
     write_page(page, tmp_path / "page.html")
     html = (tmp_path / "page.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]*)"', html)
@@ -52,11 +52,11 @@ def test_nothing_comes_from_the_network(page, tmp_path):
     assert any(source.startswith("data:image/png;base64,iVBORw0KGgo=") for source in sources)
 
 
-def test_numbers_stand_right_and_words_left(page):
+def test_text_cells_have_the_class_words(page):
     assert "<td class=words>a &lt; b</td><td>0.5</td>" in html_of(page)
 
 
-def test_other_images_are_refused(page, tmp_path):
+def test_unsupported_image_formats_raise(page, tmp_path):
     (tmp_path / "a.gif").write_bytes(b"GIF")
     with pytest.raises(KeyError):
         html_of(Page("t", "l", [Section("s", [Picture(tmp_path / "a.gif", "c")])]))

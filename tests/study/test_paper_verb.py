@@ -1,4 +1,4 @@
-"""`granflow paper` as a user meets it: without the plot extra a sentence, with it a page that needs nothing else."""
+"""`granflow paper` on the command line: an error message without the plot extra, a self-contained page with it."""
 
 import re
 import sys
@@ -8,7 +8,7 @@ import pytest
 from granflow.cli import main
 
 
-def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch, tmp_path, capsys):
+def test_missing_matplotlib_is_reported_with_the_install_command(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
     message = capsys.readouterr().err
@@ -17,7 +17,7 @@ def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch, tmp_pat
 
 
 @pytest.mark.slow
-def test_the_page_holds_every_figure(taichi_f64, tmp_path, monkeypatch):
+def test_page_contains_every_figure(taichi_f64, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     from granflow.device import backend
     from granflow.study.paper import report

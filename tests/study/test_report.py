@@ -1,4 +1,4 @@
-"""The page about one run: what it says of whole, broken and resumed runs, and which columns share a plot."""
+"""Report of one run: complete, interrupted and resumed runs, and the grouping of columns into plots."""
 
 import json
 import re
@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from study.test_page import Balance
+from study.test_page import BalanceParser
 
 from granflow.cli import main
 from granflow.study.page import Page, Plot, Section, html_of
@@ -36,7 +36,7 @@ LOG = """\
 2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst
 at the seams
 """
-AGAIN = """\
+RESUMED_LOG = """\
 2026-01-02 04:00:00,000 INFO granflow: granflow 0.2.0, taichi 1.7.4, Python 3.11
 2026-01-02 04:00:00,000 INFO granflow: cuda with f32, compiled in 2.5 s
 2026-01-02 04:00:00,000 INFO granflow: goes on from checkpoint_1.npz at 0.1 s
@@ -63,9 +63,9 @@ def run(tmp_path):
 
 
 def text_of(directory, script="/* plotly */"):
-    """The words of the page, which must be balanced HTML."""
+    """Text of the page; asserts that its HTML is balanced."""
     html = html_of(page_of(read_record(directory), script, None))
-    parser = Balance()
+    parser = BalanceParser()
     parser.feed(re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL))
     assert not parser.open
     return "".join(parser.text)
@@ -75,9 +75,9 @@ def columns(*names):
     return [SeriesColumn(name, unit, np.ones(1)) for name, _, unit in (each.partition(" ") for each in names)]
 
 
-def test_the_page_says_all_of_a_run_that_is_done(run):
+def test_page_of_a_complete_run_contains_all_results(run):
     text = text_of(run)
-    for words in (
+    for fragment in (
         *("The run is complete.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
         *(
             "Two <beads> (two.yaml)",
@@ -90,10 +90,10 @@ def test_the_page_says_all_of_a_run_that_is_done(run):
         ),
         *("not a scene: at all", "This version cannot read the scene", "Always zero: idle", "it burst\nat the seams"),
     ):
-        assert words in text, words
+        assert fragment in text, fragment
 
 
-def test_the_profile_adds_up_to_the_wall_clock(run):
+def test_timings_add_up_to_the_wall_clock(run):
     section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Timings")
     assert [row[:3] for row in section.parts[0].rows] == [
         ("forces", "6.00", "60%"),
@@ -102,39 +102,37 @@ def test_the_profile_adds_up_to_the_wall_clock(run):
     ]
 
 
-def test_an_interrupted_run_says_why_and_how_far(run):
+def test_page_of_an_interrupted_run_states_reason_and_time(run):
     (run / "result.json").unlink()
     with (run / "timeseries.csv").open("a") as file:
         file.write("0.3,pour,2,1e-")
     text = text_of(run)
     assert "The run did not finish (ended by RunError: see the warnings). granflow resume" in text
     assert re.search(r"simulated time\s*0.2\s*s", text)
-    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), (
-        "the last row stands in for the result"
-    )
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), "the last row replaces the result"
 
 
-def test_a_resumed_run_lists_its_parts(run):
-    (run / "run.log").write_text(LOG + AGAIN)
+def test_page_of_a_resumed_run_lists_its_sessions(run):
+    (run / "run.log").write_text(LOG + RESUMED_LOG)
     text = text_of(run)
     assert "resumed (2 sessions)" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
 
 
-@pytest.mark.parametrize("left", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
-def test_any_one_file_is_enough_for_a_page(run, left):
+@pytest.mark.parametrize("kept_file", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
+def test_one_file_suffices_for_a_page(run, kept_file):
     for path in list(run.iterdir()):
-        if path.name != left:
+        if path.name != kept_file:
             path.unlink()
     assert "Summary" in text_of(run)
 
 
 @pytest.mark.parametrize("text", ["", "time [s],stage,a\n", "a,b\n1,2\n", "time [s],stage,a\n0.0,fi"])
-def test_a_time_series_without_rows_is_none(tmp_path, text):
+def test_time_series_without_rows_reads_as_none(tmp_path, text):
     (tmp_path / "timeseries.csv").write_text(text)
     assert read_series(tmp_path / "timeseries.csv") is None
 
 
-def test_what_is_no_run_is_refused_with_a_sentence(tmp_path, capsys):
+def test_directories_without_a_run_are_rejected(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     assert "is not the directory of a run" in capsys.readouterr().err
     assert main(["report", str(tmp_path / "none")]) == 2
@@ -144,16 +142,16 @@ def test_what_is_no_run_is_refused_with_a_sentence(tmp_path, capsys):
     assert "result.json cannot be read" in capsys.readouterr().err
 
 
-def test_without_plotly_the_page_is_written_and_says_what_is_missing(run, capsys, monkeypatch):
+def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     assert main(["report", str(run)]) == 0
     assert "pip install granflow[plot]" in capsys.readouterr().out
     html = (run / "report.html").read_text(encoding="utf-8")
     assert "Plots require plotly" in html and "run has no frames" in html
-    assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "something comes from outside of the page"
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page loads external content"
 
 
-def test_columns_read_back_with_units_and_stages(run):
+def test_columns_are_read_with_units_and_stages(run):
     series = read_series(run / "timeseries.csv")
     energy = series.columns[1]
     assert (energy.name, energy.unit, series.stages) == ("kinetic_energy", "J", ((0.0, "fill"), (0.2, "pour")))
@@ -161,7 +159,7 @@ def test_columns_read_back_with_units_and_stages(run):
 
 
 def test_columns_of_one_quantity_and_unit_share_a_plot():
-    """Names that nobody has told the report of, too."""
+    """Also for column names that the report does not list."""
     found = groups_of(
         columns(
             *("kinetic_energy J", "elastic_energy J", "wall_work J", "overlap_mean", "overlap_largest", "count"),
@@ -179,7 +177,7 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
     ]
 
 
-def test_a_thinned_curve_keeps_its_peaks_and_ends():
+def test_thinned_curve_keeps_peaks_and_ends():
     time, values = np.arange(1e5), np.zeros(100_000)
     values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
     values[50_000] = np.nan
@@ -189,7 +187,7 @@ def test_a_thinned_curve_keeps_its_peaks_and_ends():
     np.testing.assert_array_equal(thinned(time[:9], values[:9])[1], values[:9])
 
 
-def test_a_plot_is_json_without_a_way_out_of_its_script():
+def test_plot_json_cannot_close_its_script_element():
     group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
     plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
     assert isinstance(plot, Plot) and plot.figure["data"][0]["x"] == [0.0, 2.0]
@@ -197,14 +195,14 @@ def test_a_plot_is_json_without_a_way_out_of_its_script():
     html = html_of(Page("t", "l", [Section("s", [plot])]))
     assert html.count("</script>") == 1
     assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
-        "a click would send data away"
+        "the button would upload data"
     )
-    lifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
-    assert lifts[0] != lifts[1], "names of stages that begin soon after each other overlap"
+    shifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
+    assert shifts[0] != shifts[1], "names of stages that begin soon after each other overlap"
 
 
-def test_the_log_tells_sessions_warnings_and_reasons(run):
-    (run / "run.log").write_text("a line of nobody's\n" + LOG + AGAIN)
+def test_log_yields_sessions_warnings_and_explanations(run):
+    (run / "run.log").write_text("a line without time and level\n" + LOG + RESUMED_LOG)
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
     assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
@@ -213,11 +211,11 @@ def test_the_log_tells_sessions_warnings_and_reasons(run):
         ("06", "warning"),
         ("08", "error"),
     ]
-    assert explanation(entries) == "", "the second part says nothing"
+    assert explanation(entries) == "", "the second session has no explanation"
     assert explanation(read_log(run / "run.log")[: len(entries) - 3]).splitlines()[1].startswith("  friction")
 
 
-def test_captions_are_read_from_names(tmp_path):
+def test_captions_follow_from_file_names(tmp_path):
     assert _caption(tmp_path / "picture_normal_force_iso_cut_0023.png", []) == "normal force, iso, cut."
     assert _caption(tmp_path / "film_velocity_z_from_1_-2_0.8.mp4", []) == "velocity z, from 1 -2 0.8."
     assert _caption(tmp_path / "mine.png", []) == "mine"
@@ -225,7 +223,7 @@ def test_captions_are_read_from_names(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("plotly") is None, reason="needs the plot extra")
-def test_the_whole_page_stays_small_enough_to_mail(run):
+def test_page_with_plots_is_smaller_than_6_mb(run):
     assert main(["report", str(run)]) == 0
     page = run / "report.html"
     assert 1e6 < page.stat().st_size < 6e6

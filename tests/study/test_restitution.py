@@ -18,27 +18,27 @@ STEEL = {"preset": "stainless_316"}
 FIT = {"sigma": 3.0432, "psi": 0.54, "limit_velocity": 340.3}
 
 
-def two_materials(safety=0.02, **parts):
-    """Steel balls of two sizes and glass balls, a steel floor on which nothing but steel falls."""
+def two_materials(fraction=0.02, **parts):
+    """Steel particles of two sizes, glass particles, and a steel floor."""
     groups = {
         "fine": particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
         "coarse": particle_group([[0.1, 0.0, 0.2]], 0.01, "steel"),
         "beads": particle_group([[0.2, 0.0, 0.2]], 0.006, "glass"),
     }
-    usual = {
+    defaults = {
         "walls": {"floor": plane([0, 0, 0], [0, 0, 1], "steel")},
         "materials": {"steel": STEEL, "glass": {"preset": "glass"}},
         "pairs": {
             "steel-steel": {"restitution": FIT, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
         },
         "run": {"duration": 1.0, "velocity_max": 5.0},
-        "numerics": {"time_step_fraction": safety, "rayleigh_fraction": 1.0},
+        "numerics": {"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
     }  # fmt: skip
-    return build_scene(groups, **(usual | parts))
+    return build_scene(groups, **(defaults | parts))
 
 
 def coarse_hertz(step="auto"):
-    """A viscous contact of few steps: the dashpot takes too much."""
+    """A damped Hertz contact resolved by few steps: the rebound velocity is too small."""
     groups = {"beads": particle_group([[0.0, 0.0, 0.1]], 0.01, "steel")}
     return build_scene(
         groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")}, materials={"steel": STEEL}, normal="hertz",
@@ -47,7 +47,7 @@ def coarse_hertz(step="auto"):
     )  # fmt: skip
 
 
-def test_every_pair_of_materials_that_can_meet_with_its_smallest_sizes():
+def test_pairings_contain_each_possible_material_pair_with_its_smallest_radii():
     found = {(each.name, each.radius, each.other_radius) for each in pairings(two_materials())}
     assert found == {
         ("steel-steel", 0.002, 0.002),
@@ -58,9 +58,9 @@ def test_every_pair_of_materials_that_can_meet_with_its_smallest_sizes():
     }
 
 
-def test_fine_steps_reach_what_is_asked(taichi_f64):
-    """Eq. 12 from sigma and psi, the number of a pair otherwise; over three decades of velocity within 0.1 %."""
-    rows, _ = measure(two_materials(safety=0.01))
+def test_small_time_steps_reach_the_given_restitution(taichi_f64):
+    """Eq. 12 from sigma and psi, or the constant of a pair; within 0.1 % over three decades of velocity."""
+    rows, _ = measure(two_materials(fraction=0.01))
     velocity = np.array([row.velocity for row in rows])
     fit = np.exp(-FIT["sigma"] * (velocity / (FIT["limit_velocity"] - velocity)) ** FIT["psi"])
     numbers = np.array([0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows])
@@ -71,8 +71,8 @@ def test_fine_steps_reach_what_is_asked(taichi_f64):
     assert len({row.pair for row in rows}) == 5
 
 
-def test_reached_is_what_a_run_of_the_scene_reaches(taichi_f64):
-    """A ball of the scene itself falls on its floor in the scene's own steps."""
+def test_reached_restitution_equals_that_of_a_run(taichi_f64):
+    """A particle of the scene falls on the floor of the scene with the time step of the scene."""
     scene = coarse_hertz()
     rows, step = measure(scene)
     fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
@@ -89,25 +89,25 @@ def test_reached_is_what_a_run_of_the_scene_reaches(taichi_f64):
     assert fastest.min_reached - 2e-4 <= reached <= fastest.max_reached + 2e-4
 
 
-def difference_at_the_slowest(precision):
+def max_difference_at_low_velocity(precision):
     scene = two_materials(run={"duration": 1.0, "velocity_max": 5.0, "precision": precision})
     rows, _ = measure(scene)
     return max(abs(row.difference) for row in rows if row.velocity < 0.01)
 
 
-def test_single_precision_shows_at_small_velocities(taichi_f64):
-    """Coordinates up to 1 m in f32 are 6e-8 m apart; overlaps at 5 mm/s are of that order."""
-    assert in_subprocess(difference_at_the_slowest, "f32") > 0.05
-    assert difference_at_the_slowest("f64") < 0.01
+def test_single_precision_is_inaccurate_at_low_velocities(taichi_f64):
+    """The spacing of f32 coordinates up to 1 m is 6e-8 m; overlaps at 5 mm/s are of that order."""
+    assert in_subprocess(max_difference_at_low_velocity, "f32") > 0.05
+    assert max_difference_at_low_velocity("f64") < 0.01
 
 
 # ---------------------------------------------------------------- the warning
 
 
-def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(taichi_f64):
+def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
     scene = coarse_hertz()
     sentences = {each.split(":")[0]: each for each in warnings(plan_for(scene))}
-    assert list(sentences) == ["steel-steel wall"]  # one ball: no collision between particles
+    assert list(sentences) == ["steel-steel wall"]  # one particle: no collision between particles
     numbers = re.search(
         r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+)\. "
         r"Use run\.time_step: (\S+) s\.",
@@ -122,24 +122,24 @@ def test_the_warning_names_pair_velocity_asked_reached_and_a_remedy_that_works(t
     assert warnings(plan_for(coarse_hertz(remedy))) == []
 
 
-def test_a_material_pair_has_one_warning_that_names_its_worst_collision():
+def test_each_material_pair_has_at_most_one_warning():
     scene = coarse_hertz()
-    several = scene.model_copy(update={"particles": {
+    three_groups = scene.model_copy(update={"particles": {
         name: scene.particles["beads"].model_copy(update={"count": 2}) for name in ("one", "two", "three")
     }})  # fmt: skip
     fixed = scene.particles["beads"].model_copy(update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)})
-    assert len(warnings(plan_for(several))) == 1
+    assert len(warnings(plan_for(three_groups))) == 1
     assert warnings(plan_for(scene.model_copy(update={"particles": {"beads": fixed}}))) == []
 
 
-def test_scenes_that_come_with_granflow_need_no_warning():
+def test_shipped_scenes_have_no_warnings():
     for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
         assert warnings(plan_for(load(path))) == [], path
 
 
-def test_what_the_plan_warns_of_is_not_said_twice():
-    """Restitution 0.02 needs an unloading steeper than the step can carry."""
-    scene = two_materials(safety=0.1, pairs={
+def test_warnings_of_the_plan_are_not_repeated():
+    """Restitution 0.02 requires an unloading stiffness that is unstable with the time step."""
+    scene = two_materials(fraction=0.1, pairs={
         "steel-steel": {"restitution": 0.02, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
     })  # fmt: skip
     plan = plan_for(scene)
@@ -147,7 +147,7 @@ def test_what_the_plan_warns_of_is_not_said_twice():
     assert not any("steel-steel" in sentence for sentence in warnings(plan))
 
 
-def test_the_verb_shows_a_table_and_writes_numbers(tmp_path, taichi_f64, capsys):
+def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     path = tmp_path / "coarse.yaml"
     path.write_text(coarse_hertz().text(), encoding="utf-8")
     assert main(["restitution", str(path), "--out", str(tmp_path / "out")]) == 0
@@ -156,9 +156,9 @@ def test_the_verb_shows_a_table_and_writes_numbers(tmp_path, taichi_f64, capsys)
     lines = (tmp_path / "out" / "restitution.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "pair,velocity,requested,min_reached,max_reached,difference"
     assert len(lines) - 1 == len(shown) == 2 * 13
-    for line, (velocity, reached, percent, star) in zip(lines[1:], shown, strict=True):
+    for line, (velocity, reached, percent, flag) in zip(lines[1:], shown, strict=True):
         numbers = [float(cell) for cell in line.split(",")[1:]]
         assert float(velocity) == pytest.approx(numbers[0], rel=1e-3)
         assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.3)), abs=1e-5)
         assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.3 - 1.0), abs=5e-3)
-        assert bool(star) == (abs(float(percent)) > 1.0)
+        assert bool(flag) == (abs(float(percent)) > 1.0)

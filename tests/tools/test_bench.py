@@ -1,4 +1,4 @@
-"""tools/bench.py: the beds it makes, what it reads from other codes, its ratios, its counts, and what it says."""
+"""tools/bench.py: generated beds, logs of other codes, ratios, byte and operation counts, messages."""
 
 import importlib
 import sys
@@ -13,7 +13,7 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
 @pytest.fixture(autouse=True)
-def tools_at_hand(monkeypatch):
+def tools_on_path(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
@@ -21,47 +21,47 @@ def module(name):
     return importlib.import_module(f"benchmark.{name}")
 
 
-def little_bed():
-    """Three spheres in a box of 10 mm x 20 mm; the first overlaps the wall at x = 10 mm by 0.1 mm."""
+def three_particle_bed():
+    """Three particles in a box of 10 mm x 20 mm; the first overlaps the wall at x = 10 mm by 0.1 mm."""
     position = np.array([[9.1, 5.0, 1.0], [4.0, 5.0, 1.0], [4.0, 15.0, 1.2]]) * 1e-3
     return module("cases").Case("bed 3", "bed", np.array([2.0, 2.0, 2.4]) * 1e-3, position, (0.010, 0.020))
 
 
-def test_tiles_meet_their_mirror_image():
-    bed = little_bed()
+def test_tiling_appends_the_mirror_image():
+    bed = three_particle_bed()
     two = module("cases").tiled(bed, 6)
     assert two.sides == (0.020, 0.020) and two.count == 6
-    # Mirrored at x = 10 mm: 9.1 mm -> 10.9 mm. An overlap of 0.1 mm with the wall is one of 0.2 mm with the image.
+    # Mirror image at x = 10 mm: 9.1 mm -> 10.9 mm. The wall overlap of 0.1 mm becomes a particle overlap of 0.2 mm.
     np.testing.assert_allclose(two.position[3], [0.0109, 0.005, 0.001], rtol=1e-12)
     gap = np.linalg.norm(two.position[0] - two.position[3]) - 0.5 * (two.diameter[0] + two.diameter[3])
     assert gap == pytest.approx(-2e-4, rel=1e-9)
 
 
-def test_tiles_fill_their_box():
-    twelve = module("cases").tiled(little_bed(), 36)
-    assert twelve.sides == pytest.approx((0.040, 0.060)) and twelve.count == 36
-    assert (twelve.position[:, :2] > 0).all() and (twelve.position[:, :2] < twelve.sides).all()
-    # Each of the three spheres once in every tile.
-    tiles = np.floor(twelve.position[:, :2] / [0.010, 0.020]).astype(int)
+def test_each_tile_contains_all_particles():
+    tiled = module("cases").tiled(three_particle_bed(), 36)
+    assert tiled.sides == pytest.approx((0.040, 0.060)) and tiled.count == 36
+    assert (tiled.position[:, :2] > 0).all() and (tiled.position[:, :2] < tiled.sides).all()
+    # Each tile contains three particles.
+    tiles = np.floor(tiled.position[:, :2] / [0.010, 0.020]).astype(int)
     assert {tuple(each) for each in tiles.tolist()} == {(i, j) for i in range(4) for j in range(3)}
     assert np.bincount(tiles @ [1, 4]).tolist() == [3] * 12
 
 
-def test_data_file_comes_back(tmp_path):
-    cases, bed = module("cases"), little_bed()
+def test_written_data_file_is_read_exactly(tmp_path):
+    cases, bed = module("cases"), three_particle_bed()
     cases.write_data(bed, tmp_path / "bed3.data")
-    again = cases.read_data(tmp_path / "bed3.data")
-    np.testing.assert_allclose(again.position, bed.position, rtol=1e-11)
-    np.testing.assert_allclose(again.diameter, bed.diameter, rtol=1e-11)
-    assert again.sides == bed.sides
+    read = cases.read_data(tmp_path / "bed3.data")
+    np.testing.assert_allclose(read.position, bed.position, rtol=1e-11)
+    np.testing.assert_allclose(read.diameter, bed.diameter, rtol=1e-11)
+    assert read.sides == bed.sides
     assert cases.find_beds(tmp_path) == {3: tmp_path / "bed3.data"}
 
 
 def test_hopper_mesh_has_the_area_of_cone_and_tube(tmp_path):
     cases = module("cases")
     cases.write_hopper_mesh(tmp_path / "hopper.stl", segments=512)
-    words = [line.split() for line in (tmp_path / "hopper.stl").read_text().splitlines()]
-    corners = np.array([row[1:] for row in words if row[0] == "vertex"], float).reshape(-1, 3, 3)
+    lines = [line.split() for line in (tmp_path / "hopper.stl").read_text().splitlines()]
+    corners = np.array([row[1:] for row in lines if row[0] == "vertex"], float).reshape(-1, 3, 3)
     edges = corners[:, 1:] - corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
     # pi (r + R) slant for the cone, slant = 40 mm / sin 30 deg; 2 pi R h for the tube.
@@ -70,15 +70,15 @@ def test_hopper_mesh_has_the_area_of_cone_and_tube(tmp_path):
     assert area == pytest.approx(cone + tube, rel=1e-4)
 
 
-def test_damping_given_to_lammps_has_the_restitution_wanted():
-    """Two spheres in LAMMPS' law by an independent integrator: at the overlap it is set for, e is about 0.9."""
+def test_lammps_damping_gives_the_restitution():
+    """A collision with LAMMPS' model, integrated by scipy: e is about 0.9 at the mean overlap of the damping."""
     from scipy.integrate import solve_ivp
 
     cases = module("cases")
     stiffness, damping = cases.hertz_stiffnesses()[0], cases.lammps_damping()
     radius, mass = 1e-3, 0.5 * 2500 * 4 / 3 * np.pi * 2e-3**3
-    deepest = 2.0 * cases.OVERLAP_MEAN  # its mean over a collision is about half
-    speed = np.sqrt(0.8 * stiffness * np.sqrt(radius) * deepest**2.5 / mass)
+    overlap_max = 2.0 * cases.OVERLAP_MEAN  # the mean over a collision is about half of the maximum
+    speed = np.sqrt(0.8 * stiffness * np.sqrt(radius) * overlap_max**2.5 / mass)
 
     def motion(_, state):
         overlap = max(state[0], 0.0)
@@ -119,11 +119,11 @@ Neighbor list builds = 0
 
 def hopper_job(threads):
     cases, codes = module("cases"), module("codes")
-    case = replace(little_bed(), kind="hopper")
+    case = replace(three_particle_bed(), kind="hopper")
     return codes.Job("lammps", "hertz", case, threads, "f64", 5e-4, cases.Steps(100, 200))
 
 
-def test_what_is_read_from_a_log():
+def test_log_of_lammps_is_parsed():
     found = module("codes").read_log(LOG, hopper_job(2))
     assert found["version"] == "29 Sep 2021 - Update 2"
     assert found["rate"] == pytest.approx(3 * 200 / 0.5)
@@ -132,29 +132,29 @@ def test_what_is_read_from_a_log():
     assert found["mass_flow"] == pytest.approx(0.25 / (200 * 1e-5))
 
 
-def test_ranks_that_did_not_join_are_told():
+def test_wrong_number_of_ranks_is_reported():
     with pytest.raises(module("codes").Failed, match=r"ran on 2 rank\(s\) for 4"):
         module("codes").read_log(LOG, hopper_job(4))
 
 
-def test_a_run_that_broke_off_is_told_with_its_error():
+def test_failed_run_is_reported_with_its_error():
     with pytest.raises(module("codes").Failed, match="Lost atoms"):
         module("codes").read_log(LOG[:300] + "\nERROR: Lost atoms\n", hopper_job(2))
 
 
 def points(**rates):
-    same = {"case": "bed 10", "count": 10, "threads": 1}
+    common = {"case": "bed 10", "count": 10, "threads": 1}
     return [
-        {"round": number, "code": code.split("_")[0], "law": law, "rate": rate, **same}
+        {"round": number, "code": code.split("_")[0], "law": law, "rate": rate, **common}
         for code, values in rates.items()
         for law in [code.split("_")[1]]
         for number, rate in enumerate(values, 1)
     ]
 
 
-def test_ratios_are_taken_round_by_round():
+def test_ratios_are_computed_within_a_round():
     tables = module("tables")
-    # The machine is half as fast in round 2: medians alone would say 30 / 10, each round says 2.
+    # The machine is half as fast in round 2, and LAMMPS has no round 3: only rounds of both codes are compared.
     result = {"points": points(granflow_hertz=[40e6, 20e6, 30e6], lammps_hertz=[20e6, 10e6]), "notes": []}
     lammps = next(group for group in tables.groups(result) if group.code == "lammps")
     ratio = tables.ratio(result, lammps)
@@ -162,15 +162,15 @@ def test_ratios_are_taken_round_by_round():
     assert "2.00 (2.00-2.00)" in tables.text(result)
 
 
-def test_bytes_of_motion_are_those_of_its_fields():
+def test_bytes_of_integration_equal_those_of_its_fields():
     counts = module("counts")
     fields = dict.fromkeys(("position", "velocity", "angular_velocity", "force", "torque", "position_at_rebuild"), 24)
     load = counts.BytesMoved(10, 0, 0, fields | {"mass": 8, "radius": 8}, 0, 0, "hertz", True)
-    # Read: x, v, w, F, M, x at the last search and two scalars; written: x, v, w.
+    # Read: x, v, w, F, M, x at the last rebuild and two scalars; written: x, v, w.
     assert counts.bytes_of(load)["motion"] == 10 * (6 * 24 + 2 * 8 + 3 * 24)
 
 
-def test_arithmetic_of_an_empty_bed_is_that_of_its_motion():
+def test_arithmetic_without_contacts_is_that_of_integration():
     counts = module("counts")
     load = counts.BytesMoved(1000, 0, 0, {}, 0, 0, "zhou", False)
     operations = counts.operations_of(load)
@@ -179,7 +179,7 @@ def test_arithmetic_of_an_empty_bed_is_that_of_its_motion():
     assert operations["motion"].seconds(limits) == pytest.approx(1000 * (35 * 1e-9 + 2 * 5e-9))
 
 
-def test_a_missing_peer_names_its_package(monkeypatch):
+def test_missing_peer_is_reported_with_its_package(monkeypatch):
     codes = module("codes")
     monkeypatch.setattr(codes.shutil, "which", lambda program: None)
     for name, package in (("liggghts", "liggghts"), ("lammps", "lammps"), ("yade", "yade")):
@@ -189,22 +189,22 @@ def test_a_missing_peer_names_its_package(monkeypatch):
     assert codes.missing("lammps", [1]) is None and codes.missing("yade", [2]) is None
 
 
-def test_the_page_shows_what_was_measured(tmp_path, monkeypatch):
+def test_page_contains_the_measurements(tmp_path, monkeypatch):
     import json
 
     page, machine = module("page"), module("machine")
     monkeypatch.setattr(page, "PAGE", tmp_path / "README.md")
     monkeypatch.setattr(page, "FIGURE", tmp_path / "scaling.svg")
-    result = {"kind": "peers", "machine": machine.machine(), "notes": ["yade is left out."]}
+    result = {"kind": "peers", "machine": machine.machine(), "notes": ["yade is skipped."]}
     result["points"] = points(granflow_hertz=[40e6], granflow_zhou=[32e6], lammps_hertz=[20e6])
     (tmp_path / "one.json").write_text(json.dumps(result))
     text = page.write(tmp_path, "").read_text()
     assert "| bed 10 | 1 | lammps | 20.00 (20.00-20.00) | 2.00 (2.00-2.00) |" in text
     assert "| bed 10 | 1 | granflow zhou | 32.00 (32.00-32.00) | 1.25 (1.25-1.25) |" in text
-    assert "- yade is left out." in text and "(results/one.json)" in text
+    assert "- yade is skipped." in text and "(results/one.json)" in text
 
 
-def test_no_results_is_said_in_a_sentence(tmp_path):
+def test_missing_results_are_reported_in_one_sentence(tmp_path):
     with pytest.raises(SystemExit, match="There are no results"):
         module("page").write(tmp_path, "")
 
@@ -216,13 +216,13 @@ def measured_in_subprocess(tools, path):
     return ours.measure(path, "hertz", "f64", 1, "0.2 mm", 5, 20)
 
 
-def test_granflow_measures_a_bed(tmp_path):
+def test_measurement_of_a_bed_counts_contacts_and_bytes(tmp_path):
     path = tmp_path / "case.npz"
-    # Two spheres 3.999 mm apart touch, for about 60 steps; the others do not.
+    # Two particles at a distance of 3.999 mm are in contact for about 60 steps; the others have no contact.
     position = np.array([[2.0, 2.0, 2.0], [5.999, 2.0, 2.0], [12.0, 2.0, 2.0], [2.0, 12.0, 2.0]]) * 1e-3
     module("cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02)).save(path)
     found = in_subprocess(measured_in_subprocess, str(TOOLS), str(path))
     assert found["contacts"] == pytest.approx(1 / 4)
     assert found["rate"] > 0 and found["mass_flow"] is None
-    # No fewer than what one sphere needs: position, velocity, force, spin, torque and a copy of those that travel.
+    # At least position, velocity, force, angular velocity, torque, and a copy of the sorted fields.
     assert found["field_bytes"] > 8 * 3 * (5 + 3)

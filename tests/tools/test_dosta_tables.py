@@ -1,4 +1,4 @@
-"""tools/dosta_tables.py: the scenes of Dosta et al. from tables like theirs, and from theirs where they are at hand."""
+"""tools/dosta_tables.py: scenes of Dosta et al. from synthetic tables, and from the published ones if available."""
 
 import importlib
 import os
@@ -21,37 +21,37 @@ def tables(monkeypatch):
     return importlib.import_module("dosta_tables")
 
 
-def made(tables, folder, out, monkeypatch):
+def written_scenes(tables, folder, out, monkeypatch):
     monkeypatch.setattr("sys.argv", ["dosta_tables.py", str(folder), "--out", str(out)])
     tables.main()
     return {name: load_scene(out / f"{name}.yaml") for name in ("drum", "penetration")}
 
 
-def test_beads_stand_where_the_tables_say(tables, tmp_path, monkeypatch):
+def test_particles_have_the_positions_of_the_tables(tables, tmp_path, monkeypatch):
     drum = "0.002 0.01 -0.02 -0.08\n 0.001 0.03 0 -0.02\n0.002 -0.01 0.02 -0.08\n"
     (tmp_path / "Drum_PartCoordinates.txt").write_text(HEAD + drum)
-    ball = " 5 0.01 0.01 0 0 0.06\n\n"  # their last line: speed, radius and place of the ball
+    ball = " 5 0.01 0.01 0 0 0.06\n\n"  # last line of the published file: speed, radius and position of the ball
     (tmp_path / "Penetration_25KParticles.txt").write_text(HEAD + "0.001 0 0.01 -0.08\n" + ball)
-    scenes = made(tables, tmp_path, tmp_path, monkeypatch)
+    scenes = written_scenes(tables, tmp_path, tmp_path, monkeypatch)
     particles = {name: initial_particles(scene) for name, scene in scenes.items()}
     np.testing.assert_allclose(particles["drum"].radius, [0.002, 0.002, 0.001])
     np.testing.assert_allclose(particles["drum"].position[2], [0.03, 0.0, -0.02])
     np.testing.assert_allclose(particles["penetration"].position, [[0.0, 0.01, -0.08]])
-    # Their drum has twice the size of ours, a radius of 0.1 m and a length of 0.06 m.
+    # The published drum has twice the size of the shipped scene: radius 0.1 m, length 0.06 m.
     shell = scenes["drum"].walls["shell"]
     assert shell.radius == pytest.approx(0.1) and shell.to[1] - shell.from_[1] == pytest.approx(0.06)
 
 
-@pytest.mark.skipif(
-    not REFERENCE.exists(), reason="the published tables are not here (GRANFLOW_REFERENCE names their folder)"
-)
-def test_published_beads_lie_inside_our_walls(tables, tmp_path, monkeypatch):
-    scenes = made(tables, REFERENCE, tmp_path, monkeypatch)
+@pytest.mark.skipif(not REFERENCE.exists(), reason="requires the published tables (GRANFLOW_REFERENCE: their folder)")
+def test_published_particles_lie_inside_the_walls(tables, tmp_path, monkeypatch):
+    scenes = written_scenes(tables, REFERENCE, tmp_path, monkeypatch)
     assert {name: group.count for name, group in scenes["drum"].particles.items()} == {"large": 8000, "small": 30000}
     drum = initial_particles(scenes["drum"])
-    reach = np.hypot(drum.position[:, 0], drum.position[:, 2]) + drum.radius
-    assert reach.max() < 0.1 * (1 + 1e-3) and (np.abs(drum.position[:, 1]) + drum.radius).max() < 0.03 * (1 + 1e-3)
-    # At rest on the floor: no bead deeper in it than 1 % of its radius.
+    outer_radius = np.hypot(drum.position[:, 0], drum.position[:, 2]) + drum.radius
+    assert outer_radius.max() < 0.1 * (1 + 1e-3) and (np.abs(drum.position[:, 1]) + drum.radius).max() < 0.03 * (
+        1 + 1e-3
+    )
+    # At rest on the floor: overlaps are at most 1 % of the radius.
     bed = initial_particles(scenes["penetration"])
     floor = scenes["penetration"].walls["floor"].corner[2]
     assert len(bed.radius) == 25000 and (bed.position[:, 2] - bed.radius).min() > floor - 1e-5

@@ -1,4 +1,4 @@
-"""tools/gpu_check.py without a GPU: what it says, what it writes, that its checks can fail, and its speed point."""
+"""tools/gpu_check.py without a GPU: messages, result file, failing checks, and one speed measurement."""
 
 import argparse
 import importlib
@@ -16,7 +16,7 @@ SCRIPT = TOOLS / "gpu_check.py"
 
 
 @pytest.fixture(autouse=True)
-def tools_at_hand(monkeypatch):
+def tools_on_path(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
@@ -24,49 +24,49 @@ def module(name):
     return importlib.import_module(name)
 
 
-def test_a_device_that_is_not_there_is_one_sentence(tmp_path):
+def test_missing_device_is_reported_in_one_sentence(tmp_path):
     import taichi as ti
 
     if ti._lib.core.with_cuda():
-        pytest.skip("CUDA is here")
+        pytest.skip("CUDA is available")
     command = [sys.executable, str(SCRIPT), "--arch", "cuda", "--out", str(tmp_path / "x.json")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1 and "no cuda device" in done.stderr
+    process = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    assert process.returncode == 2
+    assert len(process.stderr.splitlines()) == 1 and "no cuda device" in process.stderr
     assert not (tmp_path / "x.json").exists()
 
 
 @pytest.mark.parametrize(
     ("value", "passed"), [(0.9, True), (-0.9, True), (1.1, False), (-1.1, False), (float("nan"), False)]
 )
-def test_a_check_keeps_its_limit(value, passed):
+def test_check_passes_within_its_limit_and_fails_for_nan(value, passed):
     assert module("gpu.checks").record("any", value, 1.0)["passed"] is passed
 
 
-def trajectory(path, off):
-    """Ten spheres of radius 1 at some speed, everything displaced by `off`."""
+def trajectory(path, offset):
+    """File with the state of ten particles of radius 1; `offset` is added to all values."""
     rng = np.random.default_rng(1)
     position, velocity = rng.normal(size=(2, 10, 3))
-    scalars = {"steps": 1000, "kinetic_energy": 1.0 + off, "overlap_largest": 0.01 + off, "contact_count": 20}
-    np.savez(path, position=position + off, velocity=velocity + off, radius=np.ones(10), **scalars)
+    scalars = {"steps": 1000, "kinetic_energy": 1.0 + offset, "overlap_largest": 0.01 + offset, "contact_count": 20}
+    np.savez(path, position=position + offset, velocity=velocity + offset, radius=np.ones(10), **scalars)
     return path
 
 
-@pytest.mark.parametrize(("off", "passed"), [(0.9e-5, True), (1.1e-5, False)])
-def test_agreement_is_judged_by_what_rounding_does(tmp_path, off, passed):
-    """A start displaced by rounding ends 1e-6 off: with a margin of 10, less than 1e-5 passes."""
+@pytest.mark.parametrize(("offset", "passed"), [(0.9e-5, True), (1.1e-5, False)])
+def test_agreement_limit_follows_from_a_displaced_start(tmp_path, offset, passed):
+    """The reference with displaced start deviates by 1e-6, so that the limit with a margin of 10 is 1e-5."""
     reference, disturbed = trajectory(tmp_path / "reference.npz", 0.0), trajectory(tmp_path / "disturbed.npz", 1e-6)
-    records = module("gpu.checks").agreement(trajectory(tmp_path / "here.npz", off), reference, disturbed, 10.0)
-    judged = {each["name"].split(" off")[0]: each["passed"] for each in records}
-    assert judged["position"] is judged["velocity"] is passed
-    assert judged["steps missing"]
+    records = module("gpu.checks").agreement(trajectory(tmp_path / "here.npz", offset), reference, disturbed, 10.0)
+    passed_checks = {each["name"].split(" difference")[0]: each["passed"] for each in records}
+    assert passed_checks["position"] is passed_checks["velocity"] is passed
+    assert passed_checks["steps missing"]
 
 
 def run_of(tmp_path, answers, **requested):
-    """A Run whose jobs answer from a table, or raise what stands there."""
+    """A Run whose jobs return the entries of `answers`, or raise them if they are exceptions."""
     check = module("gpu_check")
-    usual = {"arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True}
-    options = argparse.Namespace(**usual | {"out": tmp_path / "found.json"} | requested)
+    defaults = {"arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True}
+    options = argparse.Namespace(**defaults | {"out": tmp_path / "found.json"} | requested)
     result = {"checks": [], "points": [], "profiles": [], "left_out": []}
     result["device"] = {"name": "host", "driver": None, "memory_free": 10**9}
     run = check.Run(options, tmp_path, check.Budget(600.0), result)
@@ -87,12 +87,12 @@ POINT = {
 }  # fmt: skip
 
 
-def test_a_job_that_breaks_off_is_a_failed_check_and_the_others_go_on(tmp_path, monkeypatch, capsys):
+def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
     check, good = module("gpu_check"), module("gpu.checks").record("good", 0.0, 1.0)
     monkeypatch.setattr(check.checks, "displacement", lambda *_: 1e-9)
     monkeypatch.setattr(check.checks, "agreement", lambda *_: [good])
-    shaken = {"digest": "a", "checks": [good]}
-    answers = {"collisions": check.Failed("it ended with code 1"), "momentum": [good], "shaken": shaken}
+    vibrated_box = {"digest": "a", "checks": [good]}
+    answers = {"collisions": check.Failed("it ended with code 1"), "momentum": [good], "vibrated box": vibrated_box}
     answers |= {"scenes": [good], "trajectory": None}
     run = run_of(tmp_path, answers, part="correctness")
     assert check.carry_out(run) == 1
@@ -101,17 +101,17 @@ def test_a_job_that_breaks_off_is_a_failed_check_and_the_others_go_on(tmp_path, 
     assert "collisions did not run" in capsys.readouterr().out
 
 
-def test_what_was_measured_is_in_the_file_although_a_later_point_fails(tmp_path, monkeypatch):
+def test_results_are_written_before_a_later_measurement_is_skipped(tmp_path, monkeypatch):
     check = module("gpu_check")
     monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: 100 * size)
     run = run_of(tmp_path, {"measure": POINT}, part="bench", sizes=[1000, 10**7])
     check.bench(run, 1000, "f64", {})
     assert json.loads(run.options.out.read_text())["points"] == [{"precision": "f64"} | POINT]
     check.bench(run, 10**7, "f64", {})
-    assert "10000000 spheres in f64: fields of 1.0 GB are more than 70% of the 1.0 GB free" in run.result["left_out"]
-    # 50 s for 1000 spheres, 1 s of them under the clock: 49 s a thousand for 100 000 are more than 600 s.
+    assert "10000000 particles in f64: fields of 1.0 GB exceed 70% of the free 1.0 GB" in run.result["left_out"]
+    # 50 s for 1000 particles, of which 1 s is measured: 49 s per thousand exceed 600 s for 100 000.
     check.bench(run, 100_000, "f64", {"f64": (1000, 50.0)})
-    assert run.result["left_out"][-1].startswith("100000 spheres in f64: about 4901 s are needed")
+    assert run.result["left_out"][-1].startswith("100000 particles in f64: requires about 4901 s")
     assert len(run.result["points"]) == 1
 
 
@@ -120,18 +120,18 @@ def measured_in_subprocess(tools, path):
     from gpu import device, speed
 
     found = speed.measure("cpu", "mixed", path, 4, 0.05)
-    return found | {"gpu_kernels": device._gpu_bandwidth(1 << 16)}  # what a GPU runs must at least compile
+    return found | {"gpu_kernels": device._gpu_bandwidth(1 << 16)}  # kernels for the GPU must compile on the CPU
 
 
-def test_a_point_of_speed(tmp_path):
-    """Four spheres in mid-air, two of which overlap by 0.1 mm."""
+def test_speed_measurement_of_four_particles(tmp_path):
+    """Four particles above the floor, two of which overlap by 0.1 mm."""
     position = np.array([[2.0, 2.0, 9.0], [5.9, 2.0, 9.0], [12.0, 2.0, 9.0], [2.0, 12.0, 9.0]]) * 1e-3
     case = module("benchmark.cases").Case("bed 4", "bed", np.full(4, 4e-3), position, (0.02, 0.02))
     case.save(tmp_path / "bed.npz")
     found = in_subprocess(measured_in_subprocess, str(TOOLS), str(tmp_path / "bed.npz"))
     assert found["count"] == 4 and found["steps"] % 64 == 0
     assert min(found["gpu_kernels"].values()) > 0.0
-    # particle-steps over seconds, and the share of the bandwidth that follows from it
+    # particle-steps per second, and the resulting share of the bandwidth
     assert found["rate"] == pytest.approx(4 * found["steps"] / found["seconds"])
     share = found["bytes_per_particle_step"] * found["rate"] / found["copy_bandwidth"]
     assert found["bandwidth_share"] == pytest.approx(share)

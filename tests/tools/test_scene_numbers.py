@@ -1,4 +1,4 @@
-"""tools/beverloo.py and tools/scene_numbers.py: what they make of flows and beds whose answer is known."""
+"""tools/beverloo.py, tools/scene_numbers.py and tools/scene_table.py: flows and beds with known results, and tables."""
 
 import importlib
 from pathlib import Path
@@ -10,7 +10,7 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
 @pytest.fixture(autouse=True)
-def tools_at_hand(monkeypatch):
+def tools_on_path(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
@@ -23,7 +23,7 @@ def flow(hole, rate, error=1e-3):
 
 
 @pytest.mark.parametrize("power", [1.5, 2.5, 3.0])
-def test_exponent_of_a_law_comes_back(power):
+def test_fit_recovers_the_exponent(power):
     flows = [flow(hole, 3e-4 * (hole - 1.4 * 4) ** power) for hole in (18, 22, 27, 32)]
     found, error = module("beverloo").exponent(flows)
     assert found == pytest.approx(power, abs=1e-9)
@@ -38,17 +38,17 @@ def test_error_of_the_exponent_grows_with_scatter():
     assert module("beverloo").exponent(flows)[1] > 0.03
 
 
-def test_flow_is_the_slope_and_its_halves_show_a_change():
+def test_flow_is_the_mean_slope_in_total_and_in_each_half():
     times = np.linspace(0.5, 1.5, 101)
     steady = module("beverloo").flow_of(20, times, 0.08 * times)
     assert steady.rate == pytest.approx(0.08) and steady.halves == pytest.approx((0.08, 0.08))
     assert steady.error < 1e-12
-    # m = t^2 / 2 flows with t: means of 0.75 and 1.25 in the halves of the time, 1 in all of it.
+    # m = t^2 / 2 has the flow t: means of 0.75 and 1.25 in the halves of the time, 1 in total.
     growing = module("beverloo").flow_of(20, times, times**2 / 2)
     assert growing.rate == pytest.approx(1.0) and growing.halves == pytest.approx((0.75, 1.25))
 
 
-def test_every_hole_is_set_wherever_the_scene_has_it():
+def test_overrides_set_all_orifice_diameters():
     from granflow import load_scene
 
     scene = load_scene(module("beverloo").SCENE, module("beverloo").overrides(28))
@@ -56,8 +56,8 @@ def test_every_hole_is_set_wherever_the_scene_has_it():
     assert scene.walls["floor"].hole_radius == pytest.approx(0.014)
 
 
-def test_edge_of_a_disc_one_bead_thick():
-    # Beads 2 mm wide in hexagons cover pi / (2 sqrt 3) = 0.907 up to 30 mm, and nothing beyond.
+def test_edge_of_a_single_layer_disc():
+    # A hexagonal layer of particles of 2 mm covers pi / (2 sqrt 3) = 0.907 of the area up to 30 mm.
     row, column = np.meshgrid(np.arange(-20, 21), np.arange(-20, 21), indexing="ij")
     position = np.stack([2e-3 * (column + row / 2), np.sqrt(3) * 1e-3 * row, 0 * row], axis=-1).reshape(-1, 3)
     position = position[np.hypot(position[:, 0], position[:, 1]) < 0.029]
@@ -65,12 +65,12 @@ def test_edge_of_a_disc_one_bead_thick():
     assert edge == pytest.approx(0.030, abs=1.5e-3)
 
 
-def test_few_beads_far_out_are_no_deposit():
+def test_distant_particles_do_not_change_the_edge():
     random = np.random.default_rng(1)
     bed = np.column_stack([random.uniform(-0.02, 0.02, (4000, 2)), np.zeros(4000)])
-    stray = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
+    distant = np.array([[0.07, 0.0, 0.0], [0.0, 0.08, 0.0]])
     numbers, radius = module("scene_numbers"), np.full(4002, 1e-3)
-    assert numbers.edge_of(np.vstack([bed, stray]), radius) == numbers.edge_of(bed, radius[:-2]) < 0.03
+    assert numbers.edge_of(np.vstack([bed, distant]), radius) == numbers.edge_of(bed, radius[:-2]) < 0.03
 
 
 def test_quadrants_are_counted_in_the_plane_of_rotation():
@@ -81,25 +81,27 @@ def test_quadrants_are_counted_in_the_plane_of_rotation():
 # ---------------------------------------------------------------- tables of docs/scenes.md
 
 
-def test_the_tables_are_what_the_stored_numbers_give():
-    """A failure means: run `python tools/scene_table.py` and commit docs/scenes.md."""
+def test_tables_match_the_stored_numbers():
+    """If this fails, run `python tools/scene_table.py` and commit docs/scenes.md."""
     table = module("scene_table")
     page = table.PAGE.read_text(encoding="utf-8")
     assert page == table.written(page)
 
 
-def test_every_shipped_scene_has_a_row_for_each_quantity_it_expects():
+def test_each_expectation_of_a_shipped_scene_has_a_row():
     table = module("scene_table")
     rows = [line.split(" | ") for line in table.PAGE.read_text(encoding="utf-8").splitlines() if " | " in line]
     for name in table.names():
         for expectation in table.load(table.SCENES / f"{name}.yaml").expect:
-            mine = [each for each in rows if each[0] == f"| `{name}`" and each[1] == f"`{expectation.quantity}`"]
-            assert mine, (name, expectation.quantity)
+            matching_rows = [
+                each for each in rows if each[0] == f"| `{name}`" and each[1] == f"`{expectation.quantity}`"
+            ]
+            assert matching_rows, (name, expectation.quantity)
     stored = table.json.loads(table.RESULTS.read_text(encoding="utf-8"))
     assert set(stored) <= set(table.names())
 
 
-def test_a_change_of_a_stored_number_changes_the_page(monkeypatch, tmp_path):
+def test_changed_number_changes_the_page(monkeypatch, tmp_path):
     table = module("scene_table")
     results = tmp_path / "results.json"
     results.write_text('{"mixer": {"date": "2030-01-01", "commit": "abc", "numbers": {"energy_error": 0.00123}}}')
@@ -109,6 +111,6 @@ def test_a_change_of_a_stored_number_changes_the_page(monkeypatch, tmp_path):
     assert row.endswith("| 0.00123 | 2030-01-01, abc |")
 
 
-def test_a_page_without_markers_is_refused():
+def test_page_without_markers_is_rejected():
     with pytest.raises(ValueError, match="lacks the markers of the table comparisons"):
         module("scene_table").written("# Scenes\n")

@@ -1,1 +1,1 @@
-"""What stands behind tools/bench.py: cases, codes, rounds, tables, the page, and where the time goes."""
+"""Modules of tools/bench.py: cases, codes, rounds, tables, page, and the time of each phase."""

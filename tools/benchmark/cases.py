@@ -1,4 +1,4 @@
-"""What every code is given to do: settled beds and a discharging hopper, of one material and with one time step."""
+"""Cases of the benchmark: settled beds and a discharging hopper, with one material and one time step."""
 
 import gzip
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ OVERLAP_MEAN = 1.5e-5  # m, in these beds; LAMMPS' damping is set for it
 
 ORIFICE_RADIUS, TUBE_RADIUS, TUBE_TOP = 0.02, 0.06, 0.33  # m
 CONE_HEIGHT = (TUBE_RADIUS - ORIFICE_RADIUS) / tan(pi / 6)
-HOPPER_FLOOR = -0.05  # m; what falls below is deleted
+HOPPER_FLOOR = -0.05  # m; particles below are deleted
 HOPPER_REACH = 0.065  # m, half the box around it
 
 SIZES = (1_000, 10_000, 50_000, 200_000, 1_000_000)
 SEED_SIZES = (1_000, 10_000)
-"""Beds that granflow settles by itself where no others are given; larger ones are tiled from them."""
+"""Particle counts of beds that granflow settles if no files are given; larger beds are tiled from them."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Spheres and where they stand: diameter (n,) and position (n, 3) [m], sides (2,) [m] of the box around a bed."""
+    """Initial state: diameter (n,) [m] and position (n, 3) [m], sides (2,) [m] of the box around a bed."""
 
     name: str
     kind: str
@@ -40,33 +40,33 @@ class Case:
 
     @property
     def count(self) -> int:
-        """Spheres."""
+        """Number of particles."""
         return len(self.diameter)
 
     def save(self, path: Path) -> None:
-        """Write what `load` reads."""
+        """Writes the case to a file for `load`."""
         np.savez(path, name=self.name, kind=self.kind, diameter=self.diameter, position=self.position, sides=self.sides)
 
     @classmethod
     def load(cls, path: Path) -> "Case":
-        """Read what `save` wrote."""
-        with np.load(path) as held:
-            sides = (float(held["sides"][0]), float(held["sides"][1]))
-            return cls(str(held["name"]), str(held["kind"]), held["diameter"], held["position"], sides)
+        """Reads a case from a file of `save`."""
+        with np.load(path) as arrays:
+            sides = (float(arrays["sides"][0]), float(arrays["sides"][1]))
+            return cls(str(arrays["name"]), str(arrays["kind"]), arrays["diameter"], arrays["position"], sides)
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How long one measurement is: steps before the clock starts, and steps under the clock."""
+    """Length of a measurement: warm-up steps and measured steps."""
 
     warm: int
     window: int
 
 
 def steps_for(case: Case, slow: bool, scale: float) -> Steps:
-    """Steps that take seconds whatever the size; a tenth of them for a code that is ten times slower.
+    """Steps for a measurement of some seconds, independent of the particle count; a tenth of them for a slow code.
 
-    The hopper has a fixed span of simulated time, so that the mass that ran out can be compared.
+    The hopper has a fixed simulated time, so that the discharged mass can be compared.
     """
     if case.kind == "hopper":
         return Steps(80, 120) if slow else Steps(max(int(1500 * scale), 1), max(int(1500 * scale), 1))
@@ -76,7 +76,7 @@ def steps_for(case: Case, slow: bool, scale: float) -> Steps:
 
 
 def read_data(path: Path, kind: str = "bed") -> Case:
-    """A LAMMPS data file (columns id type diameter density x y z), gzipped or not, with the box it names."""
+    """Reads a LAMMPS data file (columns id type diameter density x y z), gzipped or not, and its box."""
     opened = gzip.open(path, "rt") if path.suffix == ".gz" else path.open()
     with opened as lines:
         rows = [line.split() for line in lines]
@@ -87,10 +87,10 @@ def read_data(path: Path, kind: str = "bed") -> Case:
 
 
 def tiled(bed: Case, count: int) -> Case:
-    """A bed of about `count` spheres from mirror images of a smaller one, side by side in x and y.
+    """A bed of about `count` particles from mirror images of a smaller one in x and y.
 
-    A wall stands where its mirror image would: the packing stays in balance, and an overlap d with the wall becomes
-    an overlap 2 d with the image.
+    The mirror plane is a wall of the smaller bed: the packing remains in equilibrium, and an overlap d with the wall
+    becomes an overlap 2 d with the mirror image.
     """
     tiles = round(count / bed.count)
     across = next(n for n in range(int(sqrt(tiles)), 0, -1) if tiles % n == 0)
@@ -102,7 +102,7 @@ def tiled(bed: Case, count: int) -> Case:
 
 
 def _image(position: np.ndarray, axis: int, side: float, number: int) -> np.ndarray:
-    """The tile of that number: shifted if it is even, mirrored as well if it is odd."""
+    """Coordinate in tile `number`: shifted if the number is even, also mirrored if it is odd."""
     image = position.copy()
     own = side - position[:, axis] if number % 2 else position[:, axis]
     image[:, axis] = number * side + own
@@ -110,7 +110,7 @@ def _image(position: np.ndarray, axis: int, side: float, number: int) -> np.ndar
 
 
 def find_beds(folder: Path) -> dict[int, Path]:
-    """Data files of beds in a folder, by the number of spheres that their third line states."""
+    """Data files of beds in a folder, by the number of particles in their third line."""
     found: dict[int, Path] = {}
     for path in sorted([*folder.glob("bed*.data"), *folder.glob("bed*.data.gz")]):
         with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as lines:
@@ -121,7 +121,7 @@ def find_beds(folder: Path) -> dict[int, Path]:
 
 
 def write_data(case: Case, path: Path) -> None:
-    """The case as a LAMMPS data file; an open box around a hopper, a box with room above for a bed."""
+    """Writes a LAMMPS data file; the box of a hopper is open, that of a bed extends above the bed."""
     top = max(float(case.position[:, 2].max()), TUBE_TOP if case.kind == "hopper" else 0.0) + 0.01
     (low, high) = (-HOPPER_REACH, (HOPPER_REACH, HOPPER_REACH)) if case.kind == "hopper" else (0.0, case.sides)
     bottom = HOPPER_FLOOR if case.kind == "hopper" else -0.001
@@ -145,7 +145,7 @@ Atoms
 
 
 def write_hopper_mesh(path: Path, segments: int = 64) -> None:
-    """Cone and tube as an ASCII STL file with vertices on the true circles, for codes whose walls are triangles."""
+    """Writes cone and tube as ASCII STL with vertices on the circles, for codes with triangulated walls."""
     cone = [(CONE_HEIGHT * k / 6, ORIFICE_RADIUS + (TUBE_RADIUS - ORIFICE_RADIUS) * k / 6) for k in range(7)]
     tube = [(CONE_HEIGHT + (TUBE_TOP - CONE_HEIGHT) * k / 10, TUBE_RADIUS) for k in range(1, 11)]
     angle = 2.0 * pi * np.arange(segments + 1) / segments
@@ -167,14 +167,14 @@ def _facet(corners: np.ndarray) -> str:
 
 
 def hertz_stiffnesses() -> tuple[float, float]:
-    """4/3 E* and 8 G* [Pa] of two spheres of the material."""
+    """4/3 E* and 8 G* [Pa] of two particles of the material."""
     modulus_eff = YOUNG_MODULUS / (2.0 * (1.0 - POISSON_RATIO**2))
     shear_modulus_eff = YOUNG_MODULUS / (4.0 * (1.0 + POISSON_RATIO) * (2.0 - POISSON_RATIO))
     return 4.0 / 3.0 * modulus_eff, 8.0 * shear_modulus_eff
 
 
 def lammps_damping() -> float:
-    """Normal damping gamma_n [1/(m s)] of LAMMPS' gran/hertz/history with the restitution wanted, at the mean overlap.
+    """Normal damping gamma_n [1/(m s)] of LAMMPS' gran/hertz/history for the given restitution, at the mean overlap.
 
     sqrt(R d) M gamma_n = 2 sqrt(5/6) b sqrt(2 E* sqrt(R d) M),    b = |ln e| / sqrt(ln^2 e + pi^2)
     """

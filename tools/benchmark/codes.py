@@ -1,4 +1,4 @@
-"""The codes that are compared: how each is found, started and read."""
+"""The compared codes: program, package, command line and output of each."""
 
 import json
 import re
@@ -17,23 +17,23 @@ BENCH = Path(__file__).resolve().parent.parent / "bench.py"
 MPI = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
 SKINS = {"bed": {"granflow": 0.2e-3, "liggghts": 0.2e-3, "lammps": 0.2e-3, "yade": 0.25e-3}, "hopper": {}}
 FLOWING_SKIN = 0.5e-3
-"""Neighbor skins [m], FLOWING_SKIN where none is named.
+"""Neighbor-list skins [m]; FLOWING_SKIN for other combinations.
 
-Those of LIGGGHTS and LAMMPS were the best of 0.1 to 0.7 mm in one scan of the 50 000 bed on a busy machine; granflow's,
-YADE's and the hopper's have not been scanned on a quiet one. `--skin` tries others.
+The skins of LIGGGHTS and LAMMPS were the fastest of 0.1 to 0.7 mm in one scan of the bed of 50 000 on a machine under
+load; those of granflow, YADE and the hopper have not been scanned on an idle machine. `--skin` sets other values.
 """
 SLOW = {"yade"}
-LARGEST = {"yade": 200_000}
-"""Spheres up to which a code is run: beyond, setting up alone takes minutes."""
+LARGEST_COUNT = {"yade": 200_000}
+"""Largest particle count of a code: above it, the setup takes minutes."""
 
 
 class Failed(Exception):
-    """One code could not do one case; the others go on."""
+    """A code failed in one case; the other measurements continue."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One process: a code with a law on a case."""
+    """One measurement: a code with a contact model in a case."""
 
     code: str
     law: str
@@ -46,7 +46,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Peer:
-    """How another code is found, and what to install where it is not."""
+    """Another code: its program, its package, and the function that measures it."""
 
     program: str
     package: str
@@ -56,23 +56,25 @@ class Peer:
 def job_for(
     code: str, law: str, case: Case, threads: int, precision: str, skins: dict[str, float], scale: float
 ) -> Job:  # fmt: skip
-    """A job with the skin and the steps that suit the code."""
+    """Job with the skin and the number of steps of the code."""
     skin = skins.get(code, SKINS[case.kind].get(code, FLOWING_SKIN))
     return Job(code, law, case, threads, precision, skin, steps_for(case, code in SLOW, scale))
 
 
 def missing(name: str, threads: list[int]) -> str | None:
-    """A sentence saying what to install before a peer can run, None if nothing."""
+    """Message with the package to install if a peer cannot run, else None."""
     peer = PEERS[name]
     if shutil.which(peer.program) is None:
-        return f"{name} is left out: there is no program {peer.program}; install {peer.package}."
+        return f"{name} is skipped: the program {peer.program} was not found; install {peer.package}."
     if name != "yade" and max(threads) > 1 and shutil.which("mpirun") is None:
-        return f"{name} is left out: two ranks need mpirun; install the Debian package openmpi-bin, or ask --threads 1."
+        return (
+            f"{name} is skipped: several ranks need mpirun; install the Debian package openmpi-bin or use --threads 1."
+        )
     return None
 
 
 def measure(job: Job, folder: Path) -> dict[str, Any]:
-    """Run one job in `folder`, which holds the case's files; raises Failed with a sentence."""
+    """Runs one job in `folder`, which contains the files of the case; raises Failed with a message."""
     found = granflow(job, folder) if job.code == "granflow" else PEERS[job.code].measure(job, folder)
     point = {"code": job.code, "law": job.law, "case": job.case.name, "count": job.case.count}
     point |= {"threads": job.threads, "precision": job.precision, "skin": job.skin, **asdict(job.steps)}
@@ -80,40 +82,40 @@ def measure(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def prepare(case: Case, folder: Path, peers: list[str]) -> Path:
-    """Write the files of one case, once for all rounds; returns their folder."""
-    own = folder / case.name.replace(" ", "_")
-    own.mkdir(parents=True, exist_ok=True)
-    if not (own / "case.npz").exists():
-        case.save(own / "case.npz")
-    if {"liggghts", "lammps"} & set(peers) and not (own / "case.data").exists():
-        cases.write_data(case, own / "case.data")
+    """Writes the files of one case, once for all rounds; returns their folder."""
+    case_folder = folder / case.name.replace(" ", "_")
+    case_folder.mkdir(parents=True, exist_ok=True)
+    if not (case_folder / "case.npz").exists():
+        case.save(case_folder / "case.npz")
+    if {"liggghts", "lammps"} & set(peers) and not (case_folder / "case.data").exists():
+        cases.write_data(case, case_folder / "case.data")
     if case.kind == "hopper":
-        cases.write_hopper_mesh(own / "hopper.stl")
-    return own
+        cases.write_hopper_mesh(case_folder / "hopper.stl")
+    return case_folder
 
 
 def child(order: dict[str, Any], folder: Path) -> ProcessResult:
-    """Do something in a new granflow process; see `bench.py --child`."""
+    """Runs a job in a new granflow process; see `bench.py --child`."""
     return run([sys.executable, str(BENCH), "--child", json.dumps(order)], folder)
 
 
 def last_json(done: ProcessResult, case_name: str) -> dict[str, Any]:
-    """What a process said in its last JSON line; raises Failed where it ended without."""
+    """Content of the last JSON line of a process; raises Failed if it has none."""
     lines = [line for line in done.output.splitlines() if line.startswith("{")]
     if done.code or not lines:
-        raise Failed(f"{case_name} ended with code {done.code}: {last_words(done.output)}")
+        raise Failed(f"{case_name} ended with code {done.code}: {last_error_line(done.output)}")
     return json.loads(lines[-1])
 
 
-def last_words(output: str) -> str:
-    """The last line that says something, errors first."""
+def last_error_line(output: str) -> str:
+    """Last error line, or the last line that is not empty."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line for line in lines if re.search(r"error", line, re.IGNORECASE)]
-    return (errors or lines or ["it said nothing"])[-1][:300]
+    return (errors or lines or ["no output"])[-1][:300]
 
 
 def granflow(job: Job, folder: Path) -> dict[str, Any]:
-    """granflow, in a Python of its own."""
+    """Measures granflow in a separate Python process."""
     order: dict[str, Any] = {
         "job": "measure",
         "path": str(folder / "case.npz"),
@@ -127,7 +129,7 @@ def granflow(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def yade(job: Job, folder: Path) -> dict[str, Any]:
-    """YADE, with OpenMP threads."""
+    """Measures YADE with OpenMP threads."""
     names = ("young_modulus", "poisson_ratio", "density", "friction", "restitution", "gravity", "time_step")
     settings = json.dumps({name: getattr(cases, name.upper()) for name in names})
     script, steps = str(Path(__file__).with_name("yade_case.py")), job.steps
@@ -138,12 +140,12 @@ def yade(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def liggghts(job: Job, folder: Path) -> dict[str, Any]:
-    """LIGGGHTS, with MPI ranks."""
+    """Measures LIGGGHTS with MPI ranks."""
     return _ranks(job, folder, decks.liggghts_deck(job.case, job.steps, job.skin))
 
 
 def lammps(job: Job, folder: Path) -> dict[str, Any]:
-    """LAMMPS, with MPI ranks."""
+    """Measures LAMMPS with MPI ranks."""
     return _ranks(job, folder, decks.lammps_deck(job.case, job.steps, job.skin))
 
 
@@ -154,21 +156,21 @@ def _ranks(job: Job, folder: Path, deck: str) -> dict[str, Any]:
     ranks = ["mpirun", "-np", str(job.threads)] if job.threads > 1 else []
     done = run([*ranks, *command], folder, MPI)
     if done.code:
-        raise Failed(f"{job.code} ended with code {done.code}: {last_words(done.output)}")
+        raise Failed(f"{job.code} ended with code {done.code}: {last_error_line(done.output)}")
     found = read_log(done.output, job)
     first_step = float((folder / decks.FIRST_STEP).read_text().split()[0])
     return found | {"start": first_step - done.began, "memory": done.memory}
 
 
 def read_log(output: str, job: Job) -> dict[str, Any]:
-    """Rate, contacts, rebuilds and mass flow from what LIGGGHTS or LAMMPS print; the third run is the window."""
+    """Rate, contacts, rebuilds and mass flow from the log of LIGGGHTS or LAMMPS; the third run is the measurement."""
     loops = re.findall(r"Loop time of (\S+) on (\d+) procs", output)
     builds = re.findall(r"Neighbor list builds = (\d+)", output)
     if len(loops) < 4 or len(builds) < 4:
-        raise Failed(f"{job.code} did not finish its four runs: {last_words(output)}")
+        raise Failed(f"{job.code} did not finish its four runs: {last_error_line(output)}")
     seconds, ranks = float(loops[2][0]), int(loops[2][1])
     if ranks != job.threads:
-        raise Failed(f"{job.code} ran on {ranks} rank(s) for {job.threads}: built for another MPI than mpirun's.")
+        raise Failed(f"{job.code} ran on {ranks} rank(s) for {job.threads}: it uses another MPI than mpirun.")
     tables = thermo_tables(output)
     flow = None
     if job.case.kind == "hopper":
@@ -184,7 +186,7 @@ def read_log(output: str, job: Job) -> dict[str, Any]:
 
 
 def thermo_tables(output: str) -> list[list[list[float]]]:
-    """The rows of numbers of every run."""
+    """Thermo tables of a log, one for each run."""
     tables: list[list[list[float]]] = []
     reading = False
     for words in (line.split() for line in output.splitlines()):

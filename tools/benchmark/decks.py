@@ -1,10 +1,10 @@
-"""Input decks of LIGGGHTS and LAMMPS for a case, written from one order of commands that both share."""
+"""Input decks of LIGGGHTS and LAMMPS for a case, from one template."""
 
 from benchmark import cases
 from benchmark.cases import Case, Steps
 
 FIRST_STEP = "first_step.txt"
-"""Where a deck has the clock written after the first step [s since 1970]."""
+"""File to which a deck writes the time after the first step [s since 1970]."""
 
 DECK = """{style}
 boundary f f f

@@ -1,4 +1,4 @@
-"""What this machine can do at most, measured by Taichi itself: bandwidth and scalar f64 arithmetic."""
+"""Limits of this machine, measured with Taichi: memory bandwidth and scalar f64 arithmetic."""
 
 import time
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from typing import Any
 import taichi as ti
 
 IN_CACHE, IN_MEMORY = 1 << 18, 1 << 24
-"""Numbers (f64) in each of three arrays: 6 MiB in all, and 384 MiB."""
+"""Length of each of three f64 arrays: 6 MiB and 384 MiB in total."""
 STRIDE = 512
-"""Taichi gives a CPU thread no fewer iterations of a loop than this; the first of so many does the work."""
+"""Smallest number of loop iterations per CPU thread in Taichi; the first of each STRIDE iterations does the work."""
 LENGTH = 1 << 22
-"""Operations in a chain; several chains overlap in the pipeline."""
+"""Operations in a chain; several chains overlap in the pipeline of the processor."""
 CHAINS = 8
 TRIES = 5
 
 
 def measure(threads: int) -> dict[str, float]:
-    """Bandwidth [bytes/s] of copy and triad, in cache and memory, and seconds of one operation on all threads."""
+    """Bandwidth [bytes/s] of copy and triad, in cache and in memory, and time [s] of one operation on all threads."""
     ti.init(arch=ti.cpu, default_fp=ti.f64, fast_math=False, cpu_max_num_threads=threads, log_level=ti.ERROR)
     found: dict[str, float] = {"threads": threads}
     for where, length in (("cache", IN_CACHE), ("memory", IN_MEMORY)):
@@ -29,7 +29,7 @@ def measure(threads: int) -> dict[str, float]:
 
 
 def bandwidth(where: str, length: int, threads: int) -> dict[str, float]:
-    """Copy counts two accesses an element, triad three, as STREAM does; each thread goes through its own part."""
+    """Bandwidth as in STREAM: copy counts two accesses per element, triad three; each thread accesses one part."""
     a, b, c = (ti.field(ti.f64, length) for _ in range(3))
     part, passes = length // threads, max(2 * IN_MEMORY // length, 1)
 
@@ -61,7 +61,7 @@ def bandwidth(where: str, length: int, threads: int) -> dict[str, float]:
 
 
 def fastest(kernel: Callable[[float], Any], argument: float) -> float:
-    """Seconds of one launch, the best of several after one that compiles."""
+    """Shortest time [s] of several launches, after one that compiles."""
     kernel(argument)
     ti.sync()
     found = []
@@ -92,7 +92,7 @@ def arithmetic(threads: int) -> dict[str, Callable[[float], Any]]:
 
 
 def chains(operation: Any, threads: int) -> Callable[[float], Any]:
-    """A kernel in which each thread applies `operation` again and again to CHAINS numbers."""
+    """A kernel in which each thread applies `operation` repeatedly to CHAINS numbers."""
     out = ti.field(ti.f64, threads)
 
     @ti.kernel

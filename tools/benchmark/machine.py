@@ -1,4 +1,4 @@
-"""What the numbers were measured on, and with which versions."""
+"""Description of the machine and the versions of a measurement."""
 
 import os
 import platform
@@ -29,7 +29,7 @@ def machine() -> dict[str, Any]:
 
 
 def last_level_cache() -> int | None:
-    """Bytes of the largest cache, None where the system does not tell."""
+    """Size of the largest cache [bytes], or None if unknown."""
     sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
     units = {"K": 1024, "M": 1024**2}
     return max((int(size[:-1]) * units[size[-1]] for size in sizes if size[-1:] in units), default=None)

@@ -1,4 +1,4 @@
-"""granflow in a process of its own: a case measured, a bed settled. Taichi starts once per process."""
+"""Jobs of granflow in a separate process: measurement of a case, settling of a bed. Taichi starts once per process."""
 
 import resource
 import sys
@@ -33,6 +33,7 @@ run: {{duration: {duration}, time_step: {time_step}, velocity_max: 0.3 m/s, prec
 numerics: {{skin: {skin}}}
 output: {{interval: 10 s}}
 """
+"""The group name is part of the seed of the diameters: another name gives other settled beds."""
 HOPPER = """
 title: Hopper
 pairs: {{m-m: {{restitution: {restitution}, friction: {friction}}}}}
@@ -40,7 +41,7 @@ contact: {{normal: {normal}, tangential: mindlin, rolling: none}}
 walls:
   cone: {{shape: cone, from: [0, 0, 0], to: [0, 0, {cone}], radius_from: {orifice}, radius_to: {tube}, material: m}}
   tube: {{shape: cylinder, from: [0, 0, {cone}], to: [0, 0, {top}], radius: {tube}, material: m}}
-particles: {{grains: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
+particles: {{beads: {{material: m, count: {count}, diameter: {sizes}, insert: {place}}}}}
 domain: {{min: [-{reach}, -{reach}, {floor}], max: [{reach}, {reach}, 1], on_exit: delete}}
 run: {{duration: 1 s, time_step: {time_step}, velocity_max: 1.5 m/s, precision: {precision}}}
 numerics: {{skin: {skin}}}
@@ -54,25 +55,25 @@ NORMAL = {
 
 
 def scene_text(case: Case, law: str, precision: str, skin: str) -> str:
-    """The case as a scene; the group stands for number and sizes, the grains come in as arrays."""
+    """The case as a scene; its group defines count and sizes, the particles are inserted as arrays."""
     low, high = float(case.diameter.min()), float(case.diameter.max())
     sizes = f"{{distribution: uniform, min: {low}, max: {high}}}" if low < high else low
     x, y = case.sides
-    same = {
+    common = {
         "restitution": cases.RESTITUTION, "friction": cases.FRICTION, "normal": NORMAL[law], "count": case.count,
         "sizes": sizes, "precision": precision, "skin": skin,
         "time_step": cases.TIME_STEP, "place": f"{{kind: lattice, region: {{box: {region(case)}}}}}",
     }  # fmt: skip
     if case.kind == "bed":
-        return (MATERIAL + BED).format(**same, x=x, y=y, x_high=x + 0.01, y_high=y + 0.01, duration=1)
+        return (MATERIAL + BED).format(**common, x=x, y=y, x_high=x + 0.01, y_high=y + 0.01, duration=1)
     return (MATERIAL + HOPPER).format(
-        **same, cone=cases.CONE_HEIGHT, orifice=cases.ORIFICE_RADIUS, tube=cases.TUBE_RADIUS, top=cases.TUBE_TOP,
+        **common, cone=cases.CONE_HEIGHT, orifice=cases.ORIFICE_RADIUS, tube=cases.TUBE_RADIUS, top=cases.TUBE_TOP,
         reach=cases.HOPPER_REACH, floor=cases.HOPPER_FLOOR
     )  # fmt: skip
 
 
 def region(case: Case) -> str:
-    """A box within the domain, in which no grain is placed."""
+    """Insertion region of the scene; it is not used, since the particles are inserted as arrays."""
     if case.kind == "bed":
         return f"{{min: [0, 0, 0], max: [{case.sides[0]}, {case.sides[1]}, 1.9]}}"
     half = 0.5 * cases.TUBE_RADIUS
@@ -80,7 +81,7 @@ def region(case: Case) -> str:
 
 
 def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
-    """An engine holding the case, forces known, no step done."""
+    """Engine with the particles of the case before the first step, forces computed."""
     from granflow.device.backend import start
     from granflow.device.engine import Engine
     from granflow.plan import plan_for
@@ -92,8 +93,8 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
         scene_file.write_text(scene_text(case, law, precision, skin))
         plan = plan_for(load(scene_file))
     engine = Engine(plan, start("cpu", precision, threads))  # type: ignore[arg-type]
-    still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
-    engine.insert(ParticleData(case.position, still, still, 0.5 * case.diameter, none, none))
+    zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    engine.insert(ParticleData(case.position, zeros, zeros, 0.5 * case.diameter, zero_indices, zero_indices))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     return engine
@@ -102,19 +103,19 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
 def measure(
     path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
 ) -> dict[str, Any]:  # fmt: skip
-    """Rate of one window [particle-steps/s] and what goes with it; first_step in seconds since 1970."""
+    """Rate of one time window [particle-steps/s], memory, contacts, rebuilds; first_step in s since 1970."""
     case = Case.load(Path(path))
     engine = engine_for(case, law, precision, threads, skin)
     engine.advance(1)
     first_step = time.time()
     engine.advance(warm)
-    above, searches = mass_above(engine), engine.timing.rebuild_count
+    above, rebuilds = mass_above(engine), engine.timing.rebuild_count
     began = time.perf_counter()
     engine.advance(window)
     seconds = time.perf_counter() - began
     if engine.diagnosis is not None:
         raise SystemExit(f"granflow stopped: {engine.diagnosis}")
-    searches, memory = engine.timing.rebuild_count - searches, peak_memory()
+    rebuilds, memory = engine.timing.rebuild_count - rebuilds, peak_memory()
     span = window * cases.TIME_STEP
     return {
         "rate": window * case.count / seconds,
@@ -123,7 +124,7 @@ def measure(
         "memory": memory,
         "field_bytes": field_bytes(engine) / case.count,
         "contacts": particle_contacts(engine) / case.count,
-        "rebuilds": 1000.0 * searches / window,
+        "rebuilds": 1000.0 * rebuilds / window,
         "mass_flow": (above - mass_above(engine)) / span if case.kind == "hopper" else None,
     }
 
@@ -135,30 +136,30 @@ def mass_above(engine: Any) -> float:
 
 
 def particle_contacts(engine: Any) -> int:
-    """Contacts between two grains, each counted once."""
+    """Number of contacts between two particles."""
     contacts = engine.snapshot("run", frozenset({"contacts"})).contacts
     return int((contacts["id_j"] >= 0).sum())
 
 
 def field_bytes(engine: Any) -> int:
-    """Bytes of all fields of the state on the device."""
+    """Size of all fields of the state on the device [bytes]."""
     return sum(field_size(field) for field in engine.state._block.fields)
 
 
 def field_size(field: Any) -> int:
-    """Bytes of one Taichi field, without what the allocator adds."""
+    """Size of one Taichi field [bytes], without overhead of the allocator."""
     components = getattr(field, "n", 1) * getattr(field, "m", 1)
     return int(np.prod(field.shape)) * components * (8 if "64" in str(field.dtype) else 4)
 
 
 def peak_memory() -> int:
-    """Peak resident bytes of this process."""
+    """Peak resident memory of this process [bytes]."""
     unit = 1 if sys.platform == "darwin" else 1024
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def relax(count: int, path: str, threads: int) -> None:
-    """Let a loose lattice of spheres fall and come to rest in a square box about as wide as the bed is high."""
+    """Settles a loose lattice of particles in a square box about as wide as the bed is high."""
     from granflow import Simulation, load_scene
 
     side = round((count * 4.0 / 3.0 * np.pi * cases.RADIUS_MEAN**3 / 0.6) ** (1.0 / 3.0) * 0.95, 4)

@@ -1,4 +1,4 @@
-"""Where granflow's time goes: each phase and kernel against the machine's measured limits."""
+"""Time of each phase and kernel of granflow, compared with the measured limits of the machine."""
 
 import argparse
 import os
@@ -13,17 +13,19 @@ from benchmark.cases import Case, steps_for
 from benchmark.machine import last_level_cache, machine
 
 PROFILER = "TI_KERNEL_PROFILER"
-SEARCHES = 5
+REBUILDS = 5
 LEAST_STEPS = 1024
-"""So many steps give the stepper's sampling of phases a few samples."""
+"""Smallest number of steps in which the stepper takes several samples of its phases."""
+PHASES = {"motion": "integration", "forces": "forces", "search": "rebuild"}
+"""Phases in the result files and their labels; `search` is a rebuild of the neighbor list."""
 HEAD = (
-    f"{'case':<12} {'law':<7} threads  {'phase':<7} {'us/step':>9} {'MB':>7} {'GB/s':>6} {'Gop/s':>6} "
+    f"{'case':<12} {'law':<7} threads  {'phase':<11} {'us/step':>9} {'MB':>7} {'GB/s':>6} {'Gop/s':>6} "
     f"{'bytes alone':>12} {'arithmetic alone':>17}  bound reached"
 )
 
 
 def limits(threads: int) -> dict[str, float]:
-    """Job of a child: what the machine can do."""
+    """Job of a subprocess: limits of the machine."""
     from benchmark.limits import measure as measure_limits
 
     return measure_limits(threads)
@@ -32,62 +34,62 @@ def limits(threads: int) -> dict[str, float]:
 def measure(
     path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
 ) -> dict[str, Any]:  # fmt: skip
-    """Job of a child: seconds of each phase, and of each kernel where the profiler was asked for."""
+    """Job of a subprocess: time [s] of each phase, and of each kernel if the profiler is enabled."""
     engine = ours.engine_for(Case.load(Path(path)), law, precision, threads, skin)
     engine.advance(warm)
     clear_profile()
-    before, searches = phase_seconds(engine), engine.timing.rebuild_count
+    before, rebuilds = phase_seconds(engine), engine.timing.rebuild_count
     engine.advance(window)
-    after, searches = phase_seconds(engine), engine.timing.rebuild_count - searches
-    stepping = profile(window)
-    searching = [one_search(engine) for _ in range(SEARCHES)]
-    searched = profile(SEARCHES)
+    after, rebuilds = phase_seconds(engine), engine.timing.rebuild_count - rebuilds
+    step_kernels = profile(window)
+    rebuild_times = [rebuild_seconds(engine) for _ in range(REBUILDS)]
+    rebuild_kernels = profile(REBUILDS)
     seconds = {name: (after[name] - before[name]) / window for name in after}
     list_entries, touching = neighbors_of(engine)
     load = counts.load_of(engine.state, list_entries, touching)
     moved, operations = counts.bytes_of(load), counts.operations_of(load)
     return {
-        "seconds": seconds | {"search": median(searching)},
-        "steps_per_search": window / searches if searches else None,
+        "seconds": seconds | {"search": median(rebuild_times)},
+        "steps_per_search": window / rebuilds if rebuilds else None,
         "bytes": moved,
         "operations": {name: vars(each) for name, each in operations.items()},
         "slots": list_entries / load.particles,
         "touching": touching / load.particles,
         "working_set": ours.field_bytes(engine),
-        "kernels": {"step": stepping, "search": searched},
+        "kernels": {"step": step_kernels, "search": rebuild_kernels},
     }
 
 
 def phase_seconds(engine: Any) -> dict[str, float]:
-    """Wall seconds so far."""
+    """Accumulated wall-clock time [s] of integration and forces."""
     timing = engine.timing
     return {"motion": timing.integration, "forces": timing.forces}
 
 
-def one_search(engine: Any) -> float:
-    """Seconds of a search."""
+def rebuild_seconds(engine: Any) -> float:
+    """Rebuilds the neighbor list; returns its wall-clock time [s]."""
     began = engine.timing.neighbor_list
     engine.stepper.rebuild_neighbor_lists()
     return engine.timing.neighbor_list - began
 
 
 def neighbors_of(engine: Any) -> tuple[int, int]:
-    """Near pairs in all rows, walls and pairs that stand twice included, and how many of them touch."""
-    contacts, particles, count = engine.state.neighbors, engine.state.particles, engine.state.count
-    begin, end = (field.to_numpy()[:count] for field in (contacts.list_begin, contacts.list_end))
+    """Number of neighbor-list entries, including walls and pairs listed twice, and number of particle contacts."""
+    neighbors, particles, count = engine.state.neighbors, engine.state.particles, engine.state.count
+    begin, end = (field.to_numpy()[:count] for field in (neighbors.list_begin, neighbors.list_end))
     number = end - begin
     row = np.repeat(np.arange(count), number)
     list_index = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + np.repeat(begin, number)
-    partner = contacts.partner.to_numpy()[list_index]
-    owners = partner >= 0
+    partner = neighbors.partner.to_numpy()[list_index]
+    is_particle = partner >= 0
     position, radius = particles.position.to_numpy()[:count], particles.radius.to_numpy()[:count]
-    i, j = row[owners], partner[owners]
-    apart = np.linalg.norm(position[i] - position[j], axis=1)
-    return len(list_index), int((apart < radius[i] + radius[j]).sum())
+    i, j = row[is_particle], partner[is_particle]
+    distance = np.linalg.norm(position[i] - position[j], axis=1)
+    return len(list_index), int((distance < radius[i] + radius[j]).sum())
 
 
 def clear_profile() -> None:
-    """Forget what the profiler has seen so far."""
+    """Resets the kernel profiler."""
     if PROFILER in os.environ:
         import taichi as ti
 
@@ -95,7 +97,7 @@ def clear_profile() -> None:
 
 
 def profile(times: int) -> dict[str, float]:
-    """Seconds of every kernel since the last look, by its name, over `times`; empty without the profiler."""
+    """Time [s] of each kernel since the last reset, by name, divided by `times`; empty without the profiler."""
     if PROFILER not in os.environ:
         return {}
     from taichi.lang import impl
@@ -111,44 +113,44 @@ def profile(times: int) -> dict[str, float]:
 
 
 def measure_all(options: argparse.Namespace, found: list[Case], folder: Path) -> dict[str, Any]:
-    """Limits once for each number of threads, then every case and law; kernels in a run of their own."""
+    """Measures the limits for each number of threads, then the phases of each case and contact model."""
     result: dict[str, Any] = {"kind": "phases", "machine": machine(), "limits": [], "points": []}
     for threads in options.threads:
         done = codes.child({"job": "limits", "threads": threads}, folder)
         result["limits"].append(codes.last_json(done, "The measurement of limits"))
     for case in found:
-        place = codes.prepare(case, folder, [])
+        case_folder = codes.prepare(case, folder, [])
         for law in options.laws:
             for threads in options.threads:
                 job = codes.job_for("granflow", law, case, threads, options.precision, options.skin, options.scale)
-                result["points"].append(point(job, place))
+                result["points"].append(point(job, case_folder))
                 print(f"{case.name}, {law}, {threads} thread(s): measured", flush=True)
     return result
 
 
-def point(job: codes.Job, place: Path) -> dict[str, Any]:
-    """Phases from an undisturbed run, kernels from one under the profiler."""
+def point(job: codes.Job, case_folder: Path) -> dict[str, Any]:
+    """Phases from a run without profiler, kernels from a run with profiler."""
     steps = steps_for(job.case, False, 1.0)
     window = max(steps.window, LEAST_STEPS if job.case.count <= 50_000 else steps.window)
     order: dict[str, Any] = {
         "job": "phases",
-        "path": str(place / "case.npz"),
+        "path": str(case_folder / "case.npz"),
         "law": job.law,
         "precision": job.precision,
     }
     order |= {"threads": job.threads, "skin": f"{job.skin:g} m", "warm": steps.warm, "window": window}
-    plain = codes.last_json(codes.child(order, place), "granflow")
+    phases = codes.last_json(codes.child(order, case_folder), "granflow")
     os.environ[PROFILER] = "1"
     try:
-        kernels = codes.last_json(codes.child(order | {"window": steps.window}, place), "granflow")["kernels"]
+        kernels = codes.last_json(codes.child(order | {"window": steps.window}, case_folder), "granflow")["kernels"]
     finally:
         del os.environ[PROFILER]
-    known = {"case": job.case.name, "law": job.law, "threads": job.threads, "precision": job.precision}
-    return known | plain | {"kernels": kernels}
+    description = {"case": job.case.name, "law": job.law, "threads": job.threads, "precision": job.precision}
+    return description | phases | {"kernels": kernels}
 
 
 def bounds(point: dict[str, Any], phase: str, result: dict[str, Any]) -> tuple[float, float]:
-    """Seconds a phase takes at least: for its bytes, and for its arithmetic."""
+    """Lower bounds of the time of a phase [s]: for its bytes and for its arithmetic."""
     found = next(each for each in result["limits"] if each["threads"] == point["threads"])
     in_cache = point["working_set"] < (last_level_cache() or 0)
     bandwidth = found["triad_cache"] if in_cache else found["triad_memory"]
@@ -161,19 +163,20 @@ def rows(result: dict[str, Any]) -> list[list[str]]:
     table = []
     for point in result["points"]:
         for phase, seconds in point["seconds"].items():
-            moving, reckoning = bounds(point, phase, result)
+            memory_bound, arithmetic_bound = bounds(point, phase, result)
             operations = sum(point["operations"][phase].values())
             table.append([
-                point["case"], point["law"], str(point["threads"]), phase, f"{1e6 * seconds:.0f}",
+                point["case"], point["law"], str(point["threads"]), PHASES[phase], f"{1e6 * seconds:.0f}",
                 f"{point['bytes'][phase] / 1e6:.1f}", f"{point['bytes'][phase] / seconds / 1e9:.1f}",
-                f"{operations / seconds / 1e9:.2f}", f"{1e6 * moving:.0f} us", f"{1e6 * reckoning:.0f} us",
-                f"{max(moving, reckoning) / seconds:.0%} ({'bytes' if moving > reckoning else 'arithmetic'})",
+                f"{operations / seconds / 1e9:.2f}", f"{1e6 * memory_bound:.0f} us", f"{1e6 * arithmetic_bound:.0f} us",
+                f"{max(memory_bound, arithmetic_bound) / seconds:.0%} "
+                f"({'bytes' if memory_bound > arithmetic_bound else 'arithmetic'})",
             ])  # fmt: skip
     return table
 
 
 def limit_lines(result: dict[str, Any]) -> list[str]:
-    """What the machine can do, a line for each number of threads."""
+    """Limits of the machine, one line for each number of threads."""
     return [
         f"{each['threads']:.0f} thread(s): copy {each['copy_cache'] / 1e9:.0f} GB/s in cache, "
         f"{each['copy_memory'] / 1e9:.0f} in memory; triad {each['triad_cache'] / 1e9:.0f} and "
@@ -184,29 +187,30 @@ def limit_lines(result: dict[str, Any]) -> list[str]:
 
 
 def text(result: dict[str, Any]) -> str:
-    """Everything for the terminal; a search is one search, not its share of a step."""
+    """All results as text; the time of a rebuild is that of one rebuild, not its share of a step."""
     lines = ["", *limit_lines(result), "", HEAD]
     for row in rows(result):
         lines.append(
-            f"{row[0]:<12} {row[1]:<7} {row[2]:>7}  {row[3]:<7} {row[4]:>9} {row[5]:>7} {row[6]:>6} {row[7]:>6} "
+            f"{row[0]:<12} {row[1]:<7} {row[2]:>7}  {row[3]:<11} {row[4]:>9} {row[5]:>7} {row[6]:>6} {row[7]:>6} "
             f"{row[8]:>12} {row[9]:>17}  {row[10]}"
         )
-    lines.append("(search: one search; motion and forces: one step)")
+    lines.append("(rebuild: one rebuild; integration and forces: one step)")
     for point in result["points"]:
         lines += kernel_lines(point)
     return "\n".join(lines)
 
 
 def kernel_lines(point: dict[str, Any]) -> list[str]:
-    """Kernels that take a hundredth of the time or more."""
-    often = point["steps_per_search"]
-    seldom = f"a search every {often:.0f} steps" if often else "no search in the window"
+    """Kernels that take at least 1 % of the time."""
+    interval = point["steps_per_search"]
+    rebuilds = f"a rebuild every {interval:.0f} steps" if interval else "no rebuild"
     lines = [
-        f"{point['case']}, {point['law']}, {point['threads']} thread(s): {point['slots']:.2f} near pairs and "
-        f"{point['touching']:.2f} touching for each sphere, {seldom}; kernels:"
+        f"{point['case']}, {point['law']}, {point['threads']} thread(s): {point['slots']:.2f} list entries and "
+        f"{point['touching']:.2f} contact entries per particle, {rebuilds}; kernels:"
     ]
     for unit, kernels in point["kernels"].items():
         total = sum(kernels.values())
         shown = sorted(kernels.items(), key=lambda each: -each[1])
-        lines += [f"  {1e6 * t:9.1f} us/{unit:<6} {t / total:4.0%}  {name}" for name, t in shown if t > 0.01 * total]
+        label = PHASES.get(unit, unit)
+        lines += [f"  {1e6 * t:9.1f} us/{label:<7} {t / total:4.0%}  {name}" for name, t in shown if t > 0.01 * total]
     return lines

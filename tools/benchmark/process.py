@@ -1,4 +1,4 @@
-"""Running one code in a process of its own: what it said, the memory it took, when it began."""
+"""Runs one code in a separate process and returns its output, peak memory and start time."""
 
 import os
 import subprocess
@@ -6,13 +6,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-SAMPLE_EVERY = 0.2  # s between two looks at the memory of a running code
+SAMPLE_EVERY = 0.2  # s between two samples of the memory of a running code
 LONGEST = 900.0  # s
 
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """`began` [s since 1970] is just before the process was made; `memory` the peak bytes of all its processes."""
+    """`began`: time just before the start [s since 1970]; `memory`: peak memory of all its processes [bytes]."""
 
     output: str
     code: int
@@ -21,10 +21,10 @@ class ProcessResult:
 
 
 def run(command: list[str], folder: Path, environment: dict[str, str] | None = None) -> ProcessResult:
-    """Run to the end in `folder`; standard output and errors are read together."""
-    message = folder / "said.txt"
+    """Runs a command to its end in `folder`; captures stdout and stderr in one file."""
+    output_file = folder / "output.txt"
     peaks: dict[int, int] = {}
-    with message.open("w") as file:
+    with output_file.open("w") as file:
         began = time.time()
         process = subprocess.Popen(
             command, cwd=folder, env=os.environ | (environment or {}), stdout=file, stderr=subprocess.STDOUT
@@ -37,18 +37,20 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
             if process.poll() is None:
                 process.kill()
                 process.wait()
-    return ProcessResult(message.read_text(errors="replace"), process.returncode, began, sum(peaks.values()) or None)
+    return ProcessResult(
+        output_file.read_text(errors="replace"), process.returncode, began, sum(peaks.values()) or None
+    )
 
 
 def _peaks_below(root: int) -> dict[int, int]:
-    """Peak resident bytes of a process and all it started, by process; empty where /proc does not tell."""
+    """Peak resident memory [bytes] of a process and its descendants, by process id; empty without /proc."""
     found: dict[int, int] = {}
-    waiting = [root]
-    while waiting:
-        number = waiting.pop()
+    pending = [root]
+    while pending:
+        number = pending.pop()
         try:
             status = Path(f"/proc/{number}/status").read_text()
-            waiting += [int(word) for word in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
+            pending += [int(word) for word in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
         except OSError:
             continue
         peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]

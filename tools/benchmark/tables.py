@@ -6,14 +6,14 @@ from statistics import median
 from typing import Any
 
 COLUMNS = (
-    "case", "threads", "code", "M particle-steps/s", "granflow / code", "memory [MB]", "bytes/sphere", "start [s]",
-    "contacts/sphere", "rebuilds/1000 steps", "skin [mm]", "mass flow [kg/s]",
+    "case", "threads", "code", "M particle-steps/s", "granflow / code", "memory [MB]", "bytes/particle", "start [s]",
+    "contacts/particle", "rebuilds/1000 steps", "skin [mm]", "mass flow [kg/s]",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, least and largest of a few numbers."""
+    """Median, minimum and maximum of a few values."""
 
     middle: float
     low: float
@@ -21,7 +21,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: list[float]) -> "Spread":
-        """Of at least one number."""
+        """Spread of at least one value."""
         return cls(median(values), min(values), max(values))
 
     def text(self, digits: int = 2) -> str:
@@ -31,7 +31,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Group:
-    """The rounds of one code with one law on one case with some threads."""
+    """Measurements of one code and contact model in one case with one number of threads, for all rounds."""
 
     case: str
     count: int
@@ -42,11 +42,11 @@ class Group:
 
     @property
     def label(self) -> str:
-        """Code, and granflow's law."""
+        """Code; for granflow with the contact model."""
         return f"{self.code} {self.law}" if self.code == "granflow" else self.code
 
     def spread(self, key: str) -> Spread | None:
-        """Of one number over the rounds, None where the code does not give it."""
+        """Spread of one quantity over the rounds, or None if the code does not report it."""
         values = [point[key] for point in self.points if point.get(key) is not None]
         return Spread.of(values) if values else None
 
@@ -63,26 +63,28 @@ def groups(result: dict[str, Any]) -> list[Group]:
 
 
 def ratio(result: dict[str, Any], other: Group) -> Spread | None:
-    """Rate of granflow's hertz over that of another group, round by round."""
-    own = {
+    """Rate of granflow with `hertz` over that of another group, computed within each round."""
+    granflow_rates = {
         point["round"]: point["rate"]
         for point in result["points"]
         if (point["code"], point["law"]) == ("granflow", "hertz")
         and (point["case"], point["threads"]) == (other.case, other.threads)
     }
-    pairs = [own[point["round"]] / point["rate"] for point in other.points if point["round"] in own]
+    pairs = [
+        granflow_rates[point["round"]] / point["rate"] for point in other.points if point["round"] in granflow_rates
+    ]
     return Spread.of(pairs) if pairs else None
 
 
 def rows(result: dict[str, Any]) -> Iterator[list[str]]:
-    """The table, as text."""
+    """Rows of the table as text."""
     for group in groups(result):
         reference = (group.code, group.law) == ("granflow", "hertz")
-        compared = None if reference else ratio(result, group)
+        rate_ratio = None if reference else ratio(result, group)
         rates = Spread.of([point["rate"] / 1e6 for point in group.points])
         fields = _number(group, "field_bytes", "{:.0f}".format)
         yield [
-            group.case, str(group.threads), group.label, rates.text(), compared.text() if compared else "",
+            group.case, str(group.threads), group.label, rates.text(), rate_ratio.text() if rate_ratio else "",
             _number(group, "memory", lambda value: f"{value / 1e6:.0f}"), fields,
             _number(group, "start", "{:.1f}".format), _number(group, "contacts", "{:.2f}".format),
             _number(group, "rebuilds", "{:.1f}".format),
@@ -96,7 +98,7 @@ def _number(group: Group, key: str, show: Callable[[float], str]) -> str:
 
 
 def text(result: dict[str, Any]) -> str:
-    """The table for the terminal, then the notes."""
+    """Table and notes as text."""
     table = [list(COLUMNS), *rows(result)]
     widths = [max(len(row[k]) for row in table) for k in range(len(COLUMNS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
@@ -104,6 +106,6 @@ def text(result: dict[str, Any]) -> str:
 
 
 def markdown(head: tuple[str, ...], body: list[list[str]]) -> str:
-    """A table as GitHub shows it."""
+    """A Markdown table."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in body])

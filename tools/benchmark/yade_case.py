@@ -1,6 +1,6 @@
-"""Run by YADE's own Python: yade -jN -n -x yade_case.py CASE.npz MESH.stl SKIN WARM WINDOW SETTINGS.
+"""Script for the Python of YADE: yade -jN -n -x yade_case.py CASE.npz MESH.stl SKIN WARM WINDOW SETTINGS.
 
-SETTINGS are material and step as JSON; the answer is one JSON line at the end.
+SETTINGS: material and time step as JSON. The result is one JSON line at the end of the output.
 """
 
 import json
@@ -87,4 +87,4 @@ print(
     ),
     flush=True,
 )
-os._exit(0)  # YADE's own way out waits for its window and sometimes crashes
+os._exit(0)  # the regular exit of YADE waits for its window and may crash

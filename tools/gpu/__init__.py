@@ -1,1 +1,1 @@
-"""What stands behind tools/gpu_check.py: the device, beds of any size, checks of correctness, speed."""
+"""Modules of tools/gpu_check.py: device, beds of any size, correctness checks, speed."""

@@ -1,8 +1,8 @@
 """Beds of any size without settling them, and engines that hold them.
 
-A bed of some thousand spheres settles on the CPU under gravity; a larger one is mirror images of it side by side (see
-`benchmark.cases.tiled`). So contacts per particle, overlaps and disorder are those of a settled bed at every size, and
-only the share of spheres near a side wall differs. A lattice would have 12 contacts, or 6 all in line.
+A bed of some thousand particles settles on the CPU under gravity; a larger bed consists of mirror images of it (see
+`benchmark.cases.tiled`). Contacts per particle, overlaps and disorder are therefore those of a settled bed at each
+size; only the share of particles near a side wall differs. A lattice would have 12 contacts, or 6 in regular order.
 """
 
 import tempfile
@@ -15,23 +15,23 @@ from benchmark import ours
 from benchmark.cases import Case, tiled
 
 SETTLED = {False: 10_000, True: 1_000}
-"""Spheres that are settled, in a full and in a quick run."""
+"""Particles of the settled bed, for a full and for a quick run."""
 LAW = "hertz"
 
 
 def relax(count: int, path: str) -> None:
-    """Job of a child: settle `count` spheres in a box into a file."""
+    """Job of a subprocess: settles `count` particles in a box and writes them to a file."""
     ours.relax(count, path, threads=0)
 
 
 def bed(path: str, count: int) -> Case:
-    """About `count` spheres: the settled bed at `path`, or images of it."""
+    """About `count` particles: the settled bed at `path`, or mirror images of it."""
     relaxed = Case.load(Path(path))
     return relaxed if count <= relaxed.count else tiled(relaxed, count)
 
 
 def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
-    """The plan of a bed between four walls and a floor."""
+    """Plan of a bed between four walls and a floor."""
     from granflow.plan import plan_for
     from granflow.scene import load
 
@@ -44,7 +44,7 @@ def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str 
 def engine_for(
     case: Case, arch: str, precision: str, velocity: np.ndarray | None = None, chunk_size: int | None = None
 ) -> Any:
-    """An engine holding a bed, with velocities (n, 3) [m/s] or at rest, forces known, no step done."""
+    """Engine with a bed before the first step, forces computed; velocities (n, 3) [m/s], or at rest."""
     from granflow.device.backend import start
     from granflow.device.engine import Engine
     from granflow.scene.generate import ParticleData
@@ -54,9 +54,9 @@ def engine_for(
     if chunk_size is not None:
         plan = replace(plan, chunk_size=chunk_size)
     engine = Engine(plan, backend)
-    still, none = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
-    moving = still if velocity is None else velocity
-    engine.insert(ParticleData(case.position, moving, still, 0.5 * case.diameter, none, none))
+    zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
+    velocities = zeros if velocity is None else velocity
+    engine.insert(ParticleData(case.position, velocities, zeros, 0.5 * case.diameter, zero_indices, zero_indices))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     return engine

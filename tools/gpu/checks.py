@@ -1,7 +1,7 @@
-"""Correctness on one device in one precision. Each check is a number and the limit it must keep.
+"""Correctness checks on one device in one precision. Each check is a value with a limit.
 
-Jobs of children, which return records {name, value, limit, passed}; a GPU works out every contact from both sides
-(chunks of one particle), and so do these checks on a CPU.
+The functions are jobs of subprocesses and return records {name, value, limit, passed}. A GPU evaluates each contact
+from both sides (chunks of one particle); on a CPU these checks do the same.
 """
 
 import hashlib
@@ -16,31 +16,31 @@ from gpu.beds import bed, engine_for
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 VERIFIED = ("unequal_spheres", "wall_limit", "chung_ooi_3", "conveyor", "incline", "stack_at_rest", "mfix_slip_to_roll")
-"""Scenes under verification/ with closed forms: pairs, walls, moving walls, friction, rest, rolling."""
+"""Scenes in scenes/verification with closed forms: pairs, walls, moving walls, friction, rest, rolling."""
 STEPS = 400
 EPS = {"f64": float(np.finfo(np.float64).eps), "mixed": float(np.finfo(np.float32).eps)}
 EPS["f32"] = EPS["mixed"]
 SPREAD = 6.0
-"""Standard deviations that rounding may reach."""
+"""Accepted deviation due to rounding, in standard deviations."""
 TRAJECTORY_STEPS = 1000
 PARTICLE_COUNT = (256, 60)
-"""In the shaken box: those that stay and those that rain in upwards and leave the domain."""
+"""Particles of the vibrated box: those in the box, and those that rain in upward and leave the domain."""
 
 
 def record(name: str, value: float, limit: float) -> dict[str, Any]:
-    """A check: passed where |value| is no more than the limit; a value that is no number has failed."""
+    """Record of a check that passes if |value| is at most the limit; NaN fails."""
     return {"name": name, "value": float(value), "limit": float(limit), "passed": bool(abs(value) <= limit)}
 
 
 def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
-    """Head-on collisions of every law, and one with a wall, against the closed forms.
+    """Head-on collisions with each contact model, and one with a wall, against the closed forms.
 
-    A collision of n steps is right to about 1/n; coarse positions add the length they resolve over the overlap.
+    The error of a collision of n steps is about 1/n, plus the resolution of positions over the overlap.
     """
     from granflow.laws.catalog import NORMAL_LAWS
     from granflow.study.collide import collide
 
-    logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 warns that it is coarse: the limit knows
+    logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 logs a warning; the limit includes its resolution
     found, diameter = [], 4e-3
     resolved = EPS[precision] * diameter * (10.0 if precision == "f32" else 1.0)
     for law, wall in [*((law, False) for law in NORMAL_LAWS), ("zhou", True)]:
@@ -51,46 +51,47 @@ def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
         )  # fmt: skip
         limit = 1.0 / STEPS + resolved / numbers["overlap_max"]
         for name in ("restitution", "duration", "overlap_max", "force_max"):
-            closed = numbers.get(f"{name}_asked", numbers.get(f"{name}_theory", 0.0))
+            expected = numbers.get(f"{name}_asked", numbers.get(f"{name}_theory", 0.0))
             where = f"{law} on a wall" if wall else law
-            found.append(record(f"{name} of {where}", numbers[name] / closed - 1.0, limit))
+            found.append(record(f"{name} of {where}", numbers[name] / expected - 1.0, limit))
     return found
 
 
 def momentum(arch: str, precision: str, bed_file: str) -> list[dict[str, Any]]:
-    """A cloud bursts without walls or gravity: its momentum stays, but for the rounding of each velocity in each step.
+    """Momentum of colliding particles without walls and gravity is conserved within rounding.
 
-    The rounding is at random: half an ulp, the root of the steps, times the root of the sum of squares of m v.
+    Each velocity is rounded in each step: half an ulp times sqrt(steps) times the root of the sum of (m v)^2.
     """
     from granflow.device.backend import start
     from granflow.simulation import Simulation
 
     start(arch, precision)  # type: ignore[arg-type]
-    simulation = Simulation(_cloud(bed_file, precision), arch=arch, precision=precision)  # type: ignore[arg-type]
-    seen = [simulation.snapshot()]
+    simulation = Simulation(_colliding_particles(bed_file, precision), arch=arch, precision=precision)  # type: ignore[arg-type]
+    snapshots = [simulation.snapshot()]
     simulation.run()
-    seen.append(simulation.snapshot())
-    before, after = (each.particles["mass"][:, None] * each.particles["velocity"] for each in seen)
-    met = float(np.any(after != before, axis=1).mean())
+    snapshots.append(simulation.snapshot())
+    before, after = (each.particles["mass"][:, None] * each.particles["velocity"] for each in snapshots)
+    collided = float(np.any(after != before, axis=1).mean())
     steps = simulation.engine.step_count
     bound = SPREAD * 0.5 * EPS[precision] * np.sqrt(steps) * np.linalg.norm(after)
     drift = np.linalg.norm(after.sum(axis=0) - before.sum(axis=0))
-    return [record("momentum drift over rounding", drift / bound, 1.0), record("grains left untouched", 1.0 - met, 0.2)]
+    without_collision = record("particles without collision", 1.0 - collided, 0.2)
+    return [record("momentum drift over rounding", drift / bound, 1.0), without_collision]
 
 
-def _cloud(bed_file: str, precision: str) -> Any:
-    """Spheres of a settled bed thrown at each other, none near a wall."""
+def _colliding_particles(bed_file: str, precision: str) -> Any:
+    """Particles of a settled bed with random velocities, without walls."""
     case, rng = bed(bed_file, 0), np.random.default_rng(7)
-    middle = case.position.mean(axis=0)
-    saved = np.argsort(np.linalg.norm(case.position - middle, axis=1))[:1000]
-    position = case.position[saved] - middle
+    center = case.position.mean(axis=0)
+    selected = np.argsort(np.linalg.norm(case.position - center, axis=1))[:1000]
+    position = case.position[selected] - center
     return _scene(
-        {"balls": _balls(position, case.diameter[saved], rng.normal(0.0, 0.3, position.shape))},
+        {"balls": _particle_group(position, case.diameter[selected], rng.normal(0.0, 0.3, position.shape))},
         walls={}, gravity=[0.0, 0.0, 0.0], run={"duration": 0.005, "velocity_max": 1.0, "precision": precision},
     )  # fmt: skip
 
 
-def _balls(position: np.ndarray, diameter: Any, velocity: np.ndarray) -> dict[str, Any]:
+def _particle_group(position: np.ndarray, diameter: Any, velocity: np.ndarray) -> dict[str, Any]:
     insertion = {"kind": "positions", "positions": position.tolist()}
     sizes = np.asarray(diameter).tolist()
     return {
@@ -101,7 +102,7 @@ def _balls(position: np.ndarray, diameter: Any, velocity: np.ndarray) -> dict[st
 def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
     from granflow.scene import Scene
 
-    same = {
+    defaults = {
         "title": "GPU check",
         "materials": {"m": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
         "pairs": {"m-m": {"restitution": 0.6, "friction": 0.4, "rolling_friction": 0.05}},
@@ -110,13 +111,13 @@ def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
         "numerics": {"chunk_size": 1},
         "output": {"interval": 1.0, "energy_budget": True},
     }
-    return Scene.model_validate(same | {"walls": walls, "particles": groups} | parts)
+    return Scene.model_validate(defaults | {"walls": walls, "particles": groups} | parts)
 
 
-def _shaken(precision: str) -> Any:
-    """A lattice falls into a shaken box; grains rain in upwards and leave the domain. Friction, rolling, the ledger."""
+def _vibrated_box(precision: str) -> Any:
+    """A lattice falls into a vibrated box; particles rain in upward and leave the domain. Friction and rolling."""
     rng = np.random.default_rng(4)
-    insertion = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    positions = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
     walls: dict[str, Any] = {}
     for axis, name in enumerate("xyz"):
         unit = np.eye(3)[axis]
@@ -126,42 +127,42 @@ def _shaken(precision: str) -> Any:
             walls[f"high_{name}"] = {"shape": "plane", "material": "m", **far}
     motion = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
     walls["low_z"] |= {"motion": motion}
-    sizes = rng.uniform(0.004, 0.006, len(insertion))
-    room = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    sizes = rng.uniform(0.004, 0.006, len(positions))
+    region = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
     rain = {
         "material": "m", "count": PARTICLE_COUNT[1], "diameter": 0.005, "velocity": [0.0, 0.0, 1.5],
-        "insert": {"kind": "rain", "region": room, "rate": 6000.0},
+        "insert": {"kind": "rain", "region": region, "rate": 6000.0},
     }  # fmt: skip
     return _scene(
-        {"lattice": _balls(insertion, sizes, rng.normal(0.0, 0.3, insertion.shape)), "rain": rain}, walls,
+        {"lattice": _particle_group(positions, sizes, rng.normal(0.0, 0.3, positions.shape)), "rain": rain}, walls,
         gravity=[0.0, 0.0, -9.81], domain={"min": [-0.01] * 3, "max": [0.07, 0.07, 0.07], "on_exit": "delete"},
         run={"duration": 0.04, "velocity_max": 2.0, "time_step": 4e-6, "precision": precision},
     )  # fmt: skip
 
 
-def shaken(arch: str, precision: str) -> dict[str, Any]:
-    """The shaken box once: counts, ledger, overlap, and a digest of all that is left behind, to compare two runs."""
+def vibrated_box(arch: str, precision: str) -> dict[str, Any]:
+    """One run of the vibrated box: counts, energy error, overlap, and a digest of its final state."""
     from granflow.simulation import Simulation
 
-    simulation = Simulation(_shaken(precision), arch=arch, precision=precision)  # type: ignore[arg-type]
+    simulation = Simulation(_vibrated_box(precision), arch=arch, precision=precision)  # type: ignore[arg-type]
     totals = simulation.run().totals
     last = simulation.snapshot().particles
     names = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(last[name]).tobytes() for name in names))
-    coarse = 1e-2 if precision == "f32" else 1e-3
+    energy_limit = 1e-2 if precision == "f32" else 1e-3
     return {
         "digest": digest.hexdigest(),
         "checks": [
-            record("shaken box: grains missing", totals["particle_count"] - PARTICLE_COUNT[0], 0.0),
-            record("shaken box: deleted grains missing", totals["deleted_count"] - PARTICLE_COUNT[1], 0.0),
-            record("shaken box: energy error", totals["energy_error"], coarse),
-            record("shaken box: largest overlap over radius", totals["overlap_largest"], 0.1),
+            record("vibrated box: particles missing", totals["particle_count"] - PARTICLE_COUNT[0], 0.0),
+            record("vibrated box: deleted particles missing", totals["deleted_count"] - PARTICLE_COUNT[1], 0.0),
+            record("vibrated box: energy error", totals["energy_error"], energy_limit),
+            record("vibrated box: maximum overlap over radius", totals["overlap_largest"], 0.1),
         ],
     }
 
 
 def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
-    """Scenes of the repository: in f64 their own expectations, and in any precision the start of the hopper."""
+    """Scenes of the repository: the start of the hopper, and in f64 the expectations of verification scenes."""
     found = hopper(arch, precision)
     if precision != "f64":
         return found
@@ -171,14 +172,15 @@ def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
     for name in VERIFIED:
         scene = load(SCENES / "verification" / f"{name}.yaml", ["numerics.chunk_size=1"])
         simulation = Simulation(scene, arch=arch)  # type: ignore[arg-type]
-        unmet = [sentence for sentence, met in simulation.run().expectations if not met]
+        messages = [message for message, satisfied in simulation.run().expectations if not satisfied]
         simulation.free()
-        found.append(record(f"{name}: expectations unmet", len(unmet), 0.0) | ({"said": unmet} if unmet else {}))
+        result = record(f"{name}: unsatisfied expectations", len(messages), 0.0)
+        found.append(result | ({"message": messages} if messages else {}))
     return found
 
 
 def hopper(arch: str, precision: str) -> list[dict[str, Any]]:
-    """400 beads rain into the closed hopper: cone, cylinder, disc, friction, the ledger."""
+    """Rain of 400 particles into the closed hopper: cone, cylinder, disc, friction, energy budget."""
     from granflow.scene import load
     from granflow.simulation import Simulation
 
@@ -187,14 +189,17 @@ def hopper(arch: str, precision: str) -> list[dict[str, Any]]:
     totals = simulation.run(until=0.1).totals
     simulation.free()
     return [
-        record("hopper: grains missing", totals["particle_count"] - 400.0, 0.0),
+        record("hopper: particles missing", totals["particle_count"] - 400.0, 0.0),
         record("hopper: energy error", totals["energy_error"], 1e-2 if precision == "f32" else 1e-3),
-        record("hopper: largest overlap over radius", totals["overlap_largest"], 0.1),
+        record("hopper: maximum overlap over radius", totals["overlap_largest"], 0.1),
     ]
 
 
 def trajectory(arch: str, precision: str, bed_file: str, out: str, moved: float, chunk_size: int | None) -> None:
-    """A settled bed stirred at 0.1 m/s for some steps, into a file; `moved` [m] displaces each start at random."""
+    """Writes the state of a settled bed after TRAJECTORY_STEPS with random velocities of 0.1 m/s.
+
+    `moved` [m] is a displacement of random sign of each initial position.
+    """
     case, rng = bed(bed_file, 0), np.random.default_rng(11)
     velocity = rng.normal(0.0, 0.1, case.position.shape)
     case.position[:] += moved * rng.choice([-1.0, 1.0], case.position.shape)
@@ -209,34 +214,34 @@ def trajectory(arch: str, precision: str, bed_file: str, out: str, moved: float,
 
 
 def displacement(precision: str, bed_file: str) -> float:
-    """Length [m] to which a precision knows where a surface is: of positions (f64, f32), or of distances (mixed)."""
-    reach = float(np.abs(bed(bed_file, 0).position).max())
-    return EPS[precision] * (2.0 * RADIUS_MEAN if precision == "mixed" else reach)
+    """Resolution [m] of particle surfaces in a precision: of positions (f64, f32) or of distances (mixed)."""
+    extent = float(np.abs(bed(bed_file, 0).position).max())
+    return EPS[precision] * (2.0 * RADIUS_MEAN if precision == "mixed" else extent)
 
 
 def agreement(here: Path, reference: Path, disturbed: Path, margin: float) -> list[dict[str, Any]]:
-    """A trajectory against that of the CPU in f64.
+    """Compares a trajectory with that of the CPU in f64.
 
-    The limit is measured, too: `margin` times what the reference changes when every start is displaced by the length
-    that the precision resolves, as collisions amplify whatever differs. The root mean square bounds the energy:
+    Collisions amplify differences, so that the limit is measured: `margin` times the change of the reference if each
+    initial position is displaced by the resolution of the precision. The root mean square bounds the energy:
     |dE| / E <= 2 rms(dv) / rms(v).
     """
     one, other, shifted = (dict(np.load(path)) for path in (here, reference, disturbed))
 
-    def apart(name: str, first: dict[str, np.ndarray]) -> float:
+    def max_difference(name: str, first: dict[str, np.ndarray]) -> float:
         return float(np.abs(first[name] - other[name]).max())
 
-    def mean_apart(name: str) -> float:
+    def rms_difference(name: str) -> float:
         return float(np.sqrt(np.mean((shifted[name] - other[name]) ** 2)))
 
-    limit = {name: margin * apart(name, shifted) for name in ("position", "velocity")}
-    energy = margin * 2.0 * mean_apart("velocity") / float(np.sqrt(np.mean(other["velocity"] ** 2)))
-    overlap = margin * 2.0 * mean_apart("position") / float(other["radius"].min())
-    diameter = 2.0 * float(other["radius"].mean())
+    limit = {name: margin * max_difference(name, shifted) for name in ("position", "velocity")}
+    energy = margin * 2.0 * rms_difference("velocity") / float(np.sqrt(np.mean(other["velocity"] ** 2)))
+    overlap = margin * 2.0 * rms_difference("position") / float(other["radius"].min())
+    diameter, position = 2.0 * float(other["radius"].mean()), max_difference("position", one)
     return [
         record("steps missing", float(one["steps"]) - TRAJECTORY_STEPS, 0.0),
-        record("position off the CPU's [diameters]", apart("position", one) / diameter, limit["position"] / diameter),
-        record("velocity off the CPU's [m/s]", apart("velocity", one), limit["velocity"]),
-        record("kinetic energy off the CPU's", one["kinetic_energy"] / other["kinetic_energy"] - 1.0, energy),
-        record("largest overlap off the CPU's [radii]", one["overlap_largest"] - other["overlap_largest"], overlap),
+        record("position difference [diameters]", position / diameter, limit["position"] / diameter),
+        record("velocity difference [m/s]", max_difference("velocity", one), limit["velocity"]),
+        record("kinetic energy difference", one["kinetic_energy"] / other["kinetic_energy"] - 1.0, energy),
+        record("maximum overlap difference [radii]", one["overlap_largest"] - other["overlap_largest"], overlap),
     ]

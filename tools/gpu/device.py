@@ -1,4 +1,4 @@
-"""The device: what it is, what it holds, how fast it moves memory."""
+"""The device: name, driver, memory and memory bandwidth."""
 
 import os
 import subprocess
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 ARRAY_LENGTH = 1 << 27
-"""Numbers (f32) in each of three arrays on a GPU: 512 MiB, far above its caches."""
+"""Length of each of three f32 arrays on a GPU: 512 MiB, much larger than its caches."""
 
 
 def present(arch: str) -> dict[str, Any]:
-    """Job of a child: start the architecture and describe it; a GranflowError's sentence where it is not there."""
+    """Job of a subprocess: starts the architecture and describes it; an error message if it is not available."""
     from granflow.device.backend import start
     from granflow.errors import GranflowError
 
@@ -22,9 +22,9 @@ def present(arch: str) -> dict[str, Any]:
 
 
 def describe(arch: str) -> dict[str, Any]:
-    """Name, driver, and bytes of memory in all and free; None where the system does not tell."""
+    """Name, driver, total and free memory [bytes]; None if unknown."""
     unknown: dict[str, Any] = {"name": None, "driver": None, "memory_total": None, "memory_free": None}
-    return unknown | (_host_memory() if arch == "cpu" else _ask_driver())
+    return unknown | (_host_memory() if arch == "cpu" else _query_driver())
 
 
 def _host_memory() -> dict[str, Any]:
@@ -32,11 +32,11 @@ def _host_memory() -> dict[str, Any]:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
         return {"name": "host"}
-    held = {line.split(":")[0]: 1024 * int(line.split()[1]) for line in lines}
-    return {"name": "host", "memory_total": held["MemTotal"], "memory_free": held["MemAvailable"]}
+    memory = {line.split(":")[0]: 1024 * int(line.split()[1]) for line in lines}
+    return {"name": "host", "memory_total": memory["MemTotal"], "memory_free": memory["MemAvailable"]}
 
 
-def _ask_driver() -> dict[str, Any]:
+def _query_driver() -> dict[str, Any]:
     requested = "--query-gpu=name,driver_version,memory.total,memory.free"
     try:
         done = subprocess.run(
@@ -50,8 +50,8 @@ def _ask_driver() -> dict[str, Any]:
 
 
 def bandwidth(on_cpu: bool) -> dict[str, float]:
-    """Bytes/s of a copy (two accesses an element) and a triad (three), as STREAM counts them, the best of several."""
-    from benchmark import limits  # it imports Taichi, whose banner granflow has to switch off first
+    """Bandwidth [bytes/s] of copy (two accesses per element) and triad (three), as in STREAM; best of several."""
+    from benchmark import limits  # imports Taichi, whose banner granflow must disable first
 
     if on_cpu:
         found = limits.bandwidth("memory", limits.IN_MEMORY, os.cpu_count() or 1)
@@ -60,7 +60,7 @@ def bandwidth(on_cpu: bool) -> dict[str, float]:
 
 
 def _gpu_bandwidth(count: int) -> dict[str, float]:
-    """The same where neighboring threads take neighboring numbers."""
+    """Bandwidth with coalesced access: neighboring threads access neighboring elements."""
     import taichi as ti
     from benchmark import limits
 

@@ -1,4 +1,4 @@
-"""Speed of one bed in one precision, beside the least bytes that must move and the bandwidth measured before it."""
+"""Speed of one bed in one precision, minimum memory traffic, and memory bandwidth measured in the same process."""
 
 import os
 import time
@@ -11,15 +11,15 @@ from gpu.beds import bed, engine_for, plan_of
 from gpu.device import bandwidth
 
 BATCH = 64
-"""Steps between two looks at the clock."""
+"""Steps between two queries of the clock."""
 WARM_STEPS = 200
-SEARCHES = 3
-ROOM = 0.7
-"""Share of the free memory that fields may take when a run starts: rows of near partners may still grow."""
+REBUILDS = 3
+MEMORY_SHARE = 0.7
+"""Largest initial share of fields in the free memory; the neighbor lists may grow."""
 
 
 def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> int:
-    """Bytes of all fields of a bed of about `count` spheres, before rows grow."""
+    """Bytes of all fields of a bed of about `count` particles, before neighbor lists grow."""
     from granflow.plan.memory_estimate import estimate_memory
 
     case = bed(bed_file, 0)
@@ -28,9 +28,9 @@ def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> int
 
 
 def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:
-    """Job of a child: particle-steps per second of a settled bed, and what goes with it.
+    """Job of a subprocess: particle-steps per second of a settled bed, with memory traffic, timings and contacts.
 
-    Without TI_KERNEL_PROFILER; with it, seconds of each kernel for a step and for a search besides.
+    If TI_KERNEL_PROFILER is set, the result includes the time [s] of each kernel per step and per rebuild.
     """
     from granflow.device.backend import start
 
@@ -41,10 +41,10 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
     ready = time.perf_counter() - began
     engine.advance(WARM_STEPS)
     phases.clear_profile()
-    steps, spent, searches = _window(engine, seconds)
+    steps, spent, rebuilds = _window(engine, seconds)
     stepping = phases.profile(steps)
-    searching = [phases.one_search(engine) for _ in range(SEARCHES)]
-    kernels = {"step": stepping, "search": phases.profile(SEARCHES)}
+    rebuild_seconds = [phases.rebuild_seconds(engine) for _ in range(REBUILDS)]
+    kernels = {"step": stepping, "search": phases.profile(REBUILDS)}
     if engine.diagnosis is not None:
         raise SystemExit(f"granflow stopped: {engine.diagnosis}")
     return {
@@ -52,36 +52,36 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
         "rate": case.count * steps / spent,
         "steps": steps,
         "seconds": spent,
-        "searches": searches,
-        "search_seconds": min(searching),
+        "searches": rebuilds,
+        "search_seconds": min(rebuild_seconds),
         "setup_seconds": ready - engine.timing.compile,
         "compile_seconds": engine.timing.compile,
         "field_bytes": ours.field_bytes(engine) / case.count,
-        **_traffic(engine, case, searches / steps, spent / steps, limits),
+        **_traffic(engine, case, rebuilds / steps, spent / steps, limits),
         **({"kernels": kernels} if phases.PROFILER in os.environ else {}),
     }
 
 
 def _window(engine: Any, seconds: float) -> tuple[int, float, int]:
-    """Steps done in at least `seconds` of wall time, those seconds, and the searches among them."""
-    searches, steps, began = engine.timing.rebuild_count, 0, time.perf_counter()
+    """Steps in at least `seconds` of wall time, the elapsed time [s], and the rebuilds in it."""
+    rebuilds, steps, began = engine.timing.rebuild_count, 0, time.perf_counter()
     while time.perf_counter() - began < seconds and not engine.aborted:
-        engine.advance(BATCH)  # waits for the device: it reads how many steps were done
+        engine.advance(BATCH)  # waits for the device, since it reads the number of steps
         steps += BATCH
-    return steps, time.perf_counter() - began, engine.timing.rebuild_count - searches
+    return steps, time.perf_counter() - began, engine.timing.rebuild_count - rebuilds
 
 
 def _traffic(
-    engine: Any, case: Case, searches_per_step: float, step_seconds: float, limits: dict[str, float]
+    engine: Any, case: Case, rebuilds_per_step: float, step_seconds: float, limits: dict[str, float]
 ) -> dict[str, float]:
-    """Least bytes of a particle step (`benchmark.counts`) and the share of the copy bandwidth that they make."""
+    """Minimum bytes per particle-step (`benchmark.counts`) and the resulting share of the copy bandwidth."""
     state = engine.state
     totals = engine.snapshot("run", frozenset({"totals"})).totals
     begin, end = (f.to_numpy()[: state.count] for f in (state.neighbors.list_begin, state.neighbors.list_end))
     list_entries, contacts = int((end - begin).sum()), totals["contact_count"]
     both_sides = 2 if state.plan.chunk_size == 1 else 1
     moved = counts.bytes_of(counts.load_of(state, list_entries, int(both_sides * contacts)))
-    each = (moved["motion"] + moved["forces"] + searches_per_step * moved["search"]) / case.count
+    each = (moved["motion"] + moved["forces"] + rebuilds_per_step * moved["search"]) / case.count
     return {
         "contacts": contacts / case.count,
         "coordination_number": totals["coordination_number"],
