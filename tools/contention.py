@@ -95,7 +95,7 @@ def measure(bed: Path, root: Path, counts: list[int], rounds: int) -> dict[str, 
                 rates.append(with_competitors(count, bed, mode, root))
             pair = [started(bed, mode, root) for _ in range(2)]
             found.setdefault("pair", {}).setdefault(mode, []).append(min(rate(each) for each in pair))
-            if hasattr(os, "sched_setaffinity"):
+            if hasattr(os, "sched_setaffinity") and mode != "fixed 2":  # one core has one worker
                 alone = rate(started(bed, mode, root, ("taskset", "-c", "0")))
                 found.setdefault("one core", {}).setdefault(mode, []).append(alone)
     return {row: {mode: sum(r) / len(r) for mode, r in modes.items()} for row, modes in found.items()}
@@ -106,7 +106,7 @@ def table(found: dict[str, dict[str, float]]) -> str:
     lines = [f"{'steps/s':16}" + "".join(f"{mode:>10}" for mode in MODES) + f"{'auto/best':>11}"]
     for row, rates in found.items():
         best = max(value for mode, value in rates.items() if mode != "auto")
-        numbers = "".join(f"{rates[mode]:10.0f}" for mode in MODES)
+        numbers = "".join(f"{rates[mode]:10.0f}" if mode in rates else f"{'-':>10}" for mode in MODES)
         lines.append(f"{row:16}{numbers}{rates['auto'] / best:11.2f}")
     return "\n".join(lines)
 

@@ -84,6 +84,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
             arch=taichi_arch,
             default_fp=real,
             fast_math=False,
+            cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
             log_level=ti.ERROR,
             cpu_max_num_threads=workers,
             **cache_options,

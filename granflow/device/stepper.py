@@ -12,7 +12,8 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.device.barrier import build_barrier, seconds_per_poll
+from granflow.device.affinity import worker_affinity
+from granflow.device.barrier import CALIBRATION_POLLS, build_barrier, build_poll, seconds_per_poll
 from granflow.device.cell_grid import update_cell_grids
 from granflow.device.contact_forces import build_forces
 from granflow.device.deletion import check_coordinates
@@ -44,6 +45,10 @@ FIRST_LAUNCH = 50_000
 CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
 """A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than the
 differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
+
+START_PATIENCE = 6e-3
+"""Additional waiting time at the first barrier of a launch [s]: a Linux kernel with a tick of 4 ms can start the second
+thread of a launch on the core of the first one and move it to a free core at the next tick."""
 
 SINGLE_WORKER_PARTICLES = 512
 """Particle count up to which one worker processes all chunks: barriers would cost more time than more workers save."""
@@ -108,8 +113,10 @@ class Stepper:
         self._since_sample = 0
         self._worker_tuner = WorkerTuner(state.backend.worker_count)
         self._pose = WALL_BATCH if state.plan.has_poses else 0
-        self._step_seconds = self._chunk_seconds = 0.0
+        self._step_seconds = self._chunk_seconds = self._patience = 0.0
         self._build()
+        if state.backend.on_cpu:
+            self._prepare_workers()
 
     def _build(self) -> None:
         """Compile all phases by launching them on empty ranges; repeated after a reallocation of the fields."""
@@ -132,9 +139,15 @@ class Stepper:
         self._fill_neighbor_list(0, 0.0, 0)
         self._save_contacts(0)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
-        if state.backend.on_cpu:
-            self._seconds_per_poll = seconds_per_poll(state.control)
-            state.control.patience[0] = self._patience = int(CONTENTION_LIMIT / self._seconds_per_poll)
+        self.timing.compile += clock.perf_counter() - began
+
+    def _prepare_workers(self) -> None:
+        """Identify the threads of the pool and measure the time of a poll."""
+        began, workers = clock.perf_counter(), self.state.backend.worker_count
+        seconds_of = build_poll(self.state.control)
+        self._seconds_per_poll = seconds_per_poll(seconds_of)
+        self._affinity = worker_affinity(workers, lambda: seconds_of(CALIBRATION_POLLS, workers))
+        self._set_patience(CONTENTION_LIMIT)
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, pose: int = 0) -> None:
@@ -325,14 +338,22 @@ class Stepper:
         self._worker_tuner.record(done * state.count, seconds, contended)
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
-        polls = int((CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds) / self._seconds_per_poll)
-        if not 0.8 * self._patience < polls < 1.25 * self._patience:
-            state.control.patience[0] = self._patience = polls
+        patience = CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
+        if not 0.8 * self._patience < patience < 1.25 * self._patience:
+            self._set_patience(patience)
+
+    def _set_patience(self, seconds: float) -> None:
+        """Set the time [s] after which a worker leaves a barrier."""
+        self._patience, patience = seconds, self.state.control.patience
+        patience[0] = int(seconds / self._seconds_per_poll)
+        patience[1] = int((seconds + START_PATIENCE) / self._seconds_per_poll)
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
         state = self.state
         workers = 1 if state.count <= SINGLE_WORKER_PARTICLES else self._worker_tuner.next_size
+        if state.backend.on_cpu:
+            self._affinity.set_workers(workers)
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
@@ -418,7 +439,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
     arrive, release, wait = build_barrier(control)
 
     @ti.func
-    def barrier(number, computes_forces, steps_wanted, chunks, pose, dt):
+    def barrier(number, computes_forces, steps_wanted, workers, chunks, pose, dt):
         """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
 
         Polling atomic counters takes 1 us; waking the threads of Taichi for each phase takes 60 us.
@@ -433,6 +454,8 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                 control.steps_done[0] = control.steps_done[0] + 1
             control.rebuild_due[0] = control.rebuild_requested[0]
             continues = control.steps_done[0] < steps_wanted and control.rebuild_due[0] == 0 and control.abort[0] == 0
+            if computes_forces == 1 and control.worker_count[0] < workers:
+                continues = False  # without a worker the rest of a launch costs more than the start of the next one
             control.running[0] = ti.cast(continues, ti.i32)
             release(number)
         else:
@@ -445,7 +468,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
-    def work(worker, chunks, count, pose, dt, moving, forcing, steps):
+    def work(worker, workers, chunks, count, pose, dt, moving, forcing, steps):
         """Steps of one worker, until the launch ends or the worker leaves it."""
         barrier_number, left = 0, 0
         while left == 0 and control.running[0] == 1:
@@ -455,7 +478,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                     integrate(chunk, count, dt)
                     chunk = next_chunk()
                 barrier_number += 1
-                left = barrier(barrier_number, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
+                left = barrier(barrier_number, 0, forcing * steps, workers, chunks, pose + control.steps_done[0], dt)
             if forcing == 1 and left == 0 and control.running[0] == 1:
                 pose_now = pose + control.steps_done[0]
                 chunk = next_chunk()
@@ -463,7 +486,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                     forces(worker, chunk, count, pose_now, dt)
                     chunk = next_chunk()
                 barrier_number += 1
-                left = barrier(barrier_number, 1, steps, chunks, pose_now, dt)
+                left = barrier(barrier_number, 1, steps, workers, chunks, pose_now, dt)
 
     @ti.kernel
     def step_on_cpu(
@@ -478,6 +501,6 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
         control.running[0] = ti.cast(steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
-                work(task // CPU_STRIDE, chunks, count, pose, dt, moving, forcing, steps)
+                work(task // CPU_STRIDE, workers, chunks, count, pose, dt, moving, forcing, steps)
 
     return step_on_cpu

@@ -16,6 +16,9 @@ FIRST_DOWN_INTERVAL, LAST_DOWN_INTERVAL = 0.25, 8.0
 CONTENDED_DOWN_INTERVAL = 0.25
 """Launch time [s] between two trials with fewer workers that contention makes due."""
 
+MEMORY = 0.7
+"""Weight of the previous rates in the mean with which a trial is compared: a single interruption has little effect."""
+
 MIN_SPEEDUP = 1.05
 """A trial is faster if its rate is at least this multiple of the previous rate."""
 
@@ -73,7 +76,7 @@ class WorkerTuner:
         if self._candidate:
             self._evaluate(rate)
         else:
-            self._rate = rate
+            self._rate = MEMORY * self._rate + (1.0 - MEMORY) * rate if self._rate else rate
             self._candidate = self._next_trial()
 
     def _start_window(self) -> None:
