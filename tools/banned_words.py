@@ -31,7 +31,7 @@ ALLOWED = {
 }
 """Words that a file may contain; ANY stands for all words."""
 
-STANDARD_NAMES = {("json", "loads")}
+STANDARD_NAMES = {("json", "loads"), ("pickle", "loads")}
 """Functions of the standard library, as (module, name)."""
 
 FREE_TEXT = re.compile(r"\s*(title|description|label)\s*:")
