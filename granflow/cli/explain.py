@@ -68,7 +68,7 @@ def use_fresh_kernel_cache() -> None:
 def add_explain(verbs: Any) -> None:
     """Add `granflow explain` and its arguments."""
     parser = add_scene_verb(
-        verbs, explain, "print what is computed and why: features, defaults, time step and its limit, memory"
+        verbs, explain, "print features with their reasons, defaults, the time step and its limit, the memory estimate"
     )
     parser.add_argument(
         "--measure",

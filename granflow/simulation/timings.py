@@ -108,4 +108,4 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
     for warning in plan.warnings:
         log.warning("%s", warning)
     if resumed is not None:
-        log.info("goes on from %s at %.6g s", resumed.path, engine.time)
+        log.info("resumed from %s at %.6g s", resumed.path, engine.time)

@@ -185,7 +185,7 @@ def _result_text(case: Case, finished: FinishedProcess, passed: bool) -> str:
 
 VARIABLE_PARTS = (
     (r"\(choose from .*\)", "(choose from ...)"),
-    (r"(?i)(stopped at|goes on from|continues from) [-+.\de]+ s\b", r"\1 T s"),
+    (r"(?i)(stopped at|resumed from|continues from) [-+.\de]+ s\b", r"\1 T s"),
     (r"[-+.\de]+ (GB|MB|GiB|MiB)", r"N \1"),
     (r"checkpoint_\d+", "checkpoint_N"),
     (r"/tmp/[^\s:]*", "/tmp/..."),

@@ -39,7 +39,7 @@ at the seams
 RESUMED_LOG = """\
 2026-01-02 04:00:00,000 INFO granflow: granflow 0.2.0, taichi 1.7.4, Python 3.11
 2026-01-02 04:00:00,000 INFO granflow: cuda with f32, compiled in 2.5 s
-2026-01-02 04:00:00,000 INFO granflow: goes on from checkpoint_1.npz at 0.1 s
+2026-01-02 04:00:00,000 INFO granflow: resumed from checkpoint_1.npz at 0.1 s
 """
 RESULT = {
     "run": {"simulated_time": 0.2, "step_count": 12345, "wall_clock": 10.0},
@@ -115,7 +115,7 @@ def test_page_of_an_interrupted_run_states_reason_and_time(run):
 def test_page_of_a_resumed_run_lists_its_sessions(run):
     (run / "run.log").write_text(LOG + RESUMED_LOG)
     text = text_of(run)
-    assert "resumed (2 sessions)" in text and "cuda" in text and "goes on from checkpoint_1.npz" in text
+    assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
 
 
 @pytest.mark.parametrize("kept_file", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
@@ -206,7 +206,7 @@ def test_log_yields_sessions_warnings_and_explanations(run):
     entries = read_log(run / "run.log")
     first, second = sessions(entries)
     assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
-    assert (second.arch, second.resumed_from) == ("cuda", "goes on from checkpoint_1.npz at 0.1 s")
+    assert (second.arch, second.resumed_from) == ("cuda", "resumed from checkpoint_1.npz at 0.1 s")
     assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
         ("06", "warning"),
         ("08", "error"),

@@ -15,7 +15,7 @@ ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*
 COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
 """Entry with backend, precision and compilation time [s]."""
 
-RESUMED_FROM = "goes on from"
+RESUMED_FROM = "resumed from"
 """Beginning of the entry of a resumed run."""
 
 EVENTS = ("stage ", "checkpoint at ", "done at ", RESUMED_FROM)
