@@ -39,7 +39,7 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
     """Command line of a verb, with the full path of its program."""
     commands = {
         "run": ["-m", "granflow", "run", *rest],
-        "test": ["-m", "pytest", "-n", "auto", "--maxprocesses=4", *rest],
+        "test": ["-m", "pytest", "-n", "auto", "--maxprocesses=4", "--dist", "worksteal", *rest],
         "slow": ["-m", "pytest", "-m", "slow", "--timeout=1800", *rest],
         "check": [str(ROOT / "tools" / "check.py"), *rest],
     }
