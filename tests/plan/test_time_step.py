@@ -40,7 +40,7 @@ def step(tmp_path):
     return plan_for(scene_of(tmp_path, "numerics.time_step_fraction=0.02")).step
 
 
-def test_step_is_a_fraction_of_the_shortest_contact_phase(step):
+def test_step_is_a_fraction_of_the_shortest_loading_or_unloading_time(step):
     shortest = min(UNLOADING * largest_overlap(*contact) / VELOCITY for contact in CONTACTS.values())
     assert step.value == pytest.approx(0.02 * shortest, rel=1e-4)
     assert step.limited_by == "0.02 of the shortest loading or unloading time, beads-beads at 1 m/s"
