@@ -168,7 +168,7 @@ FLOW_METER_QUANTITIES = _by_name(
     (
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
-        Quantity("mass_flow", "", "kg/s", "mass flow: between rows in the time series, steady mean in the result"),
+        Quantity("mass_flow", "", "kg/s", "mass flow rate: between rows in the time series, steady mean in the result"),
     )
 )
 """Numbers of each flow meter."""

@@ -41,7 +41,7 @@ MUTATIONS = (
         "granflow/laws/theory.py",
         "return 4.0 / 3.0 * modulus",
         "return 2.0 / 3.0 * modulus",
-        (f"{STEP}test_step_is_a_fraction_of_the_shortest_contact_phase",),
+        (f"{STEP}test_step_is_a_fraction_of_the_shortest_loading_or_unloading_time",),
     ),
     Mutation(
         "maximum overlap",

@@ -1,4 +1,4 @@
-"""The command line: `granflow VERB ...`; `main` returns the exit code."""
+"""The command line: `granflow COMMAND ...`; `main` returns the exit code."""
 
 from granflow.cli.main import main
 

@@ -36,10 +36,17 @@ def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argpar
     return parser
 
 
-def add_machine(parser: argparse.ArgumentParser) -> None:
-    """Add --arch and --precision."""
-    parser.add_argument("--arch", choices=ARCHITECTURES, default="cpu", help="device that computes (default: cpu)")
-    parser.add_argument("--precision", choices=PRECISIONS, help="floating-point precision (default: that of the scene)")
+def add_machine(parser: argparse.ArgumentParser, default_precision: str = "the precision of the scene") -> None:
+    """Add --arch and --precision; `default_precision`: text on the default of --precision."""
+    parser.add_argument(
+        "--arch",
+        choices=ARCHITECTURES,
+        default="cpu",
+        help="compute device or backend; gpu selects the first available GPU backend (default: cpu)",
+    )
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, help=f"floating-point precision (default: {default_precision})"
+    )
 
 
 def add_allow_long(parser: argparse.ArgumentParser) -> None:

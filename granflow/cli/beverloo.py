@@ -1,6 +1,6 @@
 """`granflow beverloo`: fits Beverloo's law of discharge to runs or tables.
 
-Each run or row gives the mass flow [kg/s] through one orifice [m].
+Each run or row gives the mass flow rate [kg/s] through one orifice [m].
 """
 
 import argparse
@@ -16,7 +16,7 @@ def beverloo(options: argparse.Namespace) -> int:
 
         W = C rho sqrt(g) d^2.5 (D/d - k)^n
 
-    W: mass flow [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
+    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
     Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
     """
     from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges

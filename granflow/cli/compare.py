@@ -50,16 +50,18 @@ def add_compare(verbs: Any) -> None:
     parser.add_argument(
         "--laws",
         default="zhou,linear,hertz",
-        help="contact models, separated by commas; linear runs twice (default: zhou,linear,hertz)",
+        help="contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
+        "stiffness computed from the impact velocity of each contact, and from --reference-velocity",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE_compare)")
     parser.add_argument(
         "--reference-velocity",
         metavar="V",
         type=quantity("velocity"),
-        help="impact velocity that calibrates the single linear spring (default: a tenth of the largest expected)",
+        help="impact velocity for which constant parameters are computed, such as the spring stiffness of the second "
+        "linear run (default: a tenth of the largest expected impact velocity)",
     )
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
-    parser.add_argument("--full", action="store_true", help="run all particles, even more than 4000")
+    parser.add_argument("--full", action="store_true", help="use all particles (default: at most 4000)")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

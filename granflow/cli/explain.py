@@ -73,7 +73,7 @@ def add_explain(verbs: Any) -> None:
     parser.add_argument(
         "--measure",
         action="store_true",
-        help="measure the cost of each feature instead: time of a step with the feature on and off",
+        help="measure the cost of each feature instead of printing the plan: time per step with and without it",
     )
     parser.add_argument(
         "--until", metavar="T", type=simulated_time, help="with --measure: simulated time to run before the measurement"

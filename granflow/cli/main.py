@@ -16,7 +16,7 @@ from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume, resume
-from granflow.cli.scenes import add_cache, add_check, add_run, run, schema
+from granflow.cli.scenes import add_cache, add_check, add_run, add_schema, run
 from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
@@ -81,12 +81,12 @@ def build_parser() -> argparse.ArgumentParser:
     """
     parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and exit")
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    verbs = parser.add_subparsers(required=True, metavar="COMMAND")
     add_run(verbs)
     add_resume(verbs)
     add_check(verbs)
     add_explain(verbs)
-    verbs.add_parser("schema", help="print the JSON Schema of scene files").set_defaults(verb=schema)
+    add_schema(verbs)
     add_collide(verbs)
     add_restitution(verbs)
     add_fit(verbs)

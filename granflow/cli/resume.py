@@ -31,7 +31,7 @@ These keys may change, with --set or in scene_as_run.yaml; a change of any other
   output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
   run.duration; duration, kinetic_energy_below and max_duration of stages that have not ended; stages added at the end
   stages, appears_at and vanishes_at of walls: opening a gate
-  motion of walls without a jump: terminate a motion with end: and add another with start:
+  motion of walls, if the position remains continuous: end a motion with end: and add another with start:
   friction and rolling_friction of pairs, if both the old and the new value are above 0
   numerics.max_overlap, title, description, expect
 """

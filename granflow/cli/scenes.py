@@ -116,7 +116,7 @@ def add_check(verbs: Any) -> None:
 
 def add_run(verbs: Any) -> None:
     """Add `granflow run` and its arguments."""
-    parser = add_scene_verb(verbs, run, "run a simulation and write its results, which ParaView opens")
+    parser = add_scene_verb(verbs, run, "run a simulation and write the results as files for ParaView")
     add_allow_long(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE)")
     parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
@@ -131,9 +131,16 @@ def add_run(verbs: Any) -> None:
     add_machine(parser)
 
 
+def add_schema(verbs: Any) -> None:
+    """Add `granflow schema`."""
+    summary = "print the JSON Schema of scene files, for completion and validation in editors"
+    parser = verbs.add_parser("schema", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.set_defaults(verb=schema)
+
+
 def add_cache(verbs: Any) -> None:
     """Add `granflow cache` and its argument."""
-    summary = "print the directory of compiled kernels, which makes later starts fast"
+    summary = "print the path of the kernel cache (compiled kernels, reused to shorten the start of later runs)"
     parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
     parser.add_argument("--clear", action="store_true", help="delete the compiled kernels; the next run compiles again")
     parser.set_defaults(verb=cache)

@@ -43,6 +43,8 @@ def add_stability(verbs: Any) -> None:
         help="output directory (default: out/stability)",
     )
     parser.add_argument(
-        "--full", action="store_true", help="run all moduli, sizes and ratios instead of every second one"
+        "--full",
+        action="store_true",
+        help="run all Young's moduli, particle radii and radius ratios (default: about half of them)",
     )
     parser.set_defaults(verb=stability)

@@ -62,7 +62,11 @@ def fit(options: argparse.Namespace) -> int:
     data = read_measurements(options.data)
     limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
     found = fitted(data, limit)
-    show_table(f"Eq. 12 fitted to {len(data)} rows of {options.data}", ("", "value", "error", "unit"), fit_rows(found))
+    show_table(
+        f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}",
+        ("", "value", "error", "unit"),
+        fit_rows(found),
+    )
     say(f"For a pair in a scene:\n  {found.snippet()}")
     write_study(out, write_fit, data, found)
     return 0
@@ -114,9 +118,14 @@ def add_collide(verbs: Any) -> None:
     parser.add_argument(
         "--restitution", type=quantity("number"), help="requested restitution, 0 to 1 (default: from the material)"
     )
-    parser.add_argument("--steps-per-contact", metavar="N", type=float, help="contact duration over time step")
+    parser.add_argument(
+        "--steps-per-contact",
+        metavar="N",
+        type=float,
+        help="time steps per expected contact duration (default: from the automatic time step)",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON in SI units")
-    add_machine(parser)
+    add_machine(parser, "f64")
     parser.set_defaults(verb=collide)
 
 
@@ -145,11 +154,13 @@ def add_fit(verbs: Any) -> None:
         help="table with the columns velocity [m/s] and restitution, optionally deviation or weight",
     )
     known = parser.add_mutually_exclusive_group(required=True)
-    known.add_argument("--material", metavar="PRESET", help="limit velocity from Eq. 11 for this material")
+    known.add_argument(
+        "--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)"
+    )
     known.add_argument("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
     known.add_argument("--fit-limit", action="store_true", help="also fit the limit velocity")
     parser.add_argument(
-        "--material2", metavar="PRESET", help="material of the partner, with --material (default: the same)"
+        "--material2", metavar="PRESET", help="with --material: material of the second body (default: the same)"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="output directory for CSV and PNG (default: out/DATA)")
     parser.set_defaults(verb=fit)

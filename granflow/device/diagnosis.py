@@ -12,9 +12,9 @@ from granflow.device.limits import (
     ABORT_NOT_FINITE,
     ABORT_OVERLAP,
     ABORT_WALL,
+    Body,
     ContactPair,
     Diagnosis,
-    Participant,
     diagnosis_of,
 )
 from granflow.device.state import State
@@ -75,27 +75,27 @@ def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: 
         time += state.clock.time_step
     found = np.flatnonzero(arrays["id"] == particle)
     index = int(found[0])  # a deleted particle is directly behind the others
-    participant = _participant(state.plan, arrays, index)
+    body = _body(state.plan, arrays, index)
     candidates = _candidate_pairs(code, state, arrays, time)
     involved = (candidates.owner == index) | (candidates.partner == index)
     considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT) else np.ones_like(involved)
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
-    return diagnosis_of(code, participant, pair, state.clock.time_step, step_taken)
+    return diagnosis_of(code, body, pair, state.clock.time_step, step_taken)
 
 
-def _fastest_wall(state: State) -> Participant:
+def _fastest_wall(state: State) -> Body:
     """The force-controlled wall with the highest velocity."""
     velocities = controlled_velocities(state)
     index = int(np.nan_to_num(np.linalg.norm(velocities, axis=1), nan=np.inf).argmax())
     wall = state.plan.walls[index]
-    return Participant(f"wall {wall.name}", state.plan.materials[wall.material], _vector(velocities[index]), None)
+    return Body(f"wall {wall.name}", state.plan.materials[wall.material], _vector(velocities[index]), None)
 
 
-def _participant(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Participant:
+def _body(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Body:
     """One particle as messages describe it; `index` in device order."""
     velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
-    return Participant(
+    return Body(
         f"particle {arrays['id'][index]}",
         plan.materials[material],
         _vector(velocity),
@@ -168,20 +168,18 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
     impact^2 = approach^2 + (4/5) k d^2.5 / M        (elastic energy of a Hertz contact)
     """
     owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
-    first = _participant(plan, arrays, owner)
+    first = _body(plan, arrays, owner)
     radius, mass = arrays["radius"][owner], arrays["mass"][owner]
     radius_eff, mass_eff, smaller = radius, mass, radius
     if partner >= 0:
-        second = _participant(plan, arrays, partner)
+        second = _body(plan, arrays, partner)
         radius_eff = radius * arrays["radius"][partner] / (radius + arrays["radius"][partner])
         both = {name: values[[owner, partner]] for name, values in arrays.items()}
         mass_eff = float(1.0 / (mobility_mask(both) / both["mass"]).sum())
         smaller = min(radius, arrays["radius"][partner])
     else:
         wall = plan.walls[-1 - partner]
-        second = Participant(
-            f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None
-        )
+        second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
     overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
     material = pair_material(plan.scene, first.material, second.material)
     stiffness = theory.hertz_stiffness(material.modulus_eff, radius_eff)
@@ -196,7 +194,7 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
 
 
 def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
-    """Number of contacts of the participant that has more, of `ends` (negative: wall, not counted)."""
+    """Number of contacts of the body that has more, of `ends` (negative: wall, not counted)."""
     touching = candidates.overlap > 0.0
     pairs = {
         (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)

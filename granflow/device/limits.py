@@ -1,4 +1,4 @@
-"""Abort codes and messages: the participants, the time, the likely cause and the remedies."""
+"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the remedies."""
 
 from dataclasses import dataclass
 from math import hypot, isfinite
@@ -33,7 +33,7 @@ AT_REST = 1e-9
 
 
 @dataclass(frozen=True)
-class Participant:
+class Body:
     """A particle or a wall: name, material, velocity [m/s] at the contact, and position [m] of a particle."""
 
     name: str
@@ -57,13 +57,13 @@ class ContactPair:
     """A contact at the time of the abort.
 
     overlap:          over the smaller radius
-    approach:         [m/s] along the normal, negative if the partners separate
+    approach:         [m/s] along the normal, negative if the bodies separate
     impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
     stable_step:      time step [s] that is stable for it
     """
 
-    first: Participant
-    second: Participant
+    first: Body
+    second: Body
     overlap: float
     approach: float
     impact_velocity: float
@@ -74,29 +74,27 @@ class ContactPair:
 class Diagnosis:
     """Cause of an aborted run.
 
-    reason:       one of the values of ABORT_REASONS
-    participant:  the particle with the smallest id above the limit, or the wall
-    pair:         the contact with the largest overlap, None without a contact
-    time_step:    [s]
+    reason:     one of the values of ABORT_REASONS
+    body:       the particle with the smallest id above the limit, or the wall
+    pair:       the contact with the largest overlap, None without a contact
+    time_step:  [s]
     """
 
     reason: str
-    participant: Participant
+    body: Body
     pair: ContactPair | None
     time_step: float
     begun: bool
     """True if a step was taken; false if only the initial forces were computed."""
 
 
-def diagnosis_of(
-    code: int, participant: Participant, pair: ContactPair | None, time_step: float, begun: bool
-) -> Diagnosis:
+def diagnosis_of(code: int, body: Body, pair: ContactPair | None, time_step: float, begun: bool) -> Diagnosis:
     """The diagnosis for an abort code."""
-    return Diagnosis(ABORT_REASONS[code], participant, pair, time_step, begun)
+    return Diagnosis(ABORT_REASONS[code], body, pair, time_step, begun)
 
 
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
-    """Message for an abort: participants and time, the exceeded limit, the likely cause and the remedies.
+    """Message for an abort: body or bodies in contact, time, exceeded limit, likely cause and remedies.
 
     `time`: simulated time [s] of the abort.
     """
@@ -107,7 +105,7 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Overlap above `numerics.max_overlap`."""
     pair = diagnosis.pair
     if pair is None:
-        return f"{diagnosis.participant} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
+        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
     limit = f"numerics.max_overlap {plan.max_overlap:g}"
     description = (
         f"{pair.first} at {time:.6g} s overlaps by more than {limit} of the smaller radius: by {pair.overlap:.3g}, "
@@ -131,7 +129,7 @@ def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement in one step above the limit."""
     description = _too_far(diagnosis, plan, time, plan.travel_limit)
     if diagnosis.pair is None:
-        speed = diagnosis.participant.speed
+        speed = diagnosis.body.speed
         return f"{description} {remedy(plan.scene, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the force of this overlap"
@@ -141,7 +139,7 @@ def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that is not a number."""
-    description = f"the position of {diagnosis.participant} at {time:.6g} s is not a number."
+    description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
     if diagnosis.pair is None:
         return (
             f"{description} It has no contacts: check its initial velocity and angular_velocity, or use precision f64."
@@ -155,8 +153,8 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Particle outside a domain with `on_exit: error`."""
     where = plan.scene.where("domain", "on_exit")
-    name, _, rest = str(diagnosis.participant).partition(" (")
-    x, y, z = diagnosis.participant.position or (0.0, 0.0, 0.0)
+    name, _, rest = str(diagnosis.body).partition(" (")
+    x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
     return (
         f"{name} at {time:.6g} s is outside the domain, and domain.on_exit is error ({where}); "
         f"it is at [{x:.4g}, {y:.4g}, {z:.4g}] m ({rest}. "
@@ -166,11 +164,11 @@ def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that the precision does not resolve."""
-    precision, position = plan.scene.run.precision, diagnosis.participant.position or (0.0, 0.0, 0.0)
+    precision, position = plan.scene.run.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
     farthest = max(map(abs, position))
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
     return (
-        f"{diagnosis.participant} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where "
+        f"{diagnosis.body} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where "
         f"{precision} resolves positions only to {spacing_at(precision, farthest):.3g} m; the required resolution is "
         f"{COARSEST:g} of the smallest radius {plan.radius_min:.3g} m.{better} an outlet, or domain.on_exit: delete."
     )
@@ -179,24 +177,21 @@ def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
     kind = next(
-        controlled.kind
-        for controlled in plan.controlled_motions
-        if diagnosis.participant.name == f"wall {controlled.name}"
+        controlled.kind for controlled in plan.controlled_motions if diagnosis.body.name == f"wall {controlled.name}"
     )
     slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
     limit = plan.wall_travel_limit
-    planned = SPEED_MARGIN * diagnosis.participant.speed * plan.travel_limit / limit
+    planned = SPEED_MARGIN * diagnosis.body.speed * plan.travel_limit / limit
     return (
-        f"{_too_far(diagnosis, plan, time, limit)} {slower} "
-        f"{remedy(plan.scene, diagnosis.participant.speed, planned, limit)}"
+        f"{_too_far(diagnosis, plan, time, limit)} {slower} {remedy(plan.scene, diagnosis.body.speed, planned, limit)}"
     )
 
 
 def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str:
     """Sentence on a displacement in one step above `limit` [m]."""
-    moved = diagnosis.participant.speed * diagnosis.time_step
+    moved = diagnosis.body.speed * diagnosis.time_step
     return (
-        f"{diagnosis.participant} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
+        f"{diagnosis.body} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
         f"above the limit of {limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be missed."
     )
 
@@ -231,7 +226,7 @@ def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | Non
 
 
 def _advice(time_step: float, cause: str) -> str:
-    """The cause and the remedies for a contact that is neither unstable nor faster than `velocity_max`."""
+    """Cause and remedies if the time step is stable for the contact and the impact is not above `velocity_max`."""
     return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
 
 

@@ -14,7 +14,7 @@ SPEED_INCREASE = 1.1
 
 
 class StabilityMonitor:
-    """Checks at every snapshot that the time step is stable for the present speeds and that energy is conserved.
+    """Checks at every snapshot that the time step is stable for the current speeds and that energy is conserved.
 
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
     energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
@@ -41,7 +41,7 @@ class StabilityMonitor:
         totals: dict[str, float],
         speed: float,
     ) -> None:
-        """Check one snapshot; logs a warning if the energy error exceeds its limit in two snapshots in succession.
+        """Check one snapshot; logs a warning if the energy error exceeds its limit in two consecutive snapshots.
 
         time:        simulated time [s]
         energies:    kinetic, rotational and gravitational energy [J]

@@ -27,7 +27,8 @@ ZHOU = LawKind(
     {
         "restitution_at": Choice(
             "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, "
-            "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if every pair gives a number)",
+            "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the restitution of "
+            "every pair is a number)",
             words=("impact", "max_overlap", "constant"),
             default="impact",
             with_numbers="constant",

@@ -41,7 +41,7 @@ class Choice:
     """A setting that is one of `words`, or a mapping with one key of `keyed`: onset, {value: 1e4 N/m}.
 
     default:       word if the setting is omitted; None: the setting is required
-    with_numbers:  word used in place of the default if every pair gives a number as restitution
+    with_numbers:  word used in place of the default if the restitution of every pair is a number
     """
 
     description: str

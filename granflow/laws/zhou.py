@@ -251,7 +251,7 @@ def unloading_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, 
 
 
 def law_for(request: ModelRequest) -> NormalLaw:
-    """Contact model that a scene requests; constant restitution if every pair gives a number."""
+    """Contact model that a scene requests; constant restitution if that of every pair is a number."""
     fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
     source: RestitutionAt = request.settings["restitution_at"] if fitted else "constant"
     return build(source, request.unloading_angle, request.settings["damping_ratio"])

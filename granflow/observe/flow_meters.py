@@ -42,14 +42,14 @@ class FlowCount:
         self.count += int(direction.sum())
 
     def mass_flow(self) -> float:
-        """Return the mass flow [kg/s] between the last two samples; 0 after the first."""
+        """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
         if len(self.history) < 2:
             return 0.0
         (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
         return (mass_now - mass_before) / (time_now - time_before)
 
     def readings(self) -> list[float]:
-        """Return mass [kg], number, and mass flow [kg/s] since the previous sample, as in FLOW_METER_QUANTITIES."""
+        """Return mass [kg], number, mass flow rate [kg/s] since the previous sample, as in FLOW_METER_QUANTITIES."""
         return [self.mass, self.count, self.mass_flow()]
 
     def result(self) -> dict[str, float]:
@@ -136,7 +136,7 @@ class FlowMeter:
             flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
 
     def mass_flow(self) -> float:
-        """Return the mass flow [kg/s] between the last two samples; 0 after the first."""
+        """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
         return self.total.mass_flow()
 
     def result(self) -> dict[str, float]:
@@ -212,7 +212,7 @@ class FlowMeter:
 
 
 def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
-    """Return the mass flow [kg/s] of the middle half of the mass in the last stage with flow.
+    """Return the mass flow rate [kg/s] of the middle half of the mass in the last stage with flow.
 
         0.5 M / (t(3/4 M) - t(1/4 M))
 

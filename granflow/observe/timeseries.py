@@ -27,9 +27,9 @@ class TimeSeries:
     """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes each row.
 
     The first snapshot determines the columns: time [s], stage, its totals in the order of `granflow.quantities`, then
-    for each flow meter the mass and number passed and the mass flow since the previous row, then for each measured wall
-    the mean force since the previous row, then the metrics. The header contains the units. Without a directory no file
-    is written, but meters, wall forces and metrics are updated.
+    for each flow meter the mass and number passed and the mass flow rate since the previous row, then for each measured
+    wall the mean force since the previous row, then the metrics. The header contains the units. Without a directory no
+    file is written, but meters, wall forces and metrics are updated.
 
     `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not positive.
     """

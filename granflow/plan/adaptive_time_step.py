@@ -1,4 +1,4 @@
-"""Adaptive time step: the rule of the fixed time step, applied to the present maximum impact velocity."""
+"""Adaptive time step: the rule of the fixed time step, applied to the current maximum impact velocity."""
 
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -12,10 +12,12 @@ STEPS_BETWEEN_UPDATES = 128
 """Number of steps between two updates of the maximum impact velocity; a contact lasts about as long."""
 
 VELOCITY_MARGIN = 2.0
-"""Factor on the present maximum impact velocity: a particle hit by a much heavier one leaves twice as fast."""
+"""Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds at up to
+twice the velocity of the heavy one."""
 
 LEVELS_PER_DOUBLING = 2
-"""Velocity levels per factor of 2: a time step is proportional to about v^(-1/5), so it is at most 7 % too small."""
+"""Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 % below the
+ideal one."""
 
 DOUBLINGS = (-24, 6)
 """Range of the table in powers of 2, relative to the planned maximum impact velocity."""
@@ -33,7 +35,7 @@ class AdaptiveTimeStep:
     least_velocity: float
 
     def step_for(self, impact_velocity: float, gravity_gain: float) -> float:
-        """Time step [s] for the present maximum impact velocity [m/s].
+        """Time step [s] for the current maximum impact velocity [m/s].
 
             v = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, least_velocity)
 
@@ -59,7 +61,7 @@ def adaptive_time_step_for(
 ) -> AdaptiveTimeStep:
     """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed` [m/s].
 
-    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest contact phase;
+    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest loading or unloading time;
     `rayleigh_fraction`: of the Rayleigh time. Each entry is `choose_time_step` at one velocity between 2^-24 and 2^6
     times `velocity`. VELOCITY_MARGIN times `wall_speed` is the lower limit of the velocity for which a step is chosen.
     """

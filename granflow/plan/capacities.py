@@ -3,7 +3,7 @@
 from math import ceil
 
 GENEROUS_BELOW = 20_000
-"""Number of particles below which memory does not matter and each gets `GENEROUS_NEIGHBORS` list entries."""
+"""Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list entries."""
 
 GENEROUS_NEIGHBORS = 7.0
 """List entries per particle in small scenes."""
@@ -26,7 +26,9 @@ BOUNDS = 1024
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
 EXTRA_PER_PARTICLE = 6
-"""List entries above twice the mean if each particle is a chunk and lists all of its partners."""
+"""List entries per particle beyond twice the mean number of candidate pairs, for a chunk size of 1.
+
+With chunk size 1, both particles list a pair, and no other particle of the chunk has free list entries."""
 
 LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
 """Terms of the energy budget that each chunk sums [J]."""

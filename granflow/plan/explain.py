@@ -70,19 +70,19 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         slow = (
             f"{step.value:.3g} s at {impact_velocity.value:.3g} m/s to {plan.adaptive_time_step.longest:.3g} s at rest"
         )
-        yield ExplainRow("", "initially", f"then for the present maximum impact velocity: {slow}")
+        yield ExplainRow("", "initially", f"then for the current maximum impact velocity: {slow}")
     yield ExplainRow(
-        "stable below", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {impact_velocity.value:.3g} m/s"
+        "stability limit", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {impact_velocity.value:.3g} m/s"
     )
     yield ExplainRow(
         "Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it"
     )
-    yield ExplainRow("velocity max", f"{impact_velocity.value:.4g} m/s", impact_velocity.source)
+    yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
     if plan.law.least_restitution is not None:
         yield ExplainRow(
             "restitution",
             f"{step.least_restitution:.3g}",
-            f"smallest reachable value at {impact_velocity.value:.3g} m/s",
+            f"smallest value that this time step can reproduce at {impact_velocity.value:.3g} m/s",
         )
     for sentence in step.warnings:
         yield ExplainRow("WARNING", "", sentence)
@@ -116,7 +116,7 @@ def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _materials(plan: Plan) -> str:
     unused = [name for name in plan.scene.materials if name not in plan.materials]
-    used = ", ".join(plan.materials)
+    used = f"of particles and walls: {', '.join(plan.materials)}"
     return f"{used}; not used: {', '.join(unused)}" if unused else used
 
 
@@ -153,9 +153,18 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
 
 def _history_text(plan: Plan) -> str:
     """Names of the contact history fields of one neighbor-list entry."""
-    rolling = "rolling spring" if plan.features.rolling == "epsd" else "rolling torque"
-    names = {"normal": ", ".join(plan.law.history_names), "tangential": "tangential spring", "rolling": rolling}
-    return ", ".join(names[name] for name in plan.history) or "only its partner"
+    rolling = "rolling displacement" if plan.features.rolling == "epsd" else "rolling torque"
+    normal = ", ".join(_HISTORY_TEXTS.get(name, name.replace("_", " ")) for name in plan.law.history_names)
+    names = {"normal": normal, "tangential": "tangential displacement", "rolling": rolling}
+    return ", ".join(names[name] for name in plan.history) or "only the index of the other particle or wall"
+
+
+_HISTORY_TEXTS = {
+    "overlap_max": "maximum overlap",
+    "restitution": "restitution coefficient",
+    "recovery": "recovered fraction of the maximum overlap",
+}
+"""Texts for history fields with names that are not self-explanatory."""
 
 
 def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
@@ -175,7 +184,7 @@ def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
     frames = int(longest / scene.output.interval) + 1
     yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {scene.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
-    assumed = f"{PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps a second on a CPU"
+    assumed = f"{PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU"
     yield ExplainRow("run time", f"{prefix or 'about '}{duration(seconds)}", f"an estimate that assumes {assumed}")
 
 

@@ -93,9 +93,9 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "friction": _first_pair(scene, "friction", features.friction),
         "rolling": _rolling_reason(scene, features),
         "rotation": (
-            "friction or rolling friction rotates the particles"
+            "required by friction or rolling friction"
             if features.rotation
-            else "neither friction nor rolling friction rotates the particles"
+            else "no torques: every pair has friction and rolling friction 0"
         ),
         "rate_dependent": _rate_reason(scene, features),
         "cohesion": _cohesion_reason(scene, features),
@@ -226,13 +226,15 @@ def _sizes_reason(scene: Scene) -> str:
     spans = [diameter_range(group) for group in scene.particles.values()]
     ratio = max(high for _, high in spans) / min(low for low, _ in spans)
     if ratio < CLASSES_FROM_RATIO:
-        return f"the largest particles are less than {CLASSES_FROM_RATIO:g} times as wide as the smallest"
-    return f"the largest particles are {ratio:.3g} times as wide as the smallest ({scene.where('particles')})"
+        return f"the largest diameter is less than {CLASSES_FROM_RATIO:g} times the smallest"
+    return f"the largest diameter is {ratio:.3g} times the smallest ({scene.where('particles')})"
 
 
 def _material_reason(scene: Scene) -> str:
     materials = sorted({group.material for group in scene.particles.values()})
     names = ", ".join(materials)
     return (
-        f"all particles have the material {names}" if len(materials) == 1 else f"particles have the materials {names}"
+        f"all particles are of the material {names}"
+        if len(materials) == 1
+        else f"the particles are of the materials {names}"
     )

@@ -137,8 +137,9 @@ class Plan:
     def history(self) -> dict[str, int]:
         """Contact history: name of the field -> number of components.
 
-        "normal": fields of the contact model; "tangential": tangential displacement [m]; "rolling": rolling spring or
-        torque. Fields without components are absent; an empty dictionary means that no history is stored.
+        "normal": fields of the contact model; "tangential": tangential displacement [m]; "rolling": rolling
+        displacement or torque. Fields without components are absent; an empty dictionary means that no history is
+        stored.
         """
         sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
         saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)

@@ -82,12 +82,15 @@ def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
     if _is_preset(scene, model, path):
         return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
     if isinstance(model, LawSettings) and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1])):
-        return "every pair gives a number"
+        return "the restitution of every pair is a number, independent of the velocity"
     return _REASONS.get(path[-1], "default")
 
 
-_REASONS: dict[str | int, str] = {"timeseries_interval": "default: output.interval"}
-"""Origin of values that are copied from other keys."""
+_REASONS: dict[str | int, str] = {
+    "timeseries_interval": "default: output.interval",
+    "unloading_angle": "default: bound on sqrt(K/M) dt, where K is the unloading stiffness",
+}
+"""Origin of default values that are copied from other keys or need an explanation."""
 
 _MANY_ROWS = 3
 """Lists with more entries are shown by their length."""

@@ -70,9 +70,9 @@ def choose_time_step(
 ) -> TimeStep:
     """Compute the time step [s], or check the given one.
 
-    The smallest of: `fraction` of the shortest contact phase, `rayleigh_fraction` of the Rayleigh time, the stable
-    step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected impact velocity. `given` [s]:
-    only the stable step limits it.
+    The smallest of: `fraction` of the shortest loading or unloading time, `rayleigh_fraction` of the Rayleigh time, the
+    stable step, and STEP_SHARE of the smallest radius at `velocity` [m/s], the maximum expected impact velocity.
+    `given` [s]: only the stable step limits it.
 
     Raises ValueError with one sentence if the given time step exceeds the stable time step.
     """
@@ -86,7 +86,7 @@ def choose_time_step(
     travel = STEP_SHARE * min(pair_case.radius for pair_case in pair_cases) / velocity
     chosen = min(resolved, rayleigh, stable, travel)
     value = given if given is not None else chosen
-    limited_by = f"{fraction:g} of the shortest contact phase, {name} at {velocity:.3g} m/s"
+    limited_by = f"{fraction:g} of the shortest loading or unloading time, {name} at {velocity:.3g} m/s"
     if chosen == rayleigh:
         limited_by = f"{rayleigh_fraction:g} of the Rayleigh time, {rayleigh_name}"
     if chosen == stable:
@@ -98,7 +98,7 @@ def choose_time_step(
     if value > stable:
         raise ValueError(
             f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
-            f"Lower it to {chosen:.2g} s or leave it out."
+            f"Lower it to {chosen:.2g} s or remove it."
         )
     least, warnings = _restitution_reached(value, pair_cases, law, velocity)
     return TimeStep(value, limited_by, stable, stable_name, least, warnings)
@@ -214,8 +214,8 @@ def _restitution_reached(
 def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
     """One sentence on a material pair whose restitution the step cannot reproduce; no step can for restitution 0."""
     remedy = 0.99 * step * required / bound
-    advice = f" A run.time_step of {remedy:.3g} s can." if remedy > 0.0 else ""
+    advice = f" A run.time_step of {remedy:.3g} s is short enough." if remedy > 0.0 else ""
     return (
-        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s reaches "
-        f"no less than {bound:.3g} ({contact}).{advice}"
+        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s "
+        f"reproduces no restitution below {bound:.3g} ({contact}).{advice}"
     )

@@ -154,7 +154,7 @@ def describe(controlled: ControlledMotion) -> Iterator[tuple[str, str]]:
     if controlled.kind == "servo":
         yield "target force", f"{controlled.force:.4g} N"
         yield "gain", f"{controlled.gain:.3g} m/(s N)"
-        yield "velocity max", f"{controlled.velocity_max:.3g} m/s"
+        yield "maximum velocity", f"{controlled.velocity_max:.3g} m/s"
     else:
         yield "mass", f"{controlled.mass:.4g} kg"
         yield "force and weight", f"{controlled.force:.4g} N"

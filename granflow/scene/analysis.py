@@ -127,7 +127,7 @@ class ReposeMetric(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an axis with a plane: it applies to a cone only."""
         if self.surface == "plane" and self.axis is not None:
-            yield Fault(("axis",), "it applies only to surface: cone; leave it out")
+            yield Fault(("axis",), "it applies only to surface: cone; remove it")
 
 
 class FabricMetric(Model):

@@ -164,10 +164,11 @@ def _friction(scene_parts: PartialScene) -> Iterator[Violation]:
         if pair.friction > 0 and contact.tangential == "none":
             yield ("pairs", key, "friction"), Fault((), "contact.tangential is none; write 0, or choose mindlin")
         if pair.rolling_friction is None and contact.rolling != "none":
-            reason = f"is missing: contact.rolling is {contact.rolling}; give the coefficient, 0 for none"
+            remedy = "give the coefficient, or 0 to disable rolling friction"
+            reason = f"is missing: contact.rolling is {contact.rolling}; {remedy}"
             yield rolling, Fault((), reason, whole=True)
         if pair.rolling_friction and contact.rolling == "none":
-            yield rolling, Fault((), "contact.rolling is none; leave it out, or choose epsd or cdt")
+            yield rolling, Fault((), "contact.rolling is none; remove rolling_friction, or choose epsd or cdt")
 
 
 def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
@@ -176,9 +177,9 @@ def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
     for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "cohesion_energy_density")
         if cohesion == "none" and pair.cohesion_energy_density is not None:
-            yield path, Fault((), "contact.cohesion is none; leave it out, or choose sjkr")
+            yield path, Fault((), "contact.cohesion is none; remove cohesion_energy_density, or choose sjkr")
         if cohesion != "none" and pair.cohesion_energy_density is None:
-            reason = f"is missing: contact.cohesion is {cohesion}; give it in J/m3, 0 for none"
+            reason = f"is missing: contact.cohesion is {cohesion}; give it in J/m3, or 0 to disable cohesion"
             yield path, Fault((), reason, whole=True)
 
 
@@ -192,7 +193,7 @@ def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
         path: KeyPath = ("pairs", key, "restitution")
         if normal.kind.restitution == "nothing":
             if pair.restitution is not None:
-                yield path, Fault((), f"the contact model {normal.law} derives it from the materials; leave it out")
+                yield path, Fault((), f"the contact model {normal.law} derives it from the materials; remove it")
             elif not _has_yield_strength(scene_parts, key):
                 names = " or ".join(dict.fromkeys(key.split("-")))
                 reason = f"requires a yield strength (contact model {normal.law}): give the yield_strength of {names}"
@@ -237,7 +238,7 @@ def _limit_velocity(scene_parts: PartialScene, key: str, fit: RestitutionFit) ->
     if fit.limit_velocity is None and without_yield:
         reason = (
             f"has no limit velocity: give limit_velocity, or the yield_strength of "
-            f"{' and '.join(without_yield)} (Eq. 11)"
+            f"{' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
         )
         yield ("pairs", key, "restitution"), Fault((), reason, whole=True)
 
@@ -280,7 +281,7 @@ def _duration(scene_parts: PartialScene) -> Iterator[Violation]:
     """Exactly one of `run.duration` and `stages` must be given."""
     duration = scene_parts.scene.run.duration
     if duration is None and not scene_parts.scene.stages:
-        yield ("run", "duration"), Fault((), "is missing: the simulated time, such as 2 s; or give stages", whole=True)
+        yield ("run", "duration"), Fault((), "is missing: give the simulated time, such as 2 s, or stages", whole=True)
     if duration is not None and scene_parts.scene.stages:
         yield ("run", "duration"), Fault((), "the stages have durations; remove run.duration")
 

@@ -53,7 +53,7 @@ def _check_vector(value: Any) -> Any:
 def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     """Require a vector that is not zero. Raises PydanticCustomError."""
     if not any(value):
-        raise value_error("a direction must have a length above 0, such as [0, 0, 1]")
+        raise value_error("a direction must not be the zero vector; give one such as [0, 0, 1]")
     return value
 
 
@@ -293,7 +293,7 @@ AngularVelocityVector = Annotated[
 ]
 AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_check_vector)]
 Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_check_vector), AfterValidator(_check_direction)]
-"""Vector (3,) with a length above 0, which does not matter."""
+"""Vector (3,), not the zero vector; its length does not matter."""
 
 Names = Annotated[tuple[Text, ...], list_of(some="[fill, settle]")]
 Auto = Literal["auto"]

@@ -207,7 +207,7 @@ class Group(Model):
         if self.diameter is None and self.insert.kind != "file":
             yield Fault(("diameter",), "is missing: diameter [m], or a size distribution", whole=True)
         if self.diameter is not None and self.insert.kind == "file":
-            yield Fault(("diameter",), "the file defines the sizes; leave it out")
+            yield Fault(("diameter",), "the file defines the sizes; remove diameter")
         if self.fixed:
             yield from self._fixed_faults()
 
@@ -218,7 +218,7 @@ class Group(Model):
         if rows is not None and count != rows:
             yield Fault(("count",), f"insert.positions has {rows} rows; leave the count out")
         if self.mass is not None and insertion.kind in ("positions", "file"):
-            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; leave it out")
+            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it")
         elif self.mass is not None and count is not None:
             yield Fault(("mass",), "count is given too: keep one of them")
         elif (
@@ -242,7 +242,7 @@ class Group(Model):
             yield Fault(("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file")
         for key in ("velocity", "angular_velocity"):
             if np.any(getattr(self, key)):
-                yield Fault((key,), "fixed is true, so the particles do not move; leave it out")
+                yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
         """Yield the key path and the length of each value that is given as a list, one entry per particle."""

@@ -42,7 +42,7 @@ ATTEMPTS = (8, 56)
 class Inserter:
     """Inserter of one group (rain or inlet); the sizes and their order are drawn at construction.
 
-    Particle k is due at start + k / rate, or, with a mass flow, at
+    Particle k is due at start + k / rate, or, with a mass flow rate, at
 
         t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
 

@@ -56,7 +56,7 @@ class CylinderShape(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault if the axis has no length."""
         if self.from_ == self.to:
-            yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
+            yield Fault(("to",), "it is the same point as from; the end points of the axis must differ")
 
 
 class BoxRegion(Model):

@@ -67,10 +67,12 @@ class Material(Model):
     poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
     density: Density = Field(description="density of the solid [kg/m3], such as 2500")
     yield_strength: YieldStrength | None = Field(
-        None, description="yield strength [Pa]; required for the limit velocity of Eq. 11 and by some contact models"
+        None,
+        description="yield strength [Pa]; required by some contact models and by Eq. 11 of Zhou (2011)",
     )
     restitution_fit: Annotated[tuple[Positive, Positive], pair_list("[sigma, psi]")] | None = Field(
-        None, description="sigma and psi of Eq. 12 for contacts within this material; available in some presets"
+        None,
+        description="sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets",
     )
 
     @model_validator(mode="before")
@@ -101,10 +103,11 @@ class RestitutionFit(Model):
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
-    sigma: Positive = Field(description="sigma of Eq. 12")
-    psi: Positive = Field(description="psi of Eq. 12")
+    sigma: Positive = Field(description="sigma of Zhou (2011), Eq. 12")
+    psi: Positive = Field(description="psi of Zhou (2011), Eq. 12")
     limit_velocity: Speed | None = Field(
-        None, description="impact velocity above which e is 0 [m/s]; default: Eq. 11 with the yield strengths"
+        None,
+        description="impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths",
     )
     preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
 
@@ -141,7 +144,7 @@ class MaterialPair(Model):
 
     restitution: Restitution = Field(
         None,
-        description="restitution coefficient, a number in [0, 1], or sigma and psi of Eq. 12; "
+        description="restitution coefficient, a number in [0, 1], or sigma and psi of Zhou (2011), Eq. 12; "
         "required unless the normal contact model derives it from the materials",
     )
     friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")

@@ -18,7 +18,7 @@ from granflow.scene.suggest import nearest, suggestion_or_list
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
 _MAX_ERRORS = 1000  # more errors take too long to report
 _TYPE_REASONS = {
-    "dict_type": "names with their values are expected, name: {...}",
+    "dict_type": "at least one entry of the form name: {...} is expected",
     "tuple_type": "a list is expected, [ ... ]",
     "list_type": "a list is expected, [ ... ]",
     "string_type": "text is expected; put it in quotes",

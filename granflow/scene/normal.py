@@ -28,7 +28,7 @@ class LawSettings(Model):
         return self.model_dump(exclude={"law"})
 
     def fixed_by_numbers(self) -> dict[str, str]:
-        """Parameters, by key, that take a fixed value if every pair gives its restitution as a number."""
+        """Parameters, by key, that take a fixed value if the restitution of every pair is a number."""
         choices = {key: each for key, each in self.kind.settings.items() if isinstance(each, Choice)}
         return {key: each.with_numbers for key, each in choices.items() if each.with_numbers is not None}
 

@@ -198,7 +198,7 @@ def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[s
         yield f"{location}: particles.{name}.count is {group.count_given}, but {rows.path} has {len(rows)} rows for it."
     for key in ("velocity", "angular_velocity"):
         if getattr(rows, key) is not None and np.any(getattr(group, key)):
-            yield f"{scene.locate('particles', name, key)}: particles.{name}.{key} is in {rows.path} too; leave it out."
+            yield f"{scene.locate('particles', name, key)}: particles.{name}.{key} is in {rows.path} too; remove it."
     low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     outside = ~np.all((rows.position >= low) & (rows.position <= high), axis=1)
     if outside.any():

@@ -251,7 +251,7 @@ class Stage(Model):
                 ("max_duration",), "is missing: the longest duration of a stage with kinetic_energy_below", whole=True
             )
         elif self.duration is not None and self.max_duration is not None:
-            yield Fault(("max_duration",), "it requires kinetic_energy_below; leave it out")
+            yield Fault(("max_duration",), "it requires kinetic_energy_below; remove max_duration")
 
 
 class RunSettings(Model):
@@ -263,7 +263,7 @@ class RunSettings(Model):
     duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
     time_step: AdaptiveOrFixedTime = Field(
         "auto",
-        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest present one",
+        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one",
     )
     velocity_max: Speed | None = Field(
         None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
@@ -279,7 +279,9 @@ class Numerics(Model):
     They limit numerical errors and do not represent physical properties.
     """
 
-    time_step_fraction: Fraction = Field(0.05, description="largest time step over the shortest contact phase")
+    time_step_fraction: Fraction = Field(
+        0.05, description="largest time step over the shortest loading or unloading time"
+    )
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
     chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
@@ -314,7 +316,7 @@ class FlowMeterSpec(Model):
             yield Fault(("sides",), "radius is given too: keep one of them")
         (a, b), lengths = self.sides, [math.hypot(*each) for each in (*self.sides, self.normal)]
         if not all(lengths):
-            yield Fault(("sides",), "a side must have a length above 0")
+            yield Fault(("sides",), "a side must not be the zero vector")
             return
         cosines = [
             abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
@@ -388,7 +390,7 @@ class ExpectationSpec(Model):
         if self.equals is not None and self.tolerance is None:
             yield Fault(("tolerance",), "is missing: the largest relative difference from equals", whole=True)
         if self.equals is None and self.tolerance is not None:
-            yield Fault(("tolerance",), "it requires equals; leave it out")
+            yield Fault(("tolerance",), "it requires equals; remove tolerance")
         if self.between is not None and self.between[0] > self.between[1]:
             yield Fault(("between",), "the first value must be the smaller one")
 
@@ -412,7 +414,7 @@ class Scene(Model):
     pairs: dict[PairName, MaterialPair] = Field(
         description="contact properties of material pairs; each key is two names joined by a hyphen"
     )
-    contact: Contact = Field(description="contact models, {normal: zhou, tangential: mindlin, rolling: none}")
+    contact: Contact = Field(description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}")
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(

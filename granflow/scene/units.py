@@ -65,7 +65,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
     "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
     "mass_flow": Dimension(
-        "a mass flow", "2 t/h", _unit_table("kg/s 1, g/s 1e-3, kg/min 1/60, kg/h 1/3600, t/h 1000/3600")
+        "a mass flow rate", "2 t/h", _unit_table("kg/s 1, g/s 1e-3, kg/min 1/60, kg/h 1/3600, t/h 1000/3600")
     ),
     "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
     "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
@@ -134,8 +134,14 @@ def _wrong_unit(unit: str, expected: Dimension) -> str:
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"
     if matching:
-        return f"{unit} measures {matching[0]} and {expected.noun} is expected, such as {expected.example}"
+        meaning = f"{unit} is a unit of {_without_article(matching[0])}"
+        return f"{meaning} and {expected.noun} is expected, such as {expected.example}"
     near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
     known = ", ".join(name for name in expected.units if name.isascii())
     hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"{unit} is not a known unit{hint}; units of {expected.noun} are {known}, such as {expected.example}"
+    units = f"units of {_without_article(expected.noun)} are {known}, such as {expected.example}"
+    return f"{unit} is not a known unit{hint}; {units}"
+
+
+def _without_article(noun: str) -> str:
+    return noun.partition(" ")[2]

@@ -51,7 +51,7 @@ def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
     lengths = math.hypot(*a), math.hypot(*b)
     for i, length in enumerate(lengths):
         if length == 0:
-            yield Fault(("sides", i), "a side must have a length above 0")
+            yield Fault(("sides", i), "a side must not be the zero vector")
     if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
         angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
         yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
@@ -265,7 +265,7 @@ class AxialWall(Wall):
         """Yield a fault if the axis has no length."""
         yield from super().faults()
         if self.from_ == self.to:
-            yield Fault(("to",), "it is the same point as from: the axis must have a length above 0")
+            yield Fault(("to",), "it is the same point as from; the end points of the axis must differ")
 
 
 class Cylinder(AxialWall):

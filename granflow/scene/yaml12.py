@@ -122,10 +122,12 @@ class _Composer:
         if isinstance(event, AliasEvent):
             return self._alias(event)
         if depth > MAX_DEPTH:
-            raise self._error(event, f"this is nested more than {MAX_DEPTH} levels deep, too deep for a scene")
+            raise self._error(
+                event, f"this is nested more than {MAX_DEPTH} levels deep; at most {MAX_DEPTH} levels are supported"
+            )
         if getattr(event, "tag", None):
             tag = event.tag.replace(_YAML_TAGS, "!!")
-            raise self._error(event, f"the tag {tag} is not supported in scenes; leave it out")
+            raise self._error(event, f"the tag {tag} is not supported in scenes; remove it")
         self.count += 1
         if self.count > _MAX_VALUES:
             raise self._error(event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene")

@@ -1,4 +1,4 @@
-"""The law of discharge of Beverloo, fitted to mass flows through orifices of several sizes.
+"""The law of discharge of Beverloo, fitted to mass flow rates through orifices of several sizes.
 
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
@@ -141,8 +141,8 @@ def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
 def read_discharges(sources: Sequence[Path]) -> Discharge:
     """Read flows from runs (directories written by `granflow run`) and CSV files.
 
-    Of a run: twice the radius of its flow meter, and its steady mass flow. A CSV file has the columns `orifice` and
-    `mass_flow`, in SI or with units.
+    Of a run: twice the radius of its flow meter, and its steady mass flow rate. A CSV file has the columns `orifice`
+    and `mass_flow`, in SI or with units.
 
     Raises GranflowError for a run without exactly one flow meter with a radius, or for an invalid table.
     """
@@ -152,7 +152,7 @@ def read_discharges(sources: Sequence[Path]) -> Discharge:
 
 
 def _of_run(source: Path) -> list[tuple[float, float]]:
-    """Orifice [m] and mass flow [kg/s] of a run. Raises GranflowError."""
+    """Orifice [m] and mass flow rate [kg/s] of a run. Raises GranflowError."""
     from granflow.scene import load
 
     path = source / "result.json"
@@ -174,7 +174,7 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
 
 
 def _of_table(source: Path) -> list[tuple[float, float]]:
-    """Orifices [m] and mass flows [kg/s] of a CSV file. Raises GranflowError with the line number."""
+    """Orifices [m] and mass flow rates [kg/s] of a CSV file. Raises GranflowError with the line number."""
     reader = csv.DictReader(read_regular_text(source).splitlines())
     try:
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]

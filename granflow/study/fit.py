@@ -184,7 +184,7 @@ def _standard_errors(data: Measurements, parameters: np.ndarray, limit: float | 
     if not errors[2] < parameters[2]:
         raise GranflowError(
             "The data do not determine the limit velocity: all velocities are far below it. "
-            "Give it with --limit-velocity, or use --material for Eq. 11."
+            "Give it with --limit-velocity, or use --material (Zhou 2011, Eq. 11)."
         )
     return errors
 
@@ -251,5 +251,6 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
         return limit_velocity(*solids)
     except ValueError:
         raise GranflowError(
-            f"The preset {first} has no yield strength, which Eq. 11 requires; give --limit-velocity or --fit-limit."
+            f"The preset {first} has no yield strength, which the limit velocity requires "
+            "(Zhou 2011, Eq. 11); give --limit-velocity or --fit-limit."
         ) from None

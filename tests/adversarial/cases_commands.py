@@ -37,7 +37,7 @@ def reaches_restitution(sandbox, finished) -> None:
 
 
 INVALID = [
-    line("none", "", "required: VERB", text="`granflow` without a verb"),
+    line("none", "", "required: COMMAND", text="`granflow` without a verb"),
     line("verb", "bake beads.yaml", "invalid choice: 'bake'"),
     line("run_none", "run", "required: SCENE"),
     line("run_two", "run beads.yaml other.yaml", "unrecognized arguments: other.yaml"),
@@ -88,7 +88,7 @@ INVALID = [
         verified="the directory is unchanged",
     ),
     line("resume_file", "resume beads.yaml", "directory"),
-    line("check_unit", "check beads.yaml --set run.duration=3kg", "kg measures a mass"),
+    line("check_unit", "check beads.yaml --set run.duration=3kg", "kg is a unit of mass"),
     line("check_unknown_unit", "check beads.yaml --set 'particles.beads.diameter=4 furlong'", "furlong is not a unit"),
     line("check_negative", "check beads.yaml --set particles.beads.diameter=-4mm", "above 0"),
     line("check_count", "check beads.yaml --set particles.beads.count=1e12", "count"),
@@ -98,7 +98,7 @@ INVALID = [
     line("schema_extra", "schema beads.yaml", "unrecognized arguments"),
     line("collide_material", "collide --material butter --diameter 1mm --velocity 1", "butter"),
     line("collide_law", "collide --law newton --material stainless_316 --diameter 1mm --velocity 1", "newton"),
-    line("collide_unit", "collide --material stainless_316 --diameter 1kg --velocity 1", "kg measures a mass"),
+    line("collide_unit", "collide --material stainless_316 --diameter 1kg --velocity 1", "kg is a unit of mass"),
     line("collide_negative", "collide --material stainless_316 --diameter=-1mm --velocity 1", "diameter|length"),
     line("collide_zero", "collide --material stainless_316 --diameter 1mm --velocity 0", "velocity"),
     line("collide_fast", "collide --material stainless_316 --diameter 1mm --velocity 1e30", "velocity", "radius"),

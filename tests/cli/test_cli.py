@@ -82,7 +82,7 @@ def test_module_and_command_are_equivalent():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "required: VERB"),
+        ([], "required: COMMAND"),
         (["bake"], "invalid choice: 'bake'"),
         (["run"], "required: SCENE"),
         (["run", "a.yaml", "--threads", "0"], "0 is not a number of threads"),

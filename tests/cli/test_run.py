@@ -94,7 +94,7 @@ def test_log_contains_the_plan_and_the_stages(home, plain_run):
     for fragment in (
         "taichi",
         "cpu with f64",
-        "stable below",
+        "stability limit",
         "numerics.chunk_size",
         "stage run begins at 0 s",
         "done at",
@@ -163,7 +163,7 @@ def test_unstable_time_step_is_rejected(home, verb):
     assert rejected.returncode == 2
     problem, count = rejected.stderr.splitlines()
     assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stable 5e-05 s (")
-    assert problem.endswith(" s or leave it out.") and count == "1 problem found."
+    assert problem.endswith(" s or remove it.") and count == "1 problem found."
     assert not (home / "no").exists()
 
 

@@ -72,5 +72,10 @@ def test_explain_prints_the_plan(scene_file, capsys):
     assert main(["explain", "two.yaml", "--precision", "f32"]) == 0
     output = capsys.readouterr().out
     assert output.startswith("Two steel spheres (two.yaml)\n")
-    for fragment in ("friction off", "stable below", "smallest reachable value", "precision f32"):
+    for fragment in (
+        "friction off",
+        "stability limit",
+        "smallest value that this time step can reproduce",
+        "precision f32",
+    ):
         assert fragment in " ".join(output.split())

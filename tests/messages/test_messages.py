@@ -121,7 +121,7 @@ OVERRIDES = [
     ("walls.tub.radius=3 cm", "walls.tub is not in the scene. Did you mean tube?"),
     (
         "walls.tube.radius=3 Pa",
-        "walls.tube.radius is 3 Pa, but Pa measures a pressure and a length is expected, such as 4 mm.",
+        "walls.tube.radius is 3 Pa, but Pa is a unit of pressure and a length is expected, such as 4 mm.",
     ),
     ("stages.5.duration=3", "stages is a list of items 0 to 2, so the index 5 is invalid."),
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
@@ -130,7 +130,7 @@ OVERRIDES = [
         "contact.normal is zhou, which has no keys; set contact.normal as a whole.",
     ),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
-    ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; leave it out."),
+    ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; remove it."),
     (
         "pairs.steel-glass.friction=-1",
         "pairs.glass-steel.friction is -1, but a friction coefficient must be at least 0.",

@@ -39,9 +39,9 @@ def test_each_feature_is_listed(rows, feature):
 def test_each_derived_number_is_listed(plan, rows):
     step = plan.step
     assert f"{step.value:.4g} s" in rows["time step"] and "given in the scene" in rows["time step"]
-    assert f"{step.stable_below:.4g} s" in rows["stable below"] and "beads-beads" in rows["stable below"]
+    assert f"{step.stable_below:.4g} s" in rows["stability limit"] and "beads-beads" in rows["stability limit"]
     assert "0.0001705 s" in rows["Rayleigh time"]
-    assert "1 m/s" in rows["velocity max"] and "run.velocity_max" in rows["velocity max"]
+    assert "1 m/s" in rows["impact velocity"] and "run.velocity_max" in rows["impact velocity"]
     assert f"{step.least_restitution:.3g}" in rows["restitution"]
     assert "0.0005 m" in rows["skin"]
     assert "0.002 m" in rows["radius"]
@@ -51,7 +51,8 @@ def test_each_derived_number_is_listed(plan, rows):
     assert "estimate" in rows["run time"]
     memory = estimate_memory(plan, "f64")
     assert (
-        size(memory.per_neighbor) in rows["one contact"] and "overlap_max, restitution, recovery" in rows["one contact"]
+        size(memory.per_neighbor) in rows["one contact"]
+        and "maximum overlap, restitution coefficient, recovered fraction" in rows["one contact"]
     )
     assert size(memory.total) in rows["total"]
 
@@ -63,7 +64,7 @@ def test_unreachable_restitution_causes_a_warning(plan, rows):
 def test_settings_show_default_and_given_values_with_their_source(rows):
     assert rows["numerics.chunk_size"].split()[1:] == ["auto", "default"]
     assert "preset stainless_316" in rows["materials.steel.density"] and "8030 kg/m3" in rows["materials.steel.density"]
-    assert "every pair gives a number" in rows["contact.normal.restitution_at"]
+    assert "the restitution of every pair is a number" in rows["contact.normal.restitution_at"]
     assert "default: output.interval" in rows["output.timeseries_interval"]
     assert "given (--set numerics.skin" in rows["numerics.skin"]
     assert "materials.glass.density" not in rows, "required settings are not listed"

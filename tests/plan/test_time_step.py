@@ -40,10 +40,10 @@ def step(tmp_path):
     return plan_for(scene_of(tmp_path, "numerics.time_step_fraction=0.02")).step
 
 
-def test_step_is_a_fraction_of_the_shortest_contact_phase(step):
+def test_step_is_a_fraction_of_the_shortest_loading_or_unloading_time(step):
     shortest = min(UNLOADING * largest_overlap(*contact) / VELOCITY for contact in CONTACTS.values())
     assert step.value == pytest.approx(0.02 * shortest, rel=1e-4)
-    assert step.limited_by == "0.02 of the shortest contact phase, beads-beads at 1 m/s"
+    assert step.limited_by == "0.02 of the shortest loading or unloading time, beads-beads at 1 m/s"
 
 
 def test_stable_step_holds_for_the_densest_packing(step):
@@ -155,7 +155,7 @@ def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_
     assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
     assert message == (
         f"run.time_step is 0.001 s, above the stable {allowed_step.stable_below:.3g} s (beads-beads at 1 m/s). "
-        f"Lower it to {allowed_step.value:.2g} s or leave it out."
+        f"Lower it to {allowed_step.value:.2g} s or remove it."
     )
 
 
@@ -164,7 +164,7 @@ def test_stable_step_that_does_not_reach_the_restitution_causes_a_warning(tmp_pa
     assert (step.value, step.limited_by) == (4.5e-5, "given in the scene")
     warning = step.warnings[0]
     assert warning.startswith(
-        "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reaches no less than"
+        "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reproduces no restitution below"
     )
     remedy = float(warning.split("A run.time_step of ")[1].split()[0])
     assert not plan_for(scene_of(tmp_path, f"run.time_step={0.98 * remedy}")).step.warnings

@@ -127,7 +127,7 @@ def test_rows_are_assigned_to_the_group_of_their_material(tmp_path):
 
 CONFLICTS = {
     "    count: 4\n" + FILE: "18:12: particles.beads.count is 4, but start.csv has 3 rows for it.",
-    "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; leave it out.",
+    "    velocity: [0, 0, 1]\n" + FILE: "18:15: particles.beads.velocity is in start.csv too; remove it.",
     FILE.replace("start.csv", "../x"): "18:32: particles.beads.insert.file is ../x, but the file must be in the "
     "folder of the scene or below it; give a relative path.",
 }

@@ -245,6 +245,8 @@ def test_command_rejects_invalid_input(tmp_path, capsys):
     assert main(["fit", str(path), "--material", "glass"]) == 2
     good = written(tmp_path, "v,e\n1,0.8\n2,0.7\n3,0.6\n")
     assert main(["fit", str(good), "--material", "glass"]) == 2
-    assert "glass has no yield strength, which Eq. 11 requires" in capsys.readouterr().err
+    assert (
+        "glass has no yield strength, which the limit velocity requires (Zhou 2011, Eq. 11)" in capsys.readouterr().err
+    )
     assert main(["fit", str(good), "--material", "stainles_316"]) == 2
     assert "Did you mean stainless_316?" in capsys.readouterr().err

@@ -64,7 +64,7 @@ class VariantRun:
         return [name.partition(".")[2] for name in self.columns if name.startswith("flow_mass.")]
 
     def mass_flow(self, meter: str) -> float:
-        """Steady mass flow through a meter [kg/s], as reported by `granflow run`; see `flow_meters.steady_flow`."""
+        """Steady mass flow rate [kg/s] through a meter, as reported by `granflow run` (`flow_meters.steady_flow`)."""
         columns = (self.columns[name].tolist() for name in ("time", "stage", f"flow_mass.{meter}"))
         return steady_flow(list(zip(*columns, strict=True)))
 

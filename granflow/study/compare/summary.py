@@ -91,12 +91,12 @@ def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
 
 
 def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """Rows on the mass flow through each meter."""
+    """Rows on the mass flow rate through each meter."""
 
     def flow(meter: str) -> Callable[[VariantRun], float]:
         return lambda run: run.mass_flow(meter)
 
-    return [_row(runs, f"mass flow, {meter}", "kg/s", flow(meter)) for meter in runs[0].meters]
+    return [_row(runs, f"mass flow rate, {meter}", "kg/s", flow(meter)) for meter in runs[0].meters]
 
 
 def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:

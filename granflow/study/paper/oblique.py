@@ -20,7 +20,7 @@ from granflow.study.figures import COLORS, POINTS
 from granflow.study.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 
 SAFETY = 0.005
-"""Time step over the shortest contact phase."""
+"""Time step over the shortest loading or unloading time."""
 LONGEST = 2.0
 """Length of the simulation in elastic contact durations; all spheres, including damped ones, have separated then."""
 CLOSE = 0.01
