@@ -1,9 +1,9 @@
 """A barrier that a worker can leave: no launch blocks on a core that another process uses.
 
 A worker that polls a barrier more than `control.patience` times leaves the launch; the others complete the step
-without it, and the launch ends. The operating system then has a free core for the interrupted worker. A worker that
-has left returns with the next launch. Because workers can leave, a launch also ends if the thread pool of Taichi has
-fewer threads than workers.
+without it, and the launch ends (if it leaves the first barrier, the others complete the launch). The operating system
+then has a free core for the interrupted worker. A worker that has left returns with the next launch. Because workers
+can leave, a launch also ends if the thread pool of Taichi has fewer threads than workers.
 """
 
 import time

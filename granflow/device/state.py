@@ -315,6 +315,7 @@ class Control:
     rebuild_due:                copy of it at the end of the phase; all further phases of the launch do nothing
     steps_done, running:        completed steps of a launch; 1 while it continues
     worker_count:               workers that have not left the launch
+    started_count:              of them, those at the first barrier of the launch
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
@@ -331,7 +332,8 @@ class Control:
         self.rebuild_due = block.scalar(ti.i32, 1)
         self.rebuild_requested = block.scalar(ti.i32, 1)
         self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
-        self.worker_count, self.patience = block.scalar(ti.i32, 1), block.scalar(ti.i32, 2)
+        self.worker_count, self.started_count = (block.scalar(ti.i32, 1) for _ in range(2))
+        self.patience = block.scalar(ti.i32, 2)
         self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
         self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
         self.list_length_needed = block.scalar(ti.i32, 1)

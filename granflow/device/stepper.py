@@ -46,9 +46,8 @@ CONTENTION_LIMIT, PATIENCE_CHUNKS = 3e-4, 4.0
 """A worker leaves the launch after waiting this time [s] plus the time for this number of chunks: longer than the
 differences in cost between chunks, and shorter than the time for which an operating system preempts a thread."""
 
-START_PATIENCE = 6e-3
-"""Additional waiting time at the first barrier of a launch [s]: a Linux kernel with a tick of 4 ms can start the second
-thread of a launch on the core of the first one and move it to a free core at the next tick."""
+START_PATIENCE = 3e-3
+"""Additional waiting time at the first barrier of a launch [s], for the start of the threads."""
 
 SINGLE_WORKER_PARTICLES = 512
 """Particle count up to which one worker processes all chunks: barriers would cost more time than more workers save."""
@@ -336,6 +335,8 @@ class Stepper:
         workers = self._worker_tuner.next_size
         contended = int(state.control.worker_count[0]) < workers
         self._worker_tuner.record(done * state.count, seconds, contended)
+        if contended:
+            return  # the time contains the waiting time of the workers that left
         chunk_seconds = workers * self._step_seconds / state.chunk_count
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
         patience = CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
@@ -439,7 +440,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
     arrive, release, wait = build_barrier(control)
 
     @ti.func
-    def barrier(number, computes_forces, steps_wanted, workers, chunks, pose, dt):
+    def barrier(number, computes_forces, steps_wanted, chunks, pose, dt):
         """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
 
         Polling atomic counters takes 1 us; waking the threads of Taichi for each phase takes 60 us.
@@ -454,7 +455,9 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                 control.steps_done[0] = control.steps_done[0] + 1
             control.rebuild_due[0] = control.rebuild_requested[0]
             continues = control.steps_done[0] < steps_wanted and control.rebuild_due[0] == 0 and control.abort[0] == 0
-            if computes_forces == 1 and control.worker_count[0] < workers:
+            if number == 1:
+                control.started_count[0] = control.worker_count[0]
+            if computes_forces == 1 and control.worker_count[0] < control.started_count[0]:
                 continues = False  # without a worker the rest of a launch costs more than the start of the next one
             control.running[0] = ti.cast(continues, ti.i32)
             release(number)
@@ -468,7 +471,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
-    def work(worker, workers, chunks, count, pose, dt, moving, forcing, steps):
+    def work(worker, chunks, count, pose, dt, moving, forcing, steps):
         """Steps of one worker, until the launch ends or the worker leaves it."""
         barrier_number, left = 0, 0
         while left == 0 and control.running[0] == 1:
@@ -478,7 +481,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                     integrate(chunk, count, dt)
                     chunk = next_chunk()
                 barrier_number += 1
-                left = barrier(barrier_number, 0, forcing * steps, workers, chunks, pose + control.steps_done[0], dt)
+                left = barrier(barrier_number, 0, forcing * steps, chunks, pose + control.steps_done[0], dt)
             if forcing == 1 and left == 0 and control.running[0] == 1:
                 pose_now = pose + control.steps_done[0]
                 chunk = next_chunk()
@@ -486,7 +489,7 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
                     forces(worker, chunk, count, pose_now, dt)
                     chunk = next_chunk()
                 barrier_number += 1
-                left = barrier(barrier_number, 1, steps, workers, chunks, pose_now, dt)
+                left = barrier(barrier_number, 1, steps, chunks, pose_now, dt)
 
     @ti.kernel
     def step_on_cpu(
@@ -501,6 +504,6 @@ def _build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[...,
         control.running[0] = ti.cast(steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32)
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
-                work(task // CPU_STRIDE, workers, chunks, count, pose, dt, moving, forcing, steps)
+                work(task // CPU_STRIDE, chunks, count, pose, dt, moving, forcing, steps)
 
     return step_on_cpu

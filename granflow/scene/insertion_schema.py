@@ -190,7 +190,7 @@ Face = Annotated[
 
 
 class InletInsertion(TimedInsertion):
-    """Insertion through a face: particles appear directly behind it with the velocity of the group.
+    """Insertion through a face: particles appear directly downstream of it with the velocity of the group.
 
     The positions are random; particles without a free position are queued.
     """

@@ -16,7 +16,7 @@ class HalfSpaceGiven(Model):
 
 
 class DiscGiven(Model):
-    """The half cylinder behind a disc."""
+    """The semi-infinite cylinder on the downstream side of a disc."""
 
     center: Point = Field(description="center of the disc [m]")
     normal: Direction = Field(
@@ -38,7 +38,7 @@ class HalfSpaceOutlet(Model):
 
 
 class DiscOutlet(Model):
-    """Particles whose center is in the half cylinder behind a disc are deleted at the next rebuild."""
+    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next rebuild."""
 
     disc: DiscGiven = Field(description="a disc, {center: [..], normal: [..], radius: ..}")
 
