@@ -80,6 +80,7 @@ def fingerprint_on_one_core():
     return fingerprint(2, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["mixed", "f32"])
 def test_results_are_bit_identical_for_any_thread_count_in_lower_precision(precision):
     one, two = in_subprocess(fingerprint, 1, False, precision), in_subprocess(fingerprint, 2, True, precision)

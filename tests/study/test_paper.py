@@ -166,6 +166,7 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
     assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_every_contact_model_reaches_the_restitution_of_equation_12(device):
     """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both steels."""
     found = comparison.compare(device, np.array([comparison.REFERENCE_VELOCITY]))

@@ -95,6 +95,7 @@ def max_difference_at_low_velocity(precision):
     return max(abs(row.difference) for row in rows if row.velocity < 0.01)
 
 
+@pytest.mark.slow
 def test_single_precision_is_inaccurate_at_low_velocities(taichi_f64):
     """The spacing of f32 coordinates up to 1 m is 6e-8 m; overlaps at 5 mm/s are of that order."""
     assert in_subprocess(max_difference_at_low_velocity, "f32") > 0.05
