@@ -55,7 +55,7 @@ def print_refusal(error: GranflowError) -> int:
     if not problems:
         return print_error(str(error), error.exit_code)
     for problem in problems:
-        say(problem, file=sys.stderr)
+        say(problem.replace("\n", "\\n"), file=sys.stderr)  # a file name may contain a newline
     say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
     return error.exit_code
 

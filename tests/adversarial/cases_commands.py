@@ -89,7 +89,11 @@ INVALID = [
     ),
     line("resume_file", "resume beads.yaml", "directory"),
     line("check_unit", "check beads.yaml --set run.duration=3kg", "kg is a unit of mass"),
-    line("check_unknown_unit", "check beads.yaml --set 'particles.beads.diameter=4 furlong'", "furlong is not a unit"),
+    line(
+        "check_unknown_unit",
+        "check beads.yaml --set 'particles.beads.diameter=4 furlong'",
+        "furlong is not a known unit",
+    ),
     line("check_negative", "check beads.yaml --set particles.beads.diameter=-4mm", "above 0"),
     line("check_count", "check beads.yaml --set particles.beads.count=1e12", "count"),
     line("check_small_region", "check beads.yaml --set particles.beads.count=1000", "only"),

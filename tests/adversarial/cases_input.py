@@ -119,7 +119,7 @@ def tables() -> list[Case]:
         table("nan", "NaN as a position", ROWS + "nan,0,0.01,0.002\n", r"beads.csv:4: .*finite"),
         table("huge_number", "1e400 as a radius", ROWS + "0,0,0.01,1e400\n", r"beads.csv:4: .*finite"),
         table("negative_radius", "a negative radius", ROWS + "0,0,0.01,-0.002\n", r"beads.csv:4: .*above 0"),
-        table("short_row", "a row with too few values", ROWS + "0,0\n", r"beads.csv:4: it has 2 values"),
+        table("short_row", "a row with too few values", ROWS + "0,0\n", r"beads.csv:4: the row has 2 values"),
         table("unit", "a unit of mass for a length", ROWS.replace("x,", "x [kg],"), "unit of x"),
         table("outside", "a position outside the domain", ROWS + "9,9,9,0.002\n", "domain"),
         table("1e30", "a position of 1e30 m", ROWS + "1e30,0,0.01,0.002\n", "domain"),
@@ -145,7 +145,7 @@ def tables() -> list[Case]:
             "above",
             "a path outside the directory of the scene",
             "",
-            "scene's folder|scene's directory",
+            "folder of the scene",
             prepare=lambda s: s.write("beads.yaml", FROM_TABLE.replace("FILE", "../../etc/passwd")),
         ),
         table(
@@ -194,13 +194,13 @@ def meshes() -> list[Case]:
     return [
         mesh("empty", "an empty file", "m.stl", b"", "empty"),
         mesh("random", "random bytes", "m.stl", bytes(range(256)) * 40, "m.stl"),
-        mesh("cut", "a binary STL file cut in half", "m.stl", whole[: len(whole) // 2], "cut short"),
+        mesh("cut", "a binary STL file cut in half", "m.stl", whole[: len(whole) // 2], "truncated"),
         mesh(
             "count",
             "an STL file that claims 4e9 triangles",
             "m.stl",
             whole[:80] + b"\xff" * 4 + whole[84:],
-            "cut short|damaged",
+            "truncated|damaged",
             quick=True,
         ),
         mesh(
@@ -249,7 +249,7 @@ def meshes() -> list[Case]:
             code=0,
         ),
         mesh("points", "an OBJ file with corners and no triangles", "m.obj", "v 0 0 0\nv 1 0 0\n", "triangle"),
-        mesh("kind", "an unknown kind of file", "m.step", "ISO-10303", "kind"),
+        mesh("kind", "an unknown kind of file", "m.step", "ISO-10303", "unsupported format"),
         mesh(
             "many",
             "two million triangles",
@@ -260,7 +260,7 @@ def meshes() -> list[Case]:
         ),
         mesh("missing", "no such file", "m.stl", lambda path: None, "does not exist|no such"),
         mesh("link_loop", "a loop of symbolic links", "m.stl", b"", "m.stl", prepare=loop("m.stl", WITH_MESH)),
-        mesh("directory", "a directory", "m.stl", lambda path: path.mkdir(), "regular file"),
+        mesh("directory", "a directory", "m.stl", lambda path: path.mkdir(), "it is a directory"),
         mesh(
             "ply_huge",
             "a PLY file that claims 1e12 vertices",

@@ -137,7 +137,7 @@ def file_cases() -> list[Case]:
             prepare=scene(BEADS.replace("Ten beads fall", '"\\e[31mred\\u202Eabc"')),
             verified="escaped",
         ),
-        file_case("control_key", "ESC in a key", BEADS.replace("seed", "seed") + '"s\\e[31mx": 3\n', "not known"),
+        file_case("control_key", "ESC in a key", BEADS.replace("seed", "seed") + '"s\\e[31mx": 3\n', "not a known key"),
         Case(
             "scene files",
             "missing",
