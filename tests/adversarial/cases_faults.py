@@ -286,7 +286,7 @@ def signals() -> list[Case]:
             f"SIGKILL at random times, {RESTARTS} times",
             killed_at_random,
             0,
-            ("goes on|continues|resumes",),
+            ("resumed|continues|resumes",),
             verify=assert_undisturbed,
             verified=IDENTICAL,
         ),
