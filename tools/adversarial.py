@@ -23,9 +23,11 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1, help="number of cases that run simultaneously (1)")
     options = parser.parse_args()
     chosen = [case for case in CASES if not options.names or any(name in case.name for name in options.names)]
+    outcomes = []
     with ThreadPoolExecutor(options.jobs) as pool:
-        outcomes = list(pool.map(run_and_print, chosen))
-    PAGE.write_text(page_of({outcome.case.name: outcome for outcome in outcomes}, page_text()), encoding="utf-8")
+        for outcome in pool.map(run_and_print, chosen):
+            outcomes.append(outcome)
+            PAGE.write_text(page_of({outcome.case.name: outcome}, page_text()), encoding="utf-8")
     failed = [outcome.case.name for outcome in outcomes if outcome.faults]
     print(f"{len(outcomes)} cases, {len(failed)} fail{': ' if failed else ''}{', '.join(failed)}")
     return 1 if failed else 0

@@ -79,16 +79,15 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
-    with redirect_stdout(StringIO()):  # Taichi prints its version
-        ti.init(
-            arch=taichi_arch,
-            default_fp=real,
-            fast_math=False,
-            cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
-            log_level=ti.ERROR,
-            cpu_max_num_threads=workers,
-            **cache_options,
-        )
+    _init(
+        arch=taichi_arch,
+        default_fp=real,
+        fast_math=False,
+        cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
+        log_level=ti.ERROR,
+        cpu_max_num_threads=workers,
+        **cache_options,
+    )
     name = _arch_name(arch)
     if position_real == ti.f64 and name in ("metal", "vulkan"):
         raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
@@ -109,6 +108,16 @@ def _position_in_source(context: Any, node: Any) -> str:
     """
     line = f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
     return line + context.src[node.lineno - 1] + "\n"
+
+
+def _init(**options: Any) -> None:
+    """Start Taichi without its messages. Raises GranflowError if it cannot allocate memory."""
+    with redirect_stdout(StringIO()):  # Taichi prints its version
+        try:
+            ti.init(**options)
+        except RuntimeError as error:
+            reason = str(error).rpartition("] ")[2].rstrip(". ")
+            raise GranflowError(f"Taichi cannot start: {reason}. Raise the memory limit of the process.") from None
 
 
 def _available(arch: Arch) -> bool:
