@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
-if os.name == "posix":  # Taichi ends the process if HOME is not set, as under some job schedulers
-    os.environ.setdefault("HOME", os.path.expanduser("~"))
+# Without HOME, as under some job schedulers, Taichi ends the process.
+os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 __all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
 
