@@ -8,7 +8,7 @@ import numpy as np
 from granflow.device.frozen_masks import mobility_mask
 from granflow.device.state import State
 from granflow.device.wall_dynamics import controlled_work
-from granflow.plan.capacities import LOSSES
+from granflow.plan.chunk_sums import LOSSES
 
 LARGEST_ERROR = 5e-3
 """Magnitude of the energy error above which a run warns."""

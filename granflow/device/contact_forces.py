@@ -29,7 +29,7 @@ from granflow.device.state import State
 from granflow.device.wall_dynamics import build_add_wall_force
 from granflow.device.wall_forces import build_add_impulse
 from granflow.device.walls import build_wall_geometry, build_wall_of
-from granflow.plan.capacities import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK
+from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK
 
 
 def build_contact(state: State, with_wall: bool) -> Any:

@@ -16,7 +16,7 @@ from granflow.device.pair_force import build_in_contact, build_pair_force, build
 from granflow.device.pair_kinematics import build_boundary_work, build_effective, build_pair_number, build_weight
 from granflow.device.periodic_box import build_image_velocity, build_minimum_image
 from granflow.device.state import LANES, State
-from granflow.plan.capacities import DAMPING, FRICTION, PLASTIC, ROLLING
+from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING
 
 BATCH = 128
 """Number of contacts at which a batch is complete; no further neighbor list is added."""

@@ -11,7 +11,8 @@ from granflow.device.clock import Clock
 from granflow.device.limits import NO_PARTICLE
 from granflow.device.mesh_fields import MeshFields
 from granflow.plan import Plan
-from granflow.plan.capacities import BOUNDS, IMPULSE_SIZE, LOSSES, history_capacity
+from granflow.plan.capacities import BOUNDS, history_capacity
+from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
 from granflow.walls.catalog import surface_code
 from granflow.walls.motion import Motion
 from granflow.walls.shape import PARAMETER_COUNT, Shape

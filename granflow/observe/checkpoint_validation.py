@@ -8,7 +8,7 @@ from granflow.observe.checkpoint import Checkpoint
 from granflow.observe.checkpoint_neighbors import check_neighbors
 from granflow.observe.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
 from granflow.plan import Plan
-from granflow.plan.capacities import IMPULSE_SIZE, LOSSES
+from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
 from granflow.scene import Scene
 
 ROUNDING = 1e-5

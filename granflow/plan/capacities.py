@@ -30,14 +30,6 @@ EXTRA_PER_PARTICLE = 6
 
 With chunk size 1, both particles list a pair, and no other particle of the chunk has free list entries."""
 
-LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
-"""Terms of the energy budget that each chunk sums [J]."""
-
-PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
-
-IMPULSE_SIZE = 7
-"""Components that each chunk sums for a wall: time integrals of force (3), torque (3) and normal force (1)."""
-
 SHARE_AT_MESHES = 0.1
 """Share of the particles of a bed that are near a mesh wall."""
 

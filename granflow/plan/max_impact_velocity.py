@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from granflow.plan.walls import surface_speed
 from granflow.scene import Scene
@@ -78,5 +79,14 @@ def _initial_speed(group: Group) -> float:
     file_speeds = (
         group.insert.found.speed_max if isinstance(group.insert, FileInsertion) and group.insert.found else 0.0
     )
-    velocity = np.atleast_2d(np.array(group.velocity))
-    return max(file_speeds, float(np.linalg.norm(velocity, axis=1).max()))
+    return max(file_speeds, _largest_norm(group.velocity))
+
+
+def initial_rotation_rates(scene: Scene) -> dict[str, float]:
+    """Largest initial angular velocity [rad/s] of each group, by name; those of particle files are not included."""
+    return {name: _largest_norm(group.angular_velocity) for name, group in scene.particles.items()}
+
+
+def _largest_norm(vectors: ArrayLike) -> float:
+    """Largest norm of one vector (3,) or of many, (n, 3)."""
+    return float(np.linalg.norm(np.atleast_2d(vectors), axis=1).max())

@@ -22,7 +22,12 @@ from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_ste
 from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import Features, Reason, cohesion_of, features_of, reasons_for
-from granflow.plan.max_impact_velocity import image_speed, initial_speeds, max_impact_velocity
+from granflow.plan.max_impact_velocity import (
+    image_speed,
+    initial_rotation_rates,
+    initial_speeds,
+    max_impact_velocity,
+)
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import PlannedOutlet, planned_outlets
@@ -320,7 +325,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
 def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for velocities [m/s] at which contacts can be missed from the start."""
     refuse_fast_start(plan.scene, initial_speeds(plan.scene), plan.time_step, plan.radius_min)
-    refuse_fast_rotation(plan.scene, plan.time_step)
+    refuse_fast_rotation(plan.scene, initial_rotation_rates(plan.scene), plan.time_step)
     limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
     refuse_fast_walls(plan.scene, wall_speeds, plan.longest_time_step, limit)
     refuse_fast_images(plan.scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))

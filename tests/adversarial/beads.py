@@ -47,7 +47,7 @@ def scene(text: str, **files: str | bytes):
 
 
 def built(build, **files: str | bytes):
-    """A `prepare` that writes a scene built by `scene_builders.build_scene`; `made` is the function that builds it."""
+    """A `prepare` that writes a scene built by `scene_builders.build_scene`; `build` is the function that builds it."""
     return lambda sandbox: scene(build().text(), **files)(sandbox)
 
 

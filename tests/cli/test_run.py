@@ -38,9 +38,9 @@ FRAMES_TIMEOUT = 60.0
 """Longest wait [s] for the first frames of a run that is then interrupted."""
 
 
-def granflow(directory, *arguments):
+def granflow(directory, *arguments, environment=None):
     command = [sys.executable, "-m", "granflow", *arguments]
-    return subprocess.run(command, cwd=directory, capture_output=True, text=True, timeout=200)
+    return subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True, timeout=200)
 
 
 def frames(directory, kind="particles"):
@@ -184,6 +184,13 @@ def test_run_succeeds_with_closed_pipe_without_home_and_with_newlines_in_paths(h
     first, second = (json.loads((home / name / "result.json").read_text()) for name in ("out/beads", "o\nut"))
     assert first["totals"] == second["totals"]
     assert frames(home / "o\nut") == frames(home / "out" / "beads")
+
+
+def test_run_succeeds_without_home(home):
+    environment = {name: value for name, value in os.environ.items() if name != "HOME"}
+    finished = granflow(home, "run", "beads.yaml", "--out", "no_home", environment=environment)
+    assert finished.returncode == 0, finished.stderr
+    assert (home / "no_home" / "result.json").exists()
 
 
 def test_check_reports_too_small_a_region(home):

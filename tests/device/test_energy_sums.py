@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from granflow.device.accounting import Accounting, energy_budget_totals, mechanical_energy
-from granflow.plan.capacities import LOSSES
+from granflow.plan.chunk_sums import LOSSES
 
 ENERGIES = (7.0, 2.0, -4.0)
 """Kinetic, rotational and gravitational energy [J]."""

@@ -17,6 +17,8 @@ from granflow.observe import checkpoint as format_of
 from granflow.observe import frames, replaced_run, restore_previous_run, write_checkpoint
 from granflow.simulation import Simulation
 
+pytestmark = pytest.mark.usefixtures("taichi_f64")  # runs in this process
+
 OLD = {"particles_0000.vtu": "old", "particles_0001.vtu": "old", "run.log": "old", "pictures/picture_0001.png": "old"}
 NEW = {"particles_0000.vtu": "new", "contacts_0000.vtu": "new", "run.log": "new"}
 

@@ -32,7 +32,7 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def original(tmp_path_factory):
+def original(tmp_path_factory, taichi_f64):
     """The last checkpoint of a run of the scene."""
     out = tmp_path_factory.mktemp("run")
     Simulation(scene(), out=out).run()
