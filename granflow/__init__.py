@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from granflow.errors import GranflowError, RunError, SceneError
-    from granflow.scene import load as load_scene
+    from granflow.load import load as load_scene
     from granflow.simulation import Simulation
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
@@ -25,7 +25,7 @@ _LOCATIONS = {
     "RunError": "granflow.errors:RunError",
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
-    "load_scene": "granflow.scene:load",
+    "load_scene": "granflow.load:load",
     "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""

@@ -6,7 +6,7 @@ import sys
 def main() -> int:
     """Run the command line and return its exit code; Ctrl-C during the imports ends it without a traceback."""
     try:
-        from granflow.cli import main as run
+        from granflow.cli.main import main as run
     except KeyboardInterrupt:
         return 130
     return run()

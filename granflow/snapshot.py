@@ -54,7 +54,7 @@ class WallPose:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a simulation at one time. `granflow.quantities` defines keys, shapes and units.
+    """State of a simulation at one time. `granflow.fields` defines keys, shapes and units.
 
     time:       simulated time [s]
     step:       number of completed steps

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from granflow.device import backend
+from granflow.engine import backend
 
 os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
 """Cache of compiled kernels: shared by all test processes, separate from the user's cache."""

@@ -4,8 +4,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from granflow.observe import every
-from granflow.scene import Scene
+from granflow.observers.interval import every
+from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}

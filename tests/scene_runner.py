@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from granflow import Simulation, load_scene
-from granflow.observe import every
+from granflow.observers.interval import every
 
 SCENES = Path(__file__).parents[1] / "scenes"
 

@@ -11,24 +11,26 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
-    "quantities",
-    "snapshot",
-    "regular_files",
     "visible_text",
-    "vtu_file",
-    "laws",
-    "walls",
+    "fields",
+    "snapshot",
+    "io",
+    "geometry",
+    "contact",
     "scene",
+    "particles",
+    "load",
     "plan",
-    "device",
-    "observe",
+    "engine",
+    "observers",
+    "runs",
     "simulation",
-    "study",
+    "studies",
     "cli",
     "__main__",
 )
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
-TAICHI_LAYERS = {"laws", "walls", "device"}
+TAICHI_LAYERS = {"contact", "geometry", "engine"}
 VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
 TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),

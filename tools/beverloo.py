@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow.study.beverloo import Discharge, fit_beverloo
+from granflow.studies.beverloo import Discharge, fit_beverloo
 
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "flat_silo.yaml"
 HOLES = "18,21,24,28,32"

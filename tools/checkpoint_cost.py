@@ -52,8 +52,8 @@ def main() -> int:
 
 def block(out: Path) -> dict[str, float]:
     """Size [bytes] and median time [s] of a checkpoint of a block of particles, and the time to read it."""
-    from granflow.observe import read_checkpoint
-    from granflow.scene.reader import scene_of
+    from granflow.io.checkpoint import read_checkpoint
+    from granflow.load import scene_of
     from granflow.simulation import Simulation
 
     count = PARTICLE_COUNT[0] * PARTICLE_COUNT[1] * PARTICLE_COUNT[2]

@@ -16,50 +16,50 @@ class Mutation:
 
 UNITS = "tests/scene/test_unit_values.py::test_every_unit_has_its_si_value"
 STEP = "tests/plan/test_time_step.py::"
-THEORY = "tests/laws/test_theory.py::"
-MOTION = "tests/walls/test_motion.py::"
+THEORY = "tests/contact/test_theory.py::"
+MOTION = "tests/geometry/test_motion.py::"
 CHECKPOINT = "tests/resume/test_checkpoint.py::"
-ENERGY = "tests/device/test_energy_sums.py"
-LIMITS = "tests/device/test_limit_bounds.py::"
+ENERGY = "tests/engine/test_energy_sums.py"
+LIMITS = "tests/engine/test_limit_bounds.py::"
 OVERLAP = f"{LIMITS}test_the_overlap_limit_holds_for_each_kind_of_contact"
-WALL_TIME = "tests/device/test_wall_velocity_time.py"
-SPRINGS = "tests/laws/test_springs.py::"
-LAWS = "tests/laws/test_normal_laws.py::test_device_equals_its_numpy_reference"
-PERIODIC = "tests/device/test_periodic.py::"
-SHAPES = "tests/walls/test_shapes.py::test_distance_and_normal_of_elementary_cases"
+WALL_TIME = "tests/engine/test_wall_velocity_time.py"
+SPRINGS = "tests/contact/test_springs.py::"
+LAWS = "tests/contact/test_normal_laws.py::test_device_equals_its_numpy_reference"
+PERIODIC = "tests/engine/test_periodic.py::"
+SHAPES = "tests/geometry/test_shapes.py::test_distance_and_normal_of_elementary_cases"
 
 MUTATIONS = (
     # Units
-    Mutation("unit N/cm", "granflow/scene/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
-    Mutation("unit GPa", "granflow/scene/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
-    Mutation("unit rpm", "granflow/scene/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)),
-    Mutation("unit t/h", "granflow/scene/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
-    Mutation("unit pJ", "granflow/scene/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
+    Mutation("unit N/cm", "granflow/scene/schema/units.py", "N/cm 100", "N/cm 10", (UNITS,)),
+    Mutation("unit GPa", "granflow/scene/schema/units.py", "GPa 1e9", "GPa 1e6", (UNITS,)),
+    Mutation("unit rpm", "granflow/scene/schema/units.py", '"rpm": 2 * _PI / 60', '"rpm": _PI / 60', (UNITS,)),
+    Mutation("unit t/h", "granflow/scene/schema/units.py", "t/h 1000/3600", "t/h 1/3600", (UNITS,)),
+    Mutation("unit pJ", "granflow/scene/schema/units.py", "pJ 1e-12", "pJ 1e-9", (UNITS,)),
     # Theory and limits of the plan
     Mutation(
         "Hertz stiffness",
-        "granflow/laws/theory.py",
+        "granflow/contact/theory.py",
         "return 4.0 / 3.0 * modulus",
         "return 2.0 / 3.0 * modulus",
         (f"{STEP}test_step_is_a_fraction_of_the_shortest_loading_or_unloading_time",),
     ),
     Mutation(
         "maximum overlap",
-        "granflow/laws/theory.py",
+        "granflow/contact/theory.py",
         "return (1.25 * mass",
         "return (1.2 * mass",
         (f"{STEP}test_stable_step_holds_for_the_densest_packing",),
     ),
     Mutation(
         "recovery",
-        "granflow/laws/theory.py",
+        "granflow/contact/theory.py",
         "0.8 * number**2",
         "0.79 * number**2",
         (f"{THEORY}test_recovery_is_the_root_of_equation_8",),
     ),
     Mutation(
         "smallest restitution",
-        "granflow/laws/theory.py",
+        "granflow/contact/theory.py",
         "np.sqrt(1.25 * k * np.sqrt(largest)",
         "np.sqrt(k * np.sqrt(largest)",
         (f"{STEP}test_least_restitution_follows_from_the_unloading_stiffness_bound",),
@@ -102,35 +102,35 @@ MUTATIONS = (
     # Motions of walls
     Mutation(
         "start of a vibration",
-        "granflow/walls/motion.py",
+        "granflow/geometry/motion.py",
         "(np.sin(angle) - np.sin(motion.phase))",
         "np.sin(angle)",
         (f"{MOTION}test_vibration_follows_the_formulas_of_the_schema",),
     ),
     Mutation(
         "end of a motion",
-        "granflow/walls/motion.py",
+        "granflow/geometry/motion.py",
         "np.minimum(times, motion.end) - motion.start",
         "times - motion.start",
         (f"{MOTION}test_wall_is_at_rest_before_the_start_and_after_the_end",),
     ),
     Mutation(
         "rotation matrix",
-        "granflow/walls/motion.py",
+        "granflow/geometry/motion.py",
         "2 * half_sine**2",
         "half_sine**2",
         (f"{MOTION}test_rotations_stay_orthogonal",),
     ),
     Mutation(
         "wall velocity half a step late",
-        "granflow/device/walls.py",
+        "granflow/engine/walls.py",
         "middle = [pose(motions, times - 0.5 * clock.time_step)",
         "middle = [pose(motions, times)",
         (WALL_TIME,),
     ),
     Mutation(
         "wall velocity half a step early",
-        "granflow/device/walls.py",
+        "granflow/engine/walls.py",
         "middle = [pose(motions, times - 0.5 * clock.time_step)",
         "middle = [pose(motions, times - clock.time_step)",
         (WALL_TIME,),
@@ -138,49 +138,49 @@ MUTATIONS = (
     # Lock and checkpoints
     Mutation(
         "shared lock",
-        "granflow/observe/lock.py",
+        "granflow/io/lock.py",
         "fcntl.LOCK_EX",
         "fcntl.LOCK_SH",
         (f"{CHECKPOINT}test_lock_is_exclusive_and_ends_with_its_process",),
     ),
     Mutation(
         "checksum ignored",
-        "granflow/observe/checkpoint.py",
+        "granflow/io/checkpoint.py",
         "if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),
     ),
     Mutation(
         "one checkpoint too many",
-        "granflow/observe/checkpoint.py",
+        "granflow/io/checkpoint.py",
         "checkpoints(directory)[count:]",
         "checkpoints(directory)[count + 1 :]",
         (f"{CHECKPOINT}test_only_the_newest_checkpoints_are_kept",),
     ),
     # Energy
     Mutation(
-        "kinetic energy", "granflow/device/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (ENERGY,)
+        "kinetic energy", "granflow/engine/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (ENERGY,)
     ),
     Mutation(
-        "moment of inertia", "granflow/device/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
+        "moment of inertia", "granflow/engine/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
     ),
     Mutation(
         "work of walls",
-        "granflow/device/accounting.py",
+        "granflow/engine/accounting.py",
         'works = (losses["wall_work"], *',
         'works = (-losses["wall_work"], *',
         (ENERGY,),
     ),
     Mutation(
         "damping in the budget",
-        "granflow/device/accounting.py",
+        "granflow/engine/accounting.py",
         '("plastic", "friction", "rolling", "damping"))',
         '("plastic", "friction", "rolling"))',
         (ENERGY,),
     ),
     Mutation(
         "inserted energy",
-        "granflow/device/accounting.py",
+        "granflow/engine/accounting.py",
         "accounting.removed_energy - accounting.inserted_energy",
         "accounting.removed_energy + accounting.inserted_energy",
         (ENERGY,),
@@ -188,35 +188,35 @@ MUTATIONS = (
     # Limits on the device
     Mutation(
         "overlap limit, batched",
-        "granflow/device/simd_pair_force.py",
+        "granflow/engine/force/simd_pair_force.py",
         "distance_limit = reach - plan.max_overlap * radius_min",
         "distance_limit = reach - 4.0 * plan.max_overlap * radius_min",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
-        "granflow/device/contact_forces.py",
+        "granflow/engine/force/contact_forces.py",
         "if overlap > plan.max_overlap * radius_min:",
         "if overlap > 4.0 * plan.max_overlap * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "overlap over the larger radius",
-        "granflow/device/contact_forces.py",
+        "granflow/engine/force/contact_forces.py",
         "radius_min = ti.min(radius_min, particles.radius[j])",
         "radius_min = ti.max(radius_min, particles.radius[j])",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/device/integrate.py",
+        "granflow/engine/integrate.py",
         "rebuild_limit, step_limit = (0.5 * plan.skin) ** 2",
         "rebuild_limit, step_limit = plan.skin ** 2",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
         "displacement of a free wall",
-        "granflow/device/wall_dynamics.py",
+        "granflow/engine/wall_dynamics.py",
         "if not step_displacement <= step_limit:",
         "if not step_displacement <= 2.0 * step_limit:",
         (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
@@ -224,78 +224,78 @@ MUTATIONS = (
     # Laws and kinematics on the device
     Mutation(
         "Hertz force",
-        "granflow/laws/hertz.py",
+        "granflow/contact/normal/hertz.py",
         "elastic = stiffness * ti.sqrt(radius_eff * overlap) * overlap",
         "elastic = stiffness * ti.sqrt(radius_eff * overlap) * radius_eff",
         (LAWS,),
     ),
     Mutation(
         "history of the maximum overlap",
-        "granflow/laws/zhou.py",
+        "granflow/contact/normal/zhou.py",
         "ti.Vector([ti.max(overlap, overlap_max), e,",
         "ti.Vector([overlap, e,",
         (LAWS,),
     ),
     Mutation(
         "Mindlin stiffness",
-        "granflow/laws/mindlin.py",
+        "granflow/contact/tangential/mindlin.py",
         "return 8.0 * constants[1]",
         "return 4.0 * constants[1]",
         (WALL_TIME,),
     ),
     Mutation(
         "Coulomb limit",
-        "granflow/laws/mindlin.py",
+        "granflow/contact/tangential/mindlin.py",
         "ti.select(square > cap * cap,",
         "ti.select(square > 2.0 * cap * cap,",
         (f"{SPRINGS}test_spring_force_is_limited_to_the_friction_limit",),
     ),
     Mutation(
         "work of the tangential spring",
-        "granflow/laws/mindlin.py",
+        "granflow/contact/tangential/mindlin.py",
         "0.5 * (stiffness_before * rotated - force)",
         "0.5 * (stiffness_before * rotated + force)",
         (f"{SPRINGS}test_sticking_spring_of_a_steady_contact_has_no_loss",),
     ),
     Mutation(
         "effective mass and radius",
-        "granflow/device/pair_force.py",
+        "granflow/engine/force/pair_force.py",
         "return one * other / (one + other)",
         "return 0.5 * one * other / (one + other)",
         ("tests/physics/test_chung_ooi.py::test_elastic_collisions_reach_the_overlap_force_and_duration",),
     ),
     Mutation(
         "torque on the partner",
-        "granflow/device/pair_force.py",
+        "granflow/engine/force/pair_force.py",
         "-arm * moment, -arm_partner * moment",
         "-arm * moment, arm_partner * moment",
-        ("tests/device/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
+        ("tests/engine/test_conservation.py::test_momentum_of_a_closed_system_is_conserved_to_rounding",),
     ),
     # Neighbor list, periodic images, walls
     Mutation(
         "minimum image at the lower side",
-        "granflow/device/periodic_box.py",
+        "granflow/engine/periodic_box.py",
         "ti.select(branch[axis] < -half, width",
         "ti.select(branch[axis] < -width, width",
         (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(
         "neighbors of the next index",
-        "granflow/device/neighbor_list.py",
+        "granflow/engine/neighbor/neighbor_list.py",
         "if j > i or (j < first)",
         "if j > i + 1 or (j < first)",
-        ("tests/device/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
+        ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(
         "plane",
-        "granflow/walls/plane.py",
+        "granflow/geometry/plane.py",
         "+ (point[2] - parameters[2]) * parameters[5]",
         "- (point[2] - parameters[2]) * parameters[5]",
         (SHAPES,),
     ),
     Mutation(
         "radius of a cylinder",
-        "granflow/walls/revolved.py",
+        "granflow/geometry/revolved.py",
         "outward = r - parameters[6]",
         "outward = r - 0.5 * parameters[6]",
         (SHAPES,),

@@ -20,7 +20,8 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from granflow.scene import Scene, load
+from granflow.load import load
+from granflow.scene.schema.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "scenes.md", ROOT / "scenes"

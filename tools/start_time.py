@@ -48,7 +48,7 @@ WARM_STARTS = 3
 def child(scene: str, out: str) -> None:
     """Runs a scene to its first step and prints the times at the ends of the stages [s since 1970]."""
     times = [time.time()]
-    from granflow.scene import load
+    from granflow.load import load
     from granflow.simulation import Simulation
 
     times.append(time.time())

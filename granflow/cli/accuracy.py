@@ -36,8 +36,8 @@ def _binary_collisions(options: argparse.Namespace) -> int:
     ):
         if given:
             raise GranflowError(f"{name} requires a SCENE, which is missing.")
-    from granflow.study.accuracy import measure_two_bodies, write_two_bodies
-    from granflow.study.accuracy.recommend import default_sentence, table_heads, table_rows
+    from granflow.studies.accuracy.recommend import default_sentence, table_heads, table_rows
+    from granflow.studies.accuracy.report import measure_two_bodies, write_two_bodies
 
     study = measure_two_bodies(options.target, options.full, _report_progress)
     show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
@@ -49,9 +49,15 @@ def _binary_collisions(options: argparse.Namespace) -> int:
 
 def _scene(options: argparse.Namespace) -> int:
     """Measure a scene; it is reduced to a run time of minutes unless --all-particles is given."""
-    from granflow.study.accuracy import measure_scene, write_scene
-    from granflow.study.accuracy.scene_report import noise_sentence, scene_heads, scene_recommendation, scene_rows
-    from granflow.study.accuracy.scene_runs import SceneTask, reduced_counts
+    from granflow.studies.accuracy.scene_points import measure_scene
+    from granflow.studies.accuracy.scene_report import (
+        noise_sentence,
+        scene_heads,
+        scene_recommendation,
+        scene_rows,
+        write_scene,
+    )
+    from granflow.studies.accuracy.scene_runs import SceneTask, reduced_counts
 
     task = SceneTask(options.scene, tuple(options.overrides), options.until)
     reductions = [] if options.all_particles else reduced_counts(task.scene())

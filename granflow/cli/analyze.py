@@ -21,8 +21,8 @@ def analyze(options: argparse.Namespace) -> int:
     Writes `metrics.csv` and VTU files, and prints at most MAX_ROWS rows, the last one included. Raises GranflowError if
     the directory is not that of a run, or if --out is that directory.
     """
-    from granflow.scene import load
-    from granflow.study.analyze import analyze as analyze_run
+    from granflow.load import load
+    from granflow.studies.analyze import analyze as analyze_run
 
     scene_path = options.directory / "scene_as_run.yaml"
     if not scene_path.is_file():

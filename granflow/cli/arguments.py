@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.scene import Scene
+    from granflow.scene.schema.scene import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
 """Values of --arch; gpu selects the first available GPU backend."""
@@ -57,12 +57,12 @@ def add_allow_long(parser: argparse.ArgumentParser) -> None:
 def quantity(dimension: str) -> Callable[[str], float]:
     """Return a converter for argparse from text such as 25.4mm to SI.
 
-    `dimension`: name in `granflow.scene.units`. The converter raises ArgumentTypeError for an invalid unit and for a
-    value that is not finite.
+    `dimension`: name in `granflow.scene.schema.units`. The converter raises ArgumentTypeError for an invalid unit and
+    for a value that is not finite.
     """
 
     def read(text: str) -> float:
-        from granflow.scene.units import UnitError, to_si
+        from granflow.scene.schema.units import UnitError, to_si
 
         try:
             value = to_si(text, dimension)
@@ -95,7 +95,7 @@ def load(options: argparse.Namespace) -> "Scene":
 
     --precision has priority over --set. Raises SceneError with all problems of the scene.
     """
-    from granflow.scene import load as load_scene
+    from granflow.load import load as load_scene
 
     precision = getattr(options, "precision", None)
     return load_scene(options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])])

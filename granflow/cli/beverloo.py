@@ -19,7 +19,7 @@ def beverloo(options: argparse.Namespace) -> int:
     W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
     Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
     """
-    from granflow.study.beverloo import beverloo_rows, fit_beverloo, read_discharges
+    from granflow.studies.beverloo import beverloo_rows, fit_beverloo, read_discharges
 
     data = read_discharges(options.paths)
     given = (data, options.diameter, options.bulk_density, options.gravity)

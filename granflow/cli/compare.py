@@ -18,16 +18,15 @@ def compare(options: argparse.Namespace) -> int:
     One subdirectory of the output directory per run, one page for all. Raises GranflowError if the directory contains
     earlier runs, unless --overwrite is given.
     """
-    from granflow.study.compare import law_names
-    from granflow.study.compare.variants import variant_keys
+    from granflow.studies.compare.variants import law_names, variant_keys
 
     laws = law_names(options.laws)
     scene = load(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
     for key in variant_keys(laws):
         prepare_output(out / key, scene, options.overwrite)
-    from granflow.study.compare.report import PAGE, compare, size_note, stage_note, stop_notes
-    from granflow.study.compare.summary import as_text, heads
+    from granflow.studies.compare.report import PAGE, compare, size_note, stage_note, stop_notes
+    from granflow.studies.compare.summary import as_text, heads
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,

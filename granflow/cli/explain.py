@@ -26,8 +26,8 @@ def explain(options: argparse.Namespace) -> int:
     given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
     if given:
         raise GranflowError(f"--{given[0]} requires --measure: give both or neither.")
-    from granflow.plan import explain as explain_plan
-    from granflow.plan import plan_for
+    from granflow.plan.explain import explain as explain_plan
+    from granflow.plan.plan import plan_for
 
     say(explain_plan(plan_for(scene, on_gpu=options.arch != "cpu")))
     say(f"\nCost of each feature: granflow explain --measure {options.scene}")
@@ -40,7 +40,8 @@ def measure(options: argparse.Namespace, scene: Any) -> int:
     `scene`: resolved scene. With --out, the table is also written as CSV and Markdown.
     """
     use_fresh_kernel_cache()
-    from granflow.study.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
+    from granflow.studies.feature_cost.measure import feature_costs
+    from granflow.studies.feature_cost.report import HEADS, cost_rows, remarks, write_feature_costs
 
     found = feature_costs(
         scene, options.arch, options.threads, options.until, lambda message: say(f"{message} ...", flush=True)
@@ -58,7 +59,7 @@ def use_fresh_kernel_cache() -> None:
 
     Sets the environment variable of the cache; must be called before Taichi is initialized.
     """
-    from granflow.device.kernel_cache import VARIABLE
+    from granflow.engine.kernel_cache import VARIABLE
 
     folder = TemporaryDirectory()
     atexit.register(folder.cleanup)  # before Taichi registers its exit handler, which writes into the folder

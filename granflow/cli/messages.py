@@ -12,7 +12,7 @@ from granflow.errors import FileError, GranflowError
 from granflow.visible_text import visible
 
 if TYPE_CHECKING:
-    from granflow.observe import Result
+    from granflow.runs.result import Result
 
 COLLIDE_UNITS = {
     "duration": "s",
@@ -97,7 +97,7 @@ def show_result(title: str, result: "Result", out: Path) -> None:
     """
     from rich.console import Console
 
-    from granflow.observe import closing_table
+    from granflow.runs.result import closing_table
 
     Console().print(closing_table(result, visible(title)))
     for sentence, met in result.expectations:
@@ -114,7 +114,7 @@ def show_result(title: str, result: "Result", out: Path) -> None:
 def show_comparison(numbers: Mapping[str, Any]) -> None:
     """Print the simulated numbers of a collision beside the requested or closed-form ones.
 
-    `numbers`: as from `granflow.study.collide.collide`; units are those of COLLIDE_UNITS.
+    `numbers`: as from `granflow.studies.collide.collide`; units are those of COLLIDE_UNITS.
     """
     references = ("_asked", "_theory")
     rows = []

@@ -11,7 +11,8 @@ from granflow.cli.messages import print_error, say
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.study.render import Frame, PictureStyle
+    from granflow.studies.render.frames import Frame
+    from granflow.studies.render.render import PictureStyle
 
 FITS = ("all", "particles", "domain")
 """Values of --fit."""
@@ -23,7 +24,8 @@ def render(options: argparse.Namespace) -> int:
     Prints the paths. Raises GranflowError if the directory contains no frames, or for one output file with several
     images.
     """
-    from granflow.study.render import PictureStyle, frames_of, selected_frames, write_pictures
+    from granflow.studies.render.frames import frames_of, selected_frames
+    from granflow.studies.render.render import PictureStyle, write_pictures
 
     frames = frames_of(options.directory)
     style = PictureStyle(
@@ -44,9 +46,8 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
 
     The duration is the number of frames over --fps [1/s].
     """
-    from granflow.study.render import pictures, write_film, write_pictures
-    from granflow.study.render.film import missing_for_film
-    from granflow.study.render.render import name_of
+    from granflow.studies.render.film import missing_for_film, write_film
+    from granflow.studies.render.render import name_of, pictures, write_pictures
 
     missing = missing_for_film()
     if missing:

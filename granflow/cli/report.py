@@ -12,7 +12,7 @@ def report(options: argparse.Namespace) -> int:
 
     The page requires no network. Raises GranflowError if the directory is not that of a run.
     """
-    from granflow.study.report import write_report
+    from granflow.studies.report.report import write_report
 
     path = write_report(options.directory, options.out, not options.no_pictures)
     say(f"Open {path} in a browser.")

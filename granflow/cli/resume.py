@@ -14,8 +14,8 @@ from granflow.errors import GranflowError
 from granflow.visible_text import VisibleFormatter
 
 if TYPE_CHECKING:
-    from granflow.observe import Checkpoint
-    from granflow.scene import Scene
+    from granflow.io.checkpoint import Checkpoint
+    from granflow.scene.schema.scene import Scene
     from granflow.simulation import Simulation
 
 EXIT_EXPECTATIONS_FAILED = 1
@@ -47,7 +47,7 @@ def resume(options: argparse.Namespace) -> int:
     out: Path = options.directory
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
-    from granflow.observe import locked
+    from granflow.io.lock import locked
 
     with locked(out):
         return _resume(options, out)
@@ -82,7 +82,8 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
     Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
     otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr.
     """
-    from granflow.observe import newest_checkpoint, restore_previous_run, results_in
+    from granflow.io.checkpoint import newest_checkpoint
+    from granflow.runs.previous import restore_previous_run, results_in
 
     warn(restore_previous_run(out))
     if from_start:
@@ -105,8 +106,7 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
 
     Raises GranflowError if neither exists.
     """
-    from granflow.scene import load
-    from granflow.scene.reader import scene_of
+    from granflow.load import load, scene_of
 
     path = options.directory / SCENE
     precision = [f"run.precision={options.precision}"] if options.precision else []

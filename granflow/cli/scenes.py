@@ -13,7 +13,7 @@ from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.scene import Scene
+    from granflow.scene.schema.scene import Scene
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,9 +26,9 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or Path("out") / scene.path.stem
     prepare_output(out, scene, options.overwrite)
     from granflow.cli.resume import run_to_end
-    from granflow.observe import locked
+    from granflow.io.lock import locked
     from granflow.simulation import Simulation
-    from granflow.study.restitution import warnings as restitution_warnings
+    from granflow.studies.restitution import warnings as restitution_warnings
 
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
@@ -45,7 +45,8 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
     Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file from it.
     The new run replaces the earlier one after its first frame.
     """
-    from granflow.observe import locked, refuse_inputs_inside, restore_previous_run, results_in
+    from granflow.io.lock import locked
+    from granflow.runs.previous import refuse_inputs_inside, restore_previous_run, results_in
 
     if not out.exists():
         return
@@ -68,11 +69,11 @@ def check(options: argparse.Namespace) -> int:
     their packing is not checked.
     """
     scene = load(options)
-    from granflow.observe import particles_from_run
-    from granflow.plan import plan_for
+    from granflow.particles.generate import initial_particles, inserters
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
+    from granflow.plan.plan import plan_for
     from granflow.plan.run_time import refuse_run_time
-    from granflow.scene.generate import initial_particles, inserters
+    from granflow.runs.initial_from_run import particles_from_run
 
     plan = plan_for(scene)
     refuse_too_many(plan)
@@ -92,7 +93,7 @@ def check(options: argparse.Namespace) -> int:
 
 def schema(options: argparse.Namespace) -> int:
     """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors."""
-    from granflow.scene import json_schema
+    from granflow.scene.jsonschema import json_schema
 
     say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
     return 0
@@ -100,7 +101,7 @@ def schema(options: argparse.Namespace) -> int:
 
 def cache(options: argparse.Namespace) -> int:
     """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes them."""
-    from granflow.device.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
+    from granflow.engine.kernel_cache import VARIABLE, cache_contents, cache_folder, clear_cache
 
     cached = clear_cache() if options.clear else cache_contents()
     done = "deleted" if options.clear else "cached"

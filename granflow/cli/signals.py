@@ -114,7 +114,7 @@ def stop_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or _current is not None:
         yield
         return
-    from granflow.device import compilation
+    from granflow.engine import compilation
 
     _current = signals = StopSignals()
     around, compilation.around = compilation.around, signals.default_action

@@ -15,8 +15,8 @@ def stability(options: argparse.Namespace) -> int:
 
     Writes a page, `stability.csv` and a heat map to the output directory.
     """
-    from granflow.study.stability.report import HEADS, PAGE, defects, headline, summary_rows
-    from granflow.study.stability.report import stability as study
+    from granflow.studies.stability.report import HEADS, PAGE, defects, headline, summary_rows
+    from granflow.studies.stability.report import stability as study
 
     outcomes, missing = study(
         options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)

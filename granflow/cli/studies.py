@@ -18,7 +18,7 @@ def collide(options: argparse.Namespace) -> int:
 
     Prints a table, or JSON in SI units. Raises GranflowError for an unknown material, contact model or option.
     """
-    from granflow.study.collide import collide as collide_once
+    from granflow.studies.collide import collide as collide_once
 
     names = ("law", "material", "diameter", "velocity", "diameter2", "material2", "wall", "restitution")
     numerics = ("settings", "steps_per_contact", "precision", "arch")
@@ -35,7 +35,7 @@ def restitution(options: argparse.Namespace) -> int:
 
     The impact velocities [m/s] are below the maximum expected one. Writes CSV and PNG files.
     """
-    from granflow.study.restitution import measure, restitution_rows, write_restitution
+    from granflow.studies.restitution import measure, restitution_rows, write_restitution
 
     scene = load(options)
     found, step = measure(scene, options.arch)
@@ -52,9 +52,9 @@ def fit(options: argparse.Namespace) -> int:
     The limit velocity [m/s] is given, from the material (Eq. 11), or fitted. Raises GranflowError if the result would
     overwrite the data, or if the data are invalid.
     """
-    from granflow.study.fit import fit as fitted
-    from granflow.study.fit import fit_rows, limit_from_materials, write_fit
-    from granflow.study.measurements import read_measurements
+    from granflow.studies.fit import fit as fitted
+    from granflow.studies.fit import fit_rows, limit_from_materials, write_fit
+    from granflow.studies.measurements import read_measurements
 
     out = options.out or Path("out") / options.data.stem
     if options.data.resolve() == (out / "fit.csv").resolve():
@@ -77,7 +77,7 @@ def paper(options: argparse.Namespace) -> int:
 
     Writes one page with its figures (PNG) and their data (CSV).
     """
-    from granflow.study.paper import write_paper
+    from granflow.studies.paper.report import write_paper
 
     page = write_paper(options.out, lambda message: say(f"{message} ...", flush=True))
     say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")

@@ -6,11 +6,11 @@ from math import inf, isinf
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.geometry.catalog import distance_from, reach_about
+from granflow.geometry.motion import single_rotation
+from granflow.geometry.periodic_box import AXES, PeriodicBox
 from granflow.plan.walls import PlannedWall, wall_motions
-from granflow.scene import Scene
-from granflow.scene.periodic_box import AXES, PeriodicBox
-from granflow.walls.catalog import distance_from, reach_about
-from granflow.walls.motion import single_rotation
+from granflow.scene.schema.scene import Scene
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
@@ -25,7 +25,7 @@ def refuse_narrow_box(scene: Scene, radius_max: float, skin: float) -> None:
     The width along each periodic axis must be at least 4 radius_max + 2 skin. `radius_max`, `skin` [m]; under
     Lees-Edwards shear, give twice the skin.
     """
-    periodic_box, needed = PeriodicBox.of(scene.domain), 4.0 * radius_max + 2.0 * skin
+    periodic_box, needed = scene.domain.periodic_box(), 4.0 * radius_max + 2.0 * skin
     remark = "" if periodic_box.image_motion is None else ", which is double under shear"
     for axis in periodic_box.axes:
         if periodic_box.width[axis] < needed:
@@ -43,7 +43,7 @@ def refuse_cut_walls(scene: Scene, walls: Sequence[PlannedWall], reach: float) -
     The distance from the wall is compared at SAMPLES x SAMPLES points of opposite faces, with the wall at rest.
     `reach`: largest radius plus skin.
     """
-    periodic_box = PeriodicBox.of(scene.domain)
+    periodic_box = scene.domain.periodic_box()
     for axis in periodic_box.axes:
         face = _face(periodic_box, axis)
         for wall in walls:

@@ -5,7 +5,7 @@ from typing import Literal
 
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
 from granflow.plan.walls import is_force_controlled
-from granflow.scene import Scene
+from granflow.scene.schema.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from granflow.plan.walls import surface_speed
-from granflow.scene import Scene
-from granflow.scene.periodic_box import PeriodicBox
-from granflow.scene.schema import FileInsertion, Group
+from granflow.scene.schema.scene import FileInsertion, Group, Scene
 
 DEFAULT_SPEED = 1.0
 """Impact velocity [m/s] of a scene without motion and gravity: contacts still require a time step."""
@@ -60,7 +58,7 @@ def image_speed(scene: Scene) -> float:
 
     0 without Lees-Edwards shear.
     """
-    image_motion = PeriodicBox.of(scene.domain).image_motion
+    image_motion = scene.domain.periodic_box().image_motion
     return 0.0 if image_motion is None else abs(image_motion.speed)
 
 

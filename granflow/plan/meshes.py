@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.geometry.mesh.file import MeshFileError, read_triangles
+from granflow.geometry.mesh.mesh import Mesh, mesh_of
+from granflow.geometry.motion import rotation_matrices
+from granflow.geometry.shape import unit
+from granflow.io.regular_files import resolved
 from granflow.plan.size_classes import diameter_range
-from granflow.regular_files import resolved
-from granflow.scene import Scene
-from granflow.scene.fields import Vector3
-from granflow.scene.schema import MeshWall, Wall
-from granflow.walls.mesh import Mesh, mesh_of
-from granflow.walls.mesh_file import MeshFileError, read_triangles
-from granflow.walls.motion import rotation_matrices
-from granflow.walls.shape import unit
+from granflow.scene.schema.fields import Vector3
+from granflow.scene.schema.scene import MeshWall, Scene, Wall
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of length."""

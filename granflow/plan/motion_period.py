@@ -3,8 +3,7 @@
 import math
 
 from granflow.errors import SceneError
-from granflow.scene import Scene
-from granflow.scene.schema import RotationSpec, VibrationSpec
+from granflow.scene.schema.scene import RotationSpec, Scene, VibrationSpec
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""

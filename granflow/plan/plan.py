@@ -6,10 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from granflow.errors import SceneError
-from granflow.laws.cohesion import COHESIONS
-from granflow.laws.law import ModelRequest, NormalLaw
-from granflow.laws.material import (
+from granflow.contact.cohesion.cohesion import COHESIONS
+from granflow.contact.material import (
     PairMaterial,
     Solid,
     VelocityRestitution,
@@ -18,16 +16,16 @@ from granflow.laws.material import (
     shear_modulus_eff,
     yield_strength,
 )
+from granflow.contact.model import ModelRequest, NormalLaw
+from granflow.errors import SceneError
+from granflow.geometry.mesh.grid import MeshGrid, grid_over
+from granflow.geometry.mesh.mesh import Mesh
+from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import Features, Reason, cohesion_of, features_of, reasons_for
-from granflow.plan.max_impact_velocity import (
-    image_speed,
-    initial_rotation_rates,
-    initial_speeds,
-    max_impact_velocity,
-)
+from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import PlannedOutlet, planned_outlets
@@ -43,11 +41,7 @@ from granflow.plan.travel import (
 )
 from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
-from granflow.scene import Scene
-from granflow.scene.periodic_box import PeriodicBox
-from granflow.scene.schema import Group, RestitutionFit
-from granflow.walls.mesh import Mesh
-from granflow.walls.mesh_grid import MeshGrid, grid_over
+from granflow.scene.schema.scene import Group, RestitutionFit, Scene
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
@@ -252,7 +246,7 @@ class Plan:
     @cached_property
     def periodic_box(self) -> PeriodicBox:
         """Periodic faces of the domain."""
-        return PeriodicBox.of(self.scene.domain)
+        return self.scene.domain.periodic_box()
 
     @cached_property
     def outlets(self) -> tuple[PlannedOutlet, ...]:

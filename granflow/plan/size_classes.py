@@ -1,7 +1,6 @@
 """Range of particle sizes before sampling, and size classes with separate cell grids."""
 
-from granflow.scene import Scene
-from granflow.scene.schema import ClassSizes, FileInsertion, Group
+from granflow.scene.schema.scene import ClassSizes, FileInsertion, Group, Scene
 
 CLASSES_FROM_RATIO = 3.0
 """Ratio of largest to smallest radius from which the neighbor search uses size classes."""

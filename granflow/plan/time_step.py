@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.laws import theory
-from granflow.laws.law import NormalLaw
-from granflow.laws.material import PairMaterial, Solid
+from granflow.contact import theory
+from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.model import NormalLaw
 from granflow.plan.travel import STEP_SHARE
 
 MAX_CONTACTS = 12

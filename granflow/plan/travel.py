@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 
 from granflow.errors import SceneError
-from granflow.scene import Scene
-from granflow.scene.schema import LARGEST_OVERLAP
+from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
 
 STEP_SHARE = 1.0 - LARGEST_OVERLAP
 """Largest distance per step, of a particle and of a wall, over the smallest radius R.

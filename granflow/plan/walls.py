@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from granflow.geometry import motion, plane, revolved
+from granflow.geometry.catalog import Surface, area_of, reach_about
+from granflow.geometry.shape import Shape, unit
+from granflow.geometry.shared_edges import join_shared_edges
 from granflow.plan.meshes import meshes_of
-from granflow.scene import Scene
-from granflow.scene import schema as scene_schema
-from granflow.walls import motion, plane, revolved
-from granflow.walls.catalog import Surface, area_of, reach_about
-from granflow.walls.shape import Shape, unit
-from granflow.walls.shared_edges import join_shared_edges
+from granflow.scene.schema import scene as scene_schema
+from granflow.scene.schema.scene import Scene
 
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of each stage that has begun; the end is infinite during the stage."""

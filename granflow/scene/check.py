@@ -8,12 +8,13 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
-from granflow.quantities import FLOW_METER_QUANTITIES, INSERTION_QUANTITIES, OUTLET_QUANTITIES, WALL_FORCE_QUANTITIES
+from granflow.fields import FLOW_METER_QUANTITIES, INSERTION_QUANTITIES, OUTLET_QUANTITIES, WALL_FORCE_QUANTITIES
 from granflow.scene.check_analysis import expected_metrics, field_grids, metrics
 from granflow.scene.check_lees_edwards import lees_edwards
 from granflow.scene.document import KeyPath, Problem
-from granflow.scene.fields import Fault, Vector3
-from granflow.scene.insertion_schema import (
+from granflow.scene.messages import problem_at
+from granflow.scene.schema.fields import Fault, Vector3
+from granflow.scene.schema.insertion import (
     BoxRegion,
     CylinderRegion,
     DiscFace,
@@ -23,13 +24,12 @@ from granflow.scene.insertion_schema import (
     RainInsertion,
     RectangleFace,
 )
-from granflow.scene.materials import RestitutionFit
-from granflow.scene.messages import problem_at
-from granflow.scene.schema import Plane, Scene, Stage, Wall
+from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.scene import Plane, Scene, Stage, Wall
+from granflow.scene.schema.walls import FreeWallSpec, ServoSpec, VibrationSpec
 from granflow.scene.suggest import nearest, suggestion_or_list
 from granflow.scene.validation import PartialScene
 from granflow.scene.violations import Check, Violation, unknown
-from granflow.scene.wall_schema import FreeWallSpec, ServoSpec, VibrationSpec
 
 ASSUMED_COUNT = 2
 """Assumed number of particles of a group without a known count: enough for contacts within the group."""

@@ -6,12 +6,12 @@ They concern grids, references to groups, materials and stages, and the quantiti
 import math
 from collections.abc import Iterator
 
-from granflow.quantities import METRIC_QUANTITIES
-from granflow.scene.analysis import METRIC_QUANTITIES_BY_KIND, GridSpec, LaceyMetric, ReposeMetric
+from granflow.fields import METRIC_QUANTITIES
 from granflow.scene.document import KeyPath
-from granflow.scene.fields import Fault
-from granflow.scene.insertion_schema import Box
-from granflow.scene.schema import Domain
+from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND, GridSpec, LaceyMetric, ReposeMetric
+from granflow.scene.schema.fields import Fault
+from granflow.scene.schema.insertion import Box
+from granflow.scene.schema.scene import Domain
 from granflow.scene.validation import PartialScene
 from granflow.scene.violations import Violation, unknown
 

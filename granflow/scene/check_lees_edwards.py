@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from granflow.scene.fields import Fault
+from granflow.scene.schema.fields import Fault
 from granflow.scene.validation import PartialScene
 from granflow.scene.violations import Violation
 

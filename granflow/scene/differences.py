@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from granflow.scene.schema import Scene
+from granflow.scene.schema.scene import Scene
 
 ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "title, description and expectations",

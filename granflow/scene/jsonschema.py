@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.scene.schema import Scene
+from granflow.scene.schema.scene import Scene
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _TITLE = "granflow scene"

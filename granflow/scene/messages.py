@@ -11,8 +11,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from granflow.scene.document import Document, KeyPath, Node, Problem
-from granflow.scene.fields import Fault
-from granflow.scene.schema import Scene
+from granflow.scene.schema.fields import Fault
+from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import nearest, suggestion_or_list
 
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid

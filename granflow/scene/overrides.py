@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
 from granflow.scene.messages import dotted, model_at
-from granflow.scene.schema import Scene
+from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.yaml12 import parse
 

@@ -1,65 +1,23 @@
 """Scene reader: file to tree, overrides, schema, consistency checks. Reports all problems at once."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from granflow.errors import SceneError
-from granflow.regular_files import resolved
 from granflow.scene import overrides as overriding
 from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
-from granflow.scene.materials import RestitutionFit
 from granflow.scene.messages import problems_of
-from granflow.scene.resolve import resolve_scene
-from granflow.scene.schema import Scene
+from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import nearest
 from granflow.scene.validation import PartialScene, partial_scene_of
 from granflow.scene.yaml12 import parse
 
 _MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
 _MAX_SHOWN = 100  # problems
-
-
-def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
-    """Read the scene in a YAML file and resolve it.
-
-    `path`: UTF-8 file of at most 4 MiB. The path in `start_from` is relative to the folder of the file. Each override,
-    "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and in SI units.
-
-    Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
-    """
-    scene = scene_in(_document(Path(path)), overrides, Path(path).parent)
-    scene._path = Path(path)
-    scene = resolve_scene(scene, read=True)
-    if scene.start_from is not None:
-        scene = scene.model_copy(update={"start_from": str(_earlier(path, scene))})
-    return scene
-
-
-def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene file.
-
-    Raises SceneError if it cannot be read.
-    """
-    try:
-        return resolved(Path(path).parent / str(scene.start_from))
-    except OSError as error:
-        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
-        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None
-
-
-def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene from text, such as that in a checkpoint; paths are relative to the folder of `source`.
-
-    Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
-    """
-    try:
-        return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
-    except DocumentError as error:
-        raise SceneError(str(error.problem)) from None
 
 
 def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> Scene:
@@ -88,7 +46,7 @@ def _not_shown(problems: Sequence[Problem]) -> list[str]:
     return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
 
 
-def _document(path: Path) -> Document:
+def document_in(path: Path) -> Document:
     """The tree of a file. Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping."""
     try:
         document = parse(_text(path), str(path))

@@ -8,8 +8,8 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import TypeAdapter, ValidationError
 
 from granflow.scene.document import Document, KeyPath
-from granflow.scene.fields import Fault, Model
-from granflow.scene.schema import Scene
+from granflow.scene.schema.fields import Fault, Model
+from granflow.scene.schema.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ A violation is a key path with a fault; `messages.problem_at` converts it to a m
 from collections.abc import Callable, Iterable, Iterator
 
 from granflow.scene.document import KeyPath
-from granflow.scene.fields import Fault
+from granflow.scene.schema.fields import Fault
 from granflow.scene.suggest import nearest
 from granflow.scene.validation import PartialScene
 

@@ -9,7 +9,7 @@ import meshio
 import numpy as np
 from adversarial.beads import BEADS, changed
 from adversarial.case import Case
-from walls.meshes import cube, sheet
+from geometry.meshes import cube, sheet
 
 FROM_TABLE = changed(
     BEADS,

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from adversarial.beads import beads, solid
 from adversarial.case import Case
+from geometry.meshes import sheet
 from scene_builders import build_scene, particle_group
-from walls.meshes import sheet
 
 from adversarial.cases_input import as_stl  # isort: skip
 

@@ -9,14 +9,17 @@ from pathlib import Path
 
 import pytest
 
-import granflow.scene
+import granflow.load
 from granflow.cli.main import build_parser, main
 from granflow.cli.messages import Terminated, show_comparison
 from granflow.cli.scenes import prepare_output
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.observe import RESULT_FILES, ExpectationResult, Result, locked
-from granflow.scene.insertion_schema import FileInsertion
-from granflow.scene.schema import MeshWall
+from granflow.io.lock import locked
+from granflow.runs.expectations import ExpectationResult
+from granflow.runs.previous import RESULT_FILES
+from granflow.runs.result import Result
+from granflow.scene.schema.insertion import FileInsertion
+from granflow.scene.schema.scene import MeshWall
 
 
 @pytest.fixture
@@ -54,11 +57,11 @@ def stubs(monkeypatch, tmp_path):
         calls.collide = options
         return {"restitution_asked": 0.7, "restitution": 0.70001, "duration": 4e-5, "duration_theory": 4.1e-5}
 
-    monkeypatch.setattr(granflow.scene, "load", load)
+    monkeypatch.setattr(granflow.load, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
     no_warnings = types.SimpleNamespace(warnings=lambda plan: [])
-    monkeypatch.setitem(sys.modules, "granflow.study.restitution", no_warnings)
-    monkeypatch.setitem(sys.modules, "granflow.study.collide", types.SimpleNamespace(collide=collide))
+    monkeypatch.setitem(sys.modules, "granflow.studies.restitution", no_warnings)
+    monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls
 

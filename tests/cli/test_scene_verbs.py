@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from granflow.cli import main
+from granflow.cli.main import main
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 

@@ -6,7 +6,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from granflow.errors import SceneError
-from granflow.scene import load
+from granflow.load import load
 
 HERE = Path(__file__).parent
 GOOD = (HERE / "good.yaml").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 
-from granflow.laws import theory
+from granflow.contact import theory
 
 GLASS = {"young_modulus": 48e9, "poisson_ratio": 0.20, "density": 2800.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.30, "density": 2699.0}

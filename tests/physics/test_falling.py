@@ -6,7 +6,7 @@ import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
 
-from granflow.laws import theory
+from granflow.contact import theory
 
 GRAVITY = 9.81
 FLOOR = plane([0, 0, 0], [0, 0, 1])

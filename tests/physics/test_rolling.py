@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scene_builders import SOFT, build_scene, column, particle_group, plane, run_and_sample, times
 
-from granflow.laws import theory
+from granflow.contact import theory
 
 GRAVITY = 9.81
 RADIUS = 5e-4

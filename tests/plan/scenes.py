@@ -1,6 +1,6 @@
 """A small scene file for plans: ten soft glass particles above a floor."""
 
-from granflow.scene import load
+from granflow.load import load
 
 TEXT = """\
 title: Ten beads fall

@@ -7,10 +7,10 @@ import pytest
 from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
-from granflow.plan import explain, plan_for
-from granflow.plan.explain import WIDTH, duration, size
+from granflow.plan.explain import WIDTH, duration, explain, size
 from granflow.plan.features import Features
 from granflow.plan.memory_estimate import estimate_memory
+from granflow.plan.plan import plan_for
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +87,8 @@ def allocated(directory, overrides, precision):
     """Bytes of all fields of a State that scale with the scene, and the estimate of the plan."""
     import numpy as np
 
-    from granflow.device import backend
-    from granflow.device.state import State
+    from granflow.engine import backend
+    from granflow.engine.state import State
 
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))

@@ -7,10 +7,11 @@ import pytest
 from plan.scenes import TEXT, line_of
 from subprocess_runner import in_subprocess
 
-from granflow.cli import main
+from granflow.cli.main import main
 from granflow.errors import SceneError
-from granflow.plan import memory_check, plan_for
-from granflow.scene import load
+from granflow.load import load
+from granflow.plan import memory_check
+from granflow.plan.plan import plan_for
 from granflow.simulation import Simulation
 
 GIB = 2**30

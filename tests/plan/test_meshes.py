@@ -5,13 +5,14 @@ import struct
 import meshio
 import numpy as np
 import pytest
-from walls.meshes import cube, sheet, write
+from geometry.meshes import cube, sheet, write
 
 from granflow.errors import SceneError
-from granflow.plan import explain, plan_for
-from granflow.scene import load
-from granflow.walls.mesh import mesh_of
-from granflow.walls.mesh_file import read_triangles
+from granflow.geometry.mesh.file import read_triangles
+from granflow.geometry.mesh.mesh import mesh_of
+from granflow.load import load
+from granflow.plan.explain import explain
+from granflow.plan.plan import plan_for
 
 SCENE = """\
 title: A ball on a mesh

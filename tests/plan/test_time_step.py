@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from plan.scenes import TEXT, line_of, scene_of
 
+from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.normal import linear
+from granflow.contact.spring import build_spring
+from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
-from granflow.laws import linear
-from granflow.laws.material import PairMaterial, Solid
-from granflow.laws.spring import build_spring
-from granflow.laws.theory import damping_ratio_for
-from granflow.plan import plan_for
 from granflow.plan.max_impact_velocity import max_impact_velocity
+from granflow.plan.plan import plan_for
 from granflow.plan.time_step import PairCase, stable_step
 
 RADIUS, DENSITY, YOUNG, POISSON, VELOCITY = 2e-3, 2500.0, 10e6, 0.23, 1.0

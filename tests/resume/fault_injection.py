@@ -14,7 +14,8 @@ import signal
 import sys
 import time
 
-from granflow.observe import frames, timeseries
+from granflow.io import frames
+from granflow.observers import timeseries
 
 write_numbers = itertools.count(1)
 write_count = 0
@@ -52,7 +53,7 @@ def inject_clock_jumps():
 
 
 if __name__ == "__main__":
-    from granflow.cli import main
+    from granflow.cli.main import main
 
     fault, number, *arguments = sys.argv[1:]
     if fault == "clock":

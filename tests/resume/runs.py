@@ -6,8 +6,7 @@ import json
 import numpy as np
 from scene_builders import box, build_scene, particle_group, plane
 
-from granflow.observe import newest_checkpoint
-from granflow.observe.checkpoint import read_checkpoint
+from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
 
 MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
 

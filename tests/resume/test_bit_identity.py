@@ -9,8 +9,8 @@ from scene_builders import SOFT
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
-from granflow.device import stepper
-from granflow.observe import read_checkpoint
+from granflow.engine import stepper
+from granflow.io.checkpoint import read_checkpoint
 from granflow.simulation import Simulation
 
 

@@ -6,11 +6,13 @@ from resume.runs import complex_scene
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.errors import GranflowError, SceneError
-from granflow.observe import accepted_change, newest_checkpoint, particles_from_run
-from granflow.plan import plan_for
+from granflow.io.checkpoint import newest_checkpoint
+from granflow.load import scene_of
+from granflow.particles.generate import initial_particles
+from granflow.plan.plan import plan_for
+from granflow.runs.initial_from_run import particles_from_run
+from granflow.runs.resume import accepted_change
 from granflow.scene.differences import differences, forbidden
-from granflow.scene.generate import initial_particles
-from granflow.scene.reader import scene_of
 from granflow.simulation import Simulation
 
 

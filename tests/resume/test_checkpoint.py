@@ -11,18 +11,18 @@ import pytest
 from scene_builders import build_scene, particle_group
 
 from granflow.errors import GranflowError
-from granflow.observe import (
+from granflow.io import checkpoint as format_of
+from granflow.io.atomic_files import replacing
+from granflow.io.checkpoint import (
     CheckpointError,
-    CheckpointWriter,
-    locked,
     newest_checkpoint,
     read_checkpoint,
     remove_old_checkpoints,
     write_checkpoint,
 )
-from granflow.observe import checkpoint as format_of
-from granflow.observe.files import replacing
-from granflow.scene.schema import Checkpoints
+from granflow.io.lock import locked
+from granflow.runs.resume import CheckpointWriter
+from granflow.scene.schema.scene import Checkpoints
 
 STATE = {
     "step": 7, "look": float("inf"), "fraction": 0.1 + 0.2,
@@ -112,7 +112,7 @@ def test_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
 
 
 def test_lock_is_exclusive_and_ends_with_its_process(tmp_path):
-    holder = "import sys, time; from pathlib import Path; from granflow.observe.lock import locked\n"
+    holder = "import sys, time; from pathlib import Path; from granflow.io.lock import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
     process = subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:

@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 from scene_builders import build_scene, particle_group
 
-from granflow.cli import main
+from granflow.cli.main import main
 from granflow.errors import GranflowError, OutputError
-from granflow.observe import checkpoint as format_of
-from granflow.observe import frames, replaced_run, restore_previous_run, write_checkpoint
+from granflow.io import checkpoint as format_of
+from granflow.io import frames
+from granflow.io.checkpoint import write_checkpoint
+from granflow.runs.previous import replaced_run, restore_previous_run
 from granflow.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("taichi_f64")  # runs in this process
@@ -234,7 +236,7 @@ def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
 
 
 def test_second_resume_is_rejected_before_reading_files(stopped, capsys):
-    holder = "import sys; from pathlib import Path; from granflow.observe.lock import locked\n"
+    holder = "import sys; from pathlib import Path; from granflow.io.lock import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", holder, str(stopped)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

@@ -15,10 +15,10 @@ import pytest
 from fuzzing import SCENES, hypothesis_files, mutated_file, written
 from subprocess_runner import in_subprocess
 
-from granflow.cli import main
+from granflow.cli.main import main
 from granflow.errors import SceneError
+from granflow.load import load
 from granflow.plan import memory_check
-from granflow.scene import load
 
 CPU_TIME_MAX, WALL_TIME_MAX = 20, 200
 """CPU time and wall time [s] above which one input counts as a hang; a shipped scene takes 0.02 s."""

@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from granflow.errors import SceneError
-from granflow.scene import Scene, load
+from granflow.load import load
+from granflow.scene.schema.scene import Scene
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
 TEXT = GOOD.read_text(encoding="utf-8")

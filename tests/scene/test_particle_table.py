@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from observe.snapshots import particles_of, snapshot_of
+from observers.snapshots import particles_of, snapshot_of
 
 from granflow.errors import SceneError
-from granflow.observe.vtu import ParticleFrames
-from granflow.scene.particle_table import MOST_SHOWN, read_table
+from granflow.observers.vtu import ParticleFrames
+from granflow.particles.table import MOST_SHOWN, read_table
 
 POSITION = np.array([[0.1, -0.2, 0.3], [0.0, 1.5e-3, -4.0]])
 RADIUS = np.array([0.002, 0.0035])
@@ -83,7 +83,7 @@ def test_unreadable_files_are_rejected(tmp_path, monkeypatch):
     broken = written(tmp_path, "<VTKFile", "broken.vtu")
     with pytest.raises(SceneError, match="this file cannot be read as VTU"):
         read_table(broken)
-    monkeypatch.setattr("granflow.scene.particle_table.LARGEST_FILE", 10)
+    monkeypatch.setattr("granflow.particles.table.LARGEST_FILE", 10)
     with pytest.raises(SceneError, match="too large for a table"):
         read_table(written(tmp_path, FORMATS["commas"]))
 

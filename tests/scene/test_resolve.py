@@ -7,14 +7,13 @@ import pytest
 from plan.scenes import TEXT
 
 from granflow.errors import SceneError
-from granflow.plan import plan_for
+from granflow.load import load, scene_of
+from granflow.particles.generate import initial_particles
+from granflow.particles.resolve import scaled
+from granflow.particles.sizes import draw_diameters
 from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.scene import load
-from granflow.scene.generate import initial_particles
-from granflow.scene.reader import scene_of
-from granflow.scene.resolve import scaled
-from granflow.scene.schema import MeshWall, VibrationSpec
-from granflow.scene.size_sampling import draw_diameters
+from granflow.plan.plan import plan_for
+from granflow.scene.schema.scene import MeshWall, VibrationSpec
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of the scene."""
@@ -76,7 +75,7 @@ def test_mass_is_exact_within_one_particle(tmp_path, sizes):
 
 def initial_radius(scene):
     """Radii [m] from the generator without positions, because the packing would be too dense."""
-    from granflow.scene.particle_data import random_for
+    from granflow.particles.particle_data import random_for
 
     return (
         draw_diameters(scene.particles["beads"].sizes, scene.particles["beads"].count, random_for(scene, "beads")) / 2

@@ -10,10 +10,17 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
-from granflow.observe import CheckpointError, accepted_change, newest_checkpoint, read_checkpoint, write_checkpoint
-from granflow.observe.checkpoint import CHECKSUM_PLACEHOLDER, FORMAT
-from granflow.observe.checkpoint_validation import particle_arrays
-from granflow.plan import plan_for
+from granflow.io.checkpoint import (
+    CHECKSUM_PLACEHOLDER,
+    FORMAT,
+    CheckpointError,
+    newest_checkpoint,
+    read_checkpoint,
+    write_checkpoint,
+)
+from granflow.plan.plan import plan_for
+from granflow.runs.checkpoint_validation import particle_arrays
+from granflow.runs.resume import accepted_change
 
 
 def scene():

@@ -15,11 +15,11 @@ import pytest
 from granflow.cli.main import main
 from granflow.cli.messages import say
 from granflow.errors import SceneError
-from granflow.regular_files import open_regular, read_regular, resolved
-from granflow.scene.particle_table import read_table
+from granflow.geometry.mesh.file import MeshFileError, read_triangles
+from granflow.io.regular_files import open_regular, read_regular, resolved
+from granflow.io.vtu_reader import read_vtu
+from granflow.particles.table import read_table
 from granflow.visible_text import visible
-from granflow.vtu_file import read_vtu
-from granflow.walls.mesh_file import MeshFileError, read_triangles
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
 
@@ -211,8 +211,8 @@ from pathlib import Path
 import numpy as np
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 from granflow.errors import GranflowError
-from granflow.scene.particle_table import read_table
-from granflow.walls.mesh_file import MeshFileError, read_triangles
+from granflow.particles.table import read_table
+from granflow.geometry.mesh.file import MeshFileError, read_triangles
 random, folder = np.random.default_rng(5), Path(sys.argv[1])
 for path in sorted(folder.iterdir()):
     whole = path.read_bytes()

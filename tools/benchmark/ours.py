@@ -82,11 +82,11 @@ def region(case: Case) -> str:
 
 def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
     """Engine with the particles of the case before the first step, forces computed."""
-    from granflow.device.backend import start
-    from granflow.device.engine import Engine
-    from granflow.plan import plan_for
-    from granflow.scene import load
-    from granflow.scene.generate import ParticleData
+    from granflow.engine.backend import start
+    from granflow.engine.engine import Engine
+    from granflow.load import load
+    from granflow.particles.generate import ParticleData
+    from granflow.plan.plan import plan_for
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "case.yaml"

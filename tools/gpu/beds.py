@@ -32,8 +32,8 @@ def bed(path: str, count: int) -> Case:
 
 def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
     """Plan of a bed between four walls and a floor."""
-    from granflow.plan import plan_for
-    from granflow.scene import load
+    from granflow.load import load
+    from granflow.plan.plan import plan_for
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "bed.yaml"
@@ -45,9 +45,9 @@ def engine_for(
     case: Case, arch: str, precision: str, velocity: np.ndarray | None = None, chunk_size: int | None = None
 ) -> Any:
     """Engine with a bed before the first step, forces computed; velocities (n, 3) [m/s], or at rest."""
-    from granflow.device.backend import start
-    from granflow.device.engine import Engine
-    from granflow.scene.generate import ParticleData
+    from granflow.engine.backend import start
+    from granflow.engine.engine import Engine
+    from granflow.particles.generate import ParticleData
 
     backend = start(arch, precision)  # type: ignore[arg-type]
     plan = plan_of(case, precision, not backend.on_cpu)

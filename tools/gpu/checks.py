@@ -37,8 +37,8 @@ def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
 
     The error of a collision of n steps is about 1/n, plus the resolution of positions over the overlap.
     """
-    from granflow.laws.catalog import NORMAL_LAWS
-    from granflow.study.collide import collide
+    from granflow.contact.registry import NORMAL_LAWS
+    from granflow.studies.collide import collide
 
     logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 logs a warning; the limit includes its resolution
     found, diameter = [], 4e-3
@@ -62,7 +62,7 @@ def momentum(arch: str, precision: str, bed_file: str) -> list[dict[str, Any]]:
 
     Each velocity is rounded in each step: half an ulp times sqrt(steps) times the root of the sum of (m v)^2.
     """
-    from granflow.device.backend import start
+    from granflow.engine.backend import start
     from granflow.simulation import Simulation
 
     start(arch, precision)  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def _particle_group(position: np.ndarray, diameter: Any, velocity: np.ndarray) -
 
 
 def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
-    from granflow.scene import Scene
+    from granflow.scene.schema.scene import Scene
 
     defaults = {
         "title": "GPU check",
@@ -166,7 +166,7 @@ def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
     found = hopper(arch, precision)
     if precision != "f64":
         return found
-    from granflow.scene import load
+    from granflow.load import load
     from granflow.simulation import Simulation
 
     for name in VERIFIED:
@@ -181,7 +181,7 @@ def scenes(arch: str, precision: str) -> list[dict[str, Any]]:
 
 def hopper(arch: str, precision: str) -> list[dict[str, Any]]:
     """Rain of 400 particles into the closed hopper: cone, cylinder, disc, friction, energy budget."""
-    from granflow.scene import load
+    from granflow.load import load
     from granflow.simulation import Simulation
 
     scene = load(SCENES / "hopper.yaml", ["particles.beads.count=400", "numerics.chunk_size=1"])

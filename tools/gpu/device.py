@@ -11,7 +11,7 @@ ARRAY_LENGTH = 1 << 27
 
 def present(arch: str) -> dict[str, Any]:
     """Job of a subprocess: starts the architecture and describes it; an error message if it is not available."""
-    from granflow.device.backend import start
+    from granflow.engine.backend import start
     from granflow.errors import GranflowError
 
     try:

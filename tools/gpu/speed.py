@@ -32,7 +32,7 @@ def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float
 
     If TI_KERNEL_PROFILER is set, the result includes the time [s] of each kernel per step and per rebuild.
     """
-    from granflow.device.backend import start
+    from granflow.engine.backend import start
 
     backend = start(arch, precision)  # type: ignore[arg-type]
     limits = bandwidth(backend.on_cpu)

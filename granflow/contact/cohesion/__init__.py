@@ -1,0 +1,1 @@
+"""Cohesion models, one file per model."""

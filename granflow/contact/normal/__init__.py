@@ -1,0 +1,1 @@
+"""Normal contact models, one file per model."""

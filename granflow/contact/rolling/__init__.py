@@ -1,0 +1,1 @@
+"""Rolling friction models, one file per model."""

@@ -1,0 +1,1 @@
+"""Tangential contact models, one file per model."""

@@ -1,0 +1,1 @@
+"""Pair and wall forces, and output of contacts."""

@@ -1,0 +1,202 @@
+"""Geometry and kinematics of one candidate pair, read from the state, with a particle or a wall as the partner."""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
+from granflow.engine.frozen_masks import build_contact_mass
+from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
+from granflow.engine.state import State
+from granflow.engine.walls import build_wall_geometry, build_wall_of
+
+
+def build_pair_kinematics(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, pose, time_step) -> kinematics of a candidate pair; for a wall, j is -1 - index.
+
+    with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
+
+    Returns overlap [m] (<= 0 without contact), normal from j to i, mean of the present and the previous normal,
+    tangential velocity of i relative to j at the half step [m/s], overlap rate at the half step and at the time of the
+    positions [m/s] (positive if approaching), lever arms of both [m].
+
+    Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
+    """
+    return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
+
+
+def _build_particle_kinematics(state: State) -> Any:
+    """`build_pair_kinematics` for two particles."""
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    sphere_kinematics, in_contact = build_sphere_kinematics(state.plan), build_in_contact(real)
+    minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+
+    @ti.func
+    def particle_kinematics(i, j, pose, time_step):
+        radius, radius_partner = particles.radius[i], particles.radius[j]
+        zero = 0.0 * particles.velocity[i]
+        overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
+        normal, normal_half, velocity_tangential, overlap_rate_half = zero, zero, zero, 0.0 * radius
+        branch = ti.cast(minimum_image(particles.position[i], particles.position[j], pose), real)
+        if in_contact(branch.dot(branch), radius + radius_partner):
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
+            velocity_rel = velocity_rel_half
+            if ti.static(features.rate_dependent):
+                velocity_rel = (
+                    particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
+                )
+            overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner = (
+                sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
+            )
+        return overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner
+
+    return particle_kinematics
+
+
+def _build_wall_kinematics(state: State) -> Any:
+    """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    geometry = build_wall_geometry(state)
+
+    @ti.func
+    def wall_kinematics(i, j, pose, time_step):
+        radius = particles.radius[i]
+        zero = 0.0 * particles.velocity[i]
+        normal, normal_half, velocity_tangential, overlap_rate_half, rate = zero, zero, zero, 0.0 * radius, 0.0 * radius
+        gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
+        overlap = ti.cast(radius - gap, real)
+        if overlap > 0.0:
+            normal = ti.cast(direction, real)
+            contact_point = particles.position[i] - gap * direction
+            surface = ti.cast(geometry.surface_velocity(-1 - j, pose, contact_point), real)
+            velocity_rel_half = particles.velocity[i] - surface
+            overlap_rate_half = -velocity_rel_half.dot(normal)
+            rate = overlap_rate_half
+            if ti.static(features.rate_dependent):
+                rate = -(particles.velocity_synchronized[i] - surface).dot(normal)
+            velocity_tangential = velocity_rel_half + overlap_rate_half * normal
+            normal_half = normal - (0.5 * time_step / ti.max(ti.cast(gap, real), 0.5 * radius)) * velocity_tangential
+        return (
+            overlap,
+            normal,
+            normal_half,
+            velocity_tangential,
+            overlap_rate_half,
+            rate,
+            radius - overlap,
+            0.0 * radius,
+        )
+
+    return wall_kinematics
+
+
+def build_effective(state: State, with_wall: bool) -> Any:
+    """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair.
+
+    a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large mass.
+
+    Reads:  radius, mass, fixed
+    """
+    particles, contact_mass = state.particles, build_contact_mass(state)
+
+    @ti.func
+    def inertia(i):
+        return 0.4 * contact_mass(i) * particles.radius[i] * particles.radius[i]
+
+    @ti.func
+    def effective(i, j):
+        radius_eff, mass_eff, inertia_eff = particles.radius[i], contact_mass(i), inertia(i)
+        if ti.static(not with_wall):
+            radius_eff = effective_value(radius_eff, particles.radius[j])
+            mass_eff = effective_value(mass_eff, contact_mass(j))
+            inertia_eff = effective_value(inertia_eff, inertia(j))
+        return radius_eff, mass_eff, inertia_eff
+
+    return effective
+
+
+def build_any_kinematics(state: State) -> Any:
+    """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not matter.
+
+    Returns (overlap [m], normal, overlap rate [m/s], effective radius [m], effective mass [kg]).
+
+    Reads:  as `build_pair_kinematics`
+    """
+    has_walls = state.plan.has_walls
+    particle_kinematics, particle_effective = build_pair_kinematics(state, False), build_effective(state, False)
+    wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
+    wall_effective = build_effective(state, True)
+    particles = state.particles
+
+    @ti.func
+    def any_kinematics(i, j, pose, time_step):
+        overlap, rate, normal = 0.0 * particles.radius[i], 0.0 * particles.radius[i], 0.0 * particles.velocity[i]
+        radius_eff, mass_eff, _inertia = wall_effective(i, j)
+        if j < 0:
+            overlap, normal, _m, _c, _l, rate, _a, _p = wall_kinematics(i, j, pose, time_step)
+        else:
+            radius_eff, mass_eff, _inertia = particle_effective(i, j)
+            overlap, normal, _m2, _c2, _l2, rate, _a2, _p2 = particle_kinematics(i, j, pose, time_step)
+        return overlap, normal, rate, radius_eff, mass_eff
+
+    return any_kinematics
+
+
+def build_weight(state: State) -> Any:
+    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two.
+
+    Sums over list entries with this weight count each contact once.
+    """
+    chunk_size = state.plan.chunk_size
+
+    @ti.func
+    def weight(i, j):
+        share = 1.0
+        if j >= 0 and i // chunk_size != j // chunk_size:
+            share = 0.5
+        return share
+
+    return weight
+
+
+def build_boundary_work(state: State) -> Any:
+    """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
+
+        W = F_ij . (velocity of the image relative to its original) dt, once per pair
+
+    Writes:  boundary_work
+    """
+    weight, image_velocity = build_weight(state), build_image_velocity(state)
+    boundary_work: Any = state.control.boundary_work
+
+    @ti.func
+    def add_boundary_work(chunk, i, j, force, pose, dt):
+        work = weight(i, j) * dt * force.dot(image_velocity(i, j, pose))
+        boundary_work[chunk] = boundary_work[chunk] + ti.cast(work, ti.f64)
+
+    return add_boundary_work
+
+
+def build_pair_number(state: State) -> Any:
+    """Device function (i, j): row of the pair constants for particle i and partner j.
+
+        material of i * material count + material of j
+
+    Reads:  material of particles and walls
+    """
+    plan, particles, walls = state.plan, state.particles, state.walls
+    features, wall_of = plan.features, build_wall_of(state)
+
+    @ti.func
+    def pair_number(i, j):
+        number = 0
+        if ti.static(not features.one_material):
+            number = particles.material[i] * plan.material_count
+            if j >= 0:
+                number += particles.material[j]
+        if ti.static(plan.has_walls):
+            if j < 0:
+                number += walls.material[wall_of(j)]
+        return number
+
+    return pair_number

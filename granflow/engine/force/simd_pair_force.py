@@ -1,0 +1,361 @@
+"""Batched particle contacts for CPUs: gather values into columns, evaluate the forces, scatter the results.
+
+The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four (float64) or
+eight (float32) contacts per instruction. The loops before and after it contain the indirect addresses and the
+branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
+"""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.force.pair_force import (
+    build_in_contact,
+    build_pair_force,
+    build_sphere_kinematics,
+    effective_value,
+)
+from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number, build_weight
+from granflow.engine.frozen_masks import build_contact_mass
+from granflow.engine.limits import ABORT_OVERLAP
+from granflow.engine.neighbor.contact_history import build_end_contact, build_read_history
+from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
+from granflow.engine.state import LANES, State
+from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING
+
+BATCH = 128
+"""Number of contacts at which a batch is complete; no further neighbor list is added."""
+
+
+@ti.func
+def store_vector(columns: ti.template(), worker, entry, vector):
+    """Write the components of a vector into columns, one column [worker, entry] per component."""
+    for k in ti.static(range(len(columns))):
+        columns[k][worker, entry] = vector[k]
+
+
+def build_batched_forces(state: State) -> Any:
+    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
+
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
+    Writes:  force, torque, history, losses, abort, batch of the worker
+    """
+    collect, gather, evaluate, scatter = (
+        _build_collect(state),
+        _build_gather(state),
+        _build_evaluate(state),
+        _build_scatter(state),
+    )
+
+    @ti.func
+    def batched_forces(worker, chunk, first, last, pose, dt):
+        i = first
+        while i < last:
+            found = 0
+            while i < last and found < BATCH:
+                found = collect(worker, chunk, i, found, pose, dt)
+                i += 1
+            gather(worker, found, pose, dt)
+            evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
+            scatter(worker, chunk, found, first, last, pose, dt)
+
+    return batched_forces
+
+
+def _build_collect(state: State) -> Any:
+    """Device function (worker, chunk, i, begin, pose, time_step): add the contacts of one neighbor list to the batch.
+
+    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
+    end.
+
+    Reads:   position, radius, neighbor lists, in_contact
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort
+    """
+    plan, particles, neighbors, control, batch = (
+        state.plan,
+        state.particles,
+        state.neighbors,
+        state.control,
+        state.batch,
+    )
+    real, has_history = state.backend.real, bool(neighbors.history)
+    in_contact, end_contact, pair_number = build_in_contact(real), build_end_contact(state), build_pair_number(state)
+    effective, weight, minimum_image = build_effective(state, False), build_weight(state), build_minimum_image(state)
+
+    @ti.func
+    def end_lost_contact(chunk, list_index, i, j, dt):
+        radius_eff, mass_eff, _inertia = effective(i, j)
+        energy_lost = end_contact(list_index, control.pair_constants[pair_number(i, j)], radius_eff, mass_eff, dt)
+        if ti.static(plan.features.energy_budget):
+            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * energy_lost
+
+    @ti.func
+    def check_overlap(i, square, reach, radius_min):
+        distance_limit = reach - plan.max_overlap * radius_min
+        if square < distance_limit * distance_limit:
+            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    @ti.func
+    def collect(worker, chunk, i, begin, pose, dt):
+        position, radius = particles.position[i], particles.radius[i]
+        end = begin
+        for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
+            j = neighbors.partner[list_index]
+            branch = ti.cast(minimum_image(position, particles.position[j], pose), real)
+            radius_partner = particles.radius[j]
+            batch.list_index[worker, end] = list_index
+            batch.owner[worker, end] = i
+            batch.partner[worker, end] = j
+            batch.radius_partner[worker, end] = radius_partner
+            for axis in ti.static(range(3)):
+                batch.branch[axis][worker, end] = branch[axis]
+            square, reach = branch.dot(branch), radius + radius_partner
+            near = in_contact(square, reach)
+            end += ti.cast(near, ti.i32)
+            check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))
+            if ti.static(has_history):
+                if neighbors.in_contact[list_index] == 1 and not near:
+                    end_lost_contact(chunk, list_index, i, j, dt)
+        return end
+
+    return collect
+
+
+def _build_gather(state: State) -> Any:
+    """Device function (worker, end, pose, time_step): gather velocities, masses and histories into columns.
+
+    Evaluates `NormalLaw.prepare`, which has branches, so that `evaluate` has none.
+
+    Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
+    Writes:  columns of the batch
+    """
+    plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
+    law, features = plan.law, plan.features
+    read_history, pair_number, has_prepare = (
+        build_read_history(state),
+        build_pair_number(state),
+        law.prepare is not None,
+    )
+    image_velocity = build_image_velocity(state)
+    contact_mass = build_contact_mass(state)
+
+    @ti.func
+    def prepared(constants, worker, entry, i, j, velocity_rel_half, velocity_rel, normal_history, dt):
+        """Evaluate the branches of the contact model."""
+        branch = ti.Vector(
+            [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
+        )
+        distance = ti.sqrt(branch.dot(branch))
+        radius, radius_partner = particles.radius[i], particles.radius[j]
+        rate = -velocity_rel.dot(1.0 / distance * branch)
+        return law.prepare(
+            constants, effective_value(radius, radius_partner), effective_value(contact_mass(i), contact_mass(j)), dt,
+            radius + radius_partner - distance, rate, normal_history
+        )  # fmt: skip
+
+    @ti.func
+    def gather(worker, end, pose, dt):
+        for entry in range(end):
+            i, j, list_index = batch.owner[worker, entry], batch.partner[worker, entry], batch.list_index[worker, entry]
+            batch.radius[worker, entry] = particles.radius[i]
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
+            velocity_rel = velocity_rel_half
+            store_vector(batch.velocity_rel_half, worker, entry, velocity_rel_half)
+            if ti.static(features.rate_dependent):
+                velocity_rel = (
+                    particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
+                )
+                store_vector(batch.velocity_rel, worker, entry, velocity_rel)
+            batch.mass[worker, entry] = contact_mass(i)
+            batch.mass_partner[worker, entry] = contact_mass(j)
+            if ti.static(features.rotation):
+                store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
+                store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
+            normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
+            number = pair_number(i, j)
+            if ti.static(has_prepare):
+                normal_history = prepared(
+                    control.pair_constants[number],
+                    worker,
+                    entry,
+                    i,
+                    j,
+                    velocity_rel_half,
+                    velocity_rel,
+                    normal_history,
+                    dt,
+                )
+            if ti.static(not features.one_material):
+                store_vector(batch.constants, worker, entry, control.pair_constants[number])
+            store_vector(batch.normal_history, worker, entry, normal_history)
+            store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
+            store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
+
+    return gather
+
+
+def _build_evaluate(state: State) -> Any:
+    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
+
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones. It
+    is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+
+    Reads:   columns of the batch, pair_constants
+    Writes:  columns of the batch
+    """
+    plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
+    features, size, constant_count = plan.features, max(plan.law.history_count, 1), plan.pair_constants.shape[1]
+    sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
+
+    @ti.func
+    def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
+        """Vector of `count` components from columns; zeros without columns."""
+        vector = ti.Vector.zero(real, count)
+        for k in ti.static(range(len(columns))):
+            vector[k] = columns[k][worker, entry]
+        return vector
+
+    @ti.func
+    def effective(worker, entry):
+        """Effective radius [m], mass [kg] and moment of inertia [kg m2] of an entry."""
+        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
+        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
+        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
+        return (
+            effective_value(radius, radius_partner), effective_value(mass, mass_partner),
+            effective_value(inertia, inertia_partner)
+        )  # fmt: skip
+
+    @ti.func
+    def kinematics(worker, entry, dt):
+        return sphere_kinematics(
+            batch.radius[worker, entry],
+            batch.radius_partner[worker, entry],
+            load_vector(batch.branch, worker, entry, 3),
+            load_vector(batch.velocity_rel_half, worker, entry, 3),
+            load_vector(batch.velocity_rel, worker, entry, 3),
+            dt,
+        )
+
+    @ti.real_func
+    def evaluate(worker: ti.i32, end: ti.i32, dt: real):
+        shared = control.pair_constants[0]
+        for entry in range(end):
+            constants = shared
+            if ti.static(not features.one_material):
+                constants = load_vector(batch.constants, worker, entry, constant_count)
+            overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner = kinematics(
+                worker, entry, dt
+            )
+            radius_eff, mass_eff, inertia_eff = effective(worker, entry)
+            angular_velocity, angular_velocity_partner = (
+                load_vector(batch.angular_velocity, worker, entry, 3),
+                load_vector(batch.angular_velocity_partner, worker, entry, 3),
+            )
+            normal_history, tangential_displacement = (
+                load_vector(batch.normal_history, worker, entry, size),
+                load_vector(batch.tangential_displacement, worker, entry, 3),
+            )
+            rolling_displacement = load_vector(batch.rolling_displacement, worker, entry, 3)
+            (
+                force,
+                torque,
+                torque_partner,
+                normal_history,
+                tangential_displacement,
+                rolling_displacement,
+                friction_loss,
+                rolling_loss,
+                damping_loss,
+            ) = pair_force(
+                constants,
+                radius_eff,
+                mass_eff,
+                inertia_eff,
+                overlap,
+                normal,
+                normal_half,
+                velocity_tangential,
+                overlap_rate_half,
+                rate,
+                arm,
+                arm_partner,
+                angular_velocity,
+                angular_velocity_partner,
+                normal_history,
+                tangential_displacement,
+                rolling_displacement,
+                dt,
+            )
+            store_vector(batch.branch, worker, entry, force)
+            store_vector(batch.angular_velocity, worker, entry, torque)
+            store_vector(batch.angular_velocity_partner, worker, entry, torque_partner)
+            store_vector(batch.normal_history, worker, entry, normal_history)
+            store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
+            store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
+            if ti.static(features.energy_budget):
+                store_vector(batch.losses, worker, entry, ti.Vector([friction_loss, rolling_loss, damping_loss]))
+
+    return evaluate
+
+
+def _build_scatter(state: State) -> Any:
+    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
+
+    Forces are added to both partners, if the second is in this chunk, in the order of the entries.
+
+    Reads:   columns of the batch
+    Writes:  force, torque, history, in_contact, losses, boundary_work
+    """
+    plan, particles, neighbors, control, batch = (
+        state.plan,
+        state.particles,
+        state.neighbors,
+        state.control,
+        state.batch,
+    )
+    features, history = plan.features, neighbors.history
+    weight, add_boundary_work = build_weight(state), build_boundary_work(state)
+
+    @ti.func
+    def vector_of(columns: ti.template(), worker, entry):
+        return ti.Vector([columns[0][worker, entry], columns[1][worker, entry], columns[2][worker, entry]])
+
+    @ti.func
+    def store_history(worker, entry, list_index):
+        if ti.static(len(history) > 0):
+            neighbors.in_contact[list_index] = 1
+        if ti.static("normal" in history):
+            for k in ti.static(range(len(batch.normal_history))):
+                history["normal"][list_index][k] = batch.normal_history[k][worker, entry]
+        if ti.static("tangential" in history):
+            history["tangential"][list_index] = vector_of(batch.tangential_displacement, worker, entry)
+        if ti.static("rolling" in history):
+            history["rolling"][list_index] = vector_of(batch.rolling_displacement, worker, entry)
+
+    @ti.func
+    def add_losses(worker, chunk, i, j, entry):
+        share = weight(i, j)
+        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
+            control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
+
+    @ti.func
+    def scatter(worker, chunk, end, first, last, pose, dt):
+        for entry in range(end):
+            i, j = batch.owner[worker, entry], batch.partner[worker, entry]
+            force = vector_of(batch.branch, worker, entry)
+            particles.force[i] = particles.force[i] + force
+            if ti.static(features.rotation):
+                particles.torque[i] = particles.torque[i] + vector_of(batch.angular_velocity, worker, entry)
+            if j >= first and j < last:
+                particles.force[j] = particles.force[j] - force
+                if ti.static(features.rotation):
+                    particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
+            store_history(worker, entry, batch.list_index[worker, entry])
+            if ti.static(features.energy_budget):
+                add_losses(worker, chunk, i, j, entry)
+                if ti.static(features.lees_edwards):
+                    add_boundary_work(chunk, i, j, force, pose, dt)
+
+    return scatter

@@ -1,0 +1,51 @@
+"""Wall forces: time integrals of the forces of the particles, summed per chunk, and in order on the host."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.engine.state import State
+
+
+def build_add_impulse(state: State) -> Any:
+    """Device function (chunk, wall, i, normal, force on i, torque on i, time_step): add one contact in one step.
+
+        J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
+
+    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are in f64 for every
+    precision, because a wall force is the difference of two sums.
+
+    Reads:   position, impulse_row, pivot
+    Writes:  impulses
+    """
+    particles, walls, impulses = state.particles, state.walls, state.control.impulses
+
+    @ti.func
+    def add_impulse(chunk, w, i, normal, force, torque, dt):
+        row = walls.impulse_row[w]
+        if row >= 0:
+            time = ti.cast(dt, ti.f64)
+            impulse, angular_impulse = -time * ti.cast(force, ti.f64), -time * ti.cast(torque, ti.f64)
+            arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
+            angular_impulse += arm.cross(impulse)
+            sums = impulses[chunk, row]
+            for axis in ti.static(range(3)):
+                sums[axis] += impulse[axis]
+                sums[3 + axis] += angular_impulse[axis]
+            sums[6] -= impulse.dot(ti.cast(normal, ti.f64))
+            impulses[chunk, row] = sums
+
+    return add_impulse
+
+
+def wall_impulses(state: State) -> dict[str, np.ndarray]:
+    """Time integrals since the start of each measured wall by name.
+
+    Returns:  arrays (7,) float64: impulse (3) [N s], angular impulse (3) [N m s] and normal impulse [N s] of the
+              particles on the wall; empty without measured walls
+    """
+    if state.control.impulses is None:
+        return {}
+    sums = state.control.impulses.to_numpy().sum(axis=0)
+    return dict(zip(state.plan.scene.measured_walls, sums, strict=True))

@@ -1,0 +1,68 @@
+"""Time integration of one chunk of particles: the leapfrog form of velocity Verlet.
+
+Before a step, positions and forces are at t, velocities and angular velocities half a step earlier:
+
+    v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
+
+Dashpots need the velocity at the time of the positions; it is extrapolated with the force at t:
+
+    velocity_synchronized = v(t + dt/2) + dt F(t) / (2 m)
+"""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.frozen_masks import build_mobility
+from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
+from granflow.engine.state import State
+
+
+def build_integrate(state: State) -> Any:
+    """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
+
+    Requests a rebuild if a particle has moved by more than half the skin since the last one; aborts if a position is
+    not finite or a displacement in one step exceeds `plan.travel_limit`.
+
+    Reads:   force, torque, mass, radius, fixed, position_at_rebuild
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle
+    """
+    plan, particles, control = state.plan, state.particles, state.control
+    features, chunk_size = plan.features, plan.chunk_size
+    mobility = build_mobility(state)
+    rebuild_limit, step_limit = (0.5 * plan.skin) ** 2, plan.travel_limit**2
+
+    @ti.func
+    def request_abort(code, i):
+        ti.atomic_max(control.abort[0], code)
+        ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    @ti.func
+    def integrate(chunk, count, dt):
+        rebuild = 0
+        for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+            kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
+            velocity = particles.velocity[i] + kick
+            if ti.static(features.rate_dependent):
+                particles.velocity_synchronized[i] = velocity + 0.5 * kick
+            particles.velocity[i] = velocity
+            step_displacement = dt * velocity
+            position = particles.position[i] + step_displacement
+            particles.position[i] = position
+            if ti.static(features.rotation):
+                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                particles.angular_velocity[i] = (
+                    particles.angular_velocity[i] + mobility(i) * dt / inertia * particles.torque[i]
+                )
+            displacement = position - particles.position_at_rebuild[i]
+            displacement_squared = displacement.dot(displacement)
+            if displacement_squared > rebuild_limit:
+                rebuild = 1
+            elif not displacement_squared <= rebuild_limit:
+                request_abort(ABORT_NOT_FINITE, i)
+            if step_displacement.dot(step_displacement) > step_limit:
+                request_abort(ABORT_DISPLACEMENT, i)
+        if rebuild == 1:
+            control.rebuild_requested[0] = 1
+
+    return integrate

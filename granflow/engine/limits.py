@@ -1,0 +1,240 @@
+"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the remedies."""
+
+from dataclasses import dataclass
+from math import hypot, isfinite
+
+from granflow.plan.plan import Plan
+from granflow.plan.resolution import COARSEST, spacing_at
+from granflow.plan.travel import remedy, share_of
+
+ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = 1, 2, 3, 4, 5, 6
+"""Codes: a displacement per step above the limit, a position that is not finite, an overlap above the limit, a particle
+outside a domain with `on_exit: error` (set by the host), a force-controlled wall above its displacement limit, and a
+particle so far from the origin that the precision does not resolve its position (set by the host)."""
+
+ABORT_REASONS = {
+    ABORT_DISPLACEMENT: "displacement",
+    ABORT_NOT_FINITE: "not_finite",
+    ABORT_OVERLAP: "overlap",
+    ABORT_LEFT_DOMAIN: "left_domain",
+    ABORT_WALL: "wall",
+    ABORT_FAR: "far",
+}
+"""Reason of each code, as in Diagnosis.reason."""
+
+NO_PARTICLE = 2**31 - 1
+"""Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
+
+SPEED_MARGIN = 1.2
+"""Factor from an observed velocity to the recommended `velocity_max`."""
+
+AT_REST = 1e-9
+"""Speed [m/s] below which messages report `at rest`."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A particle or a wall: name, material, velocity [m/s] at the contact, and position [m] of a particle."""
+
+    name: str
+    material: str
+    velocity: tuple[float, float, float]
+    position: tuple[float, float, float] | None
+
+    @property
+    def speed(self) -> float:
+        """Speed [m/s]."""
+        return hypot(*self.velocity)
+
+    def __str__(self) -> str:
+        """Description for messages: particle 7 (glass, 3.2 m/s)."""
+        moving = f"{self.speed:.3g} m/s" if isfinite(self.speed) else "velocity not a number"
+        return f"{self.name} ({self.material}, {'at rest' if self.speed < AT_REST else moving})"
+
+
+@dataclass(frozen=True)
+class ContactPair:
+    """A contact at the time of the abort.
+
+    overlap:          over the smaller radius
+    approach:         [m/s] along the normal, negative if the bodies separate
+    impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
+    stable_step:      time step [s] that is stable for it
+    """
+
+    first: Body
+    second: Body
+    overlap: float
+    approach: float
+    impact_velocity: float
+    stable_step: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Cause of an aborted run.
+
+    reason:     one of the values of ABORT_REASONS
+    body:       the particle with the smallest id above the limit, or the wall
+    pair:       the contact with the largest overlap, None without a contact
+    time_step:  [s]
+    """
+
+    reason: str
+    body: Body
+    pair: ContactPair | None
+    time_step: float
+    begun: bool
+    """True if a step was taken; false if only the initial forces were computed."""
+
+
+def diagnosis_of(code: int, body: Body, pair: ContactPair | None, time_step: float, begun: bool) -> Diagnosis:
+    """The diagnosis for an abort code."""
+    return Diagnosis(ABORT_REASONS[code], body, pair, time_step, begun)
+
+
+def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Message for an abort: body or bodies in contact, time, exceeded limit, likely cause and remedies.
+
+    `time`: simulated time [s] of the abort.
+    """
+    return f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+
+
+def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Overlap above `numerics.max_overlap`."""
+    pair = diagnosis.pair
+    if pair is None:
+        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
+    limit = f"numerics.max_overlap {plan.max_overlap:g}"
+    description = (
+        f"{pair.first} at {time:.6g} s overlaps by more than {limit} of the smaller radius: by {pair.overlap:.3g}, "
+        f"with {pair.second}."
+    )
+    if not diagnosis.begun:
+        return (
+            f"{description} They overlap initially: move them apart, or raise numerics.max_overlap if this is intended."
+        )
+    description = f"{description} {_relative_motion(pair)}"
+    if cause := _step_or_speed(pair, plan, diagnosis.time_step):
+        return f"{description} {cause}"
+    soft_materials = " and ".join(dict.fromkeys((pair.first.material, pair.second.material)))
+    return (
+        f"{description} Likely cause: the particles are too soft for this load. Raise young_modulus of "
+        f"{soft_materials}, or raise numerics.max_overlap if such overlaps are intended."
+    )
+
+
+def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement in one step above the limit."""
+    description = _too_far(diagnosis, plan, time, plan.travel_limit)
+    if diagnosis.pair is None:
+        speed = diagnosis.body.speed
+        return f"{description} {remedy(plan.scene, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: the force of this overlap"
+    )
+    return f"{description} {_overlap_before(diagnosis.pair)} {_relative_motion(diagnosis.pair)} {cause}"
+
+
+def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that is not a number."""
+    description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
+    if diagnosis.pair is None:
+        return (
+            f"{description} It has no contacts: check its initial velocity and angular_velocity, or use precision f64."
+        )
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: the time step is too long for this contact"
+    )
+    return f"{description} {_overlap_before(diagnosis.pair)} {cause}"
+
+
+def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Particle outside a domain with `on_exit: error`."""
+    where = plan.scene.where("domain", "on_exit")
+    name, _, rest = str(diagnosis.body).partition(" (")
+    x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
+    return (
+        f"{name} at {time:.6g} s is outside the domain, and domain.on_exit is error ({where}); "
+        f"it is at [{x:.4g}, {y:.4g}, {z:.4g}] m ({rest}. "
+        "Close the gap in the walls, enlarge the domain, or set domain.on_exit to delete."
+    )
+
+
+def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that the precision does not resolve."""
+    precision, position = plan.scene.run.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
+    farthest = max(map(abs, position))
+    better = " Use --precision mixed, or" if precision == "f32" else " Use"
+    return (
+        f"{diagnosis.body} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where "
+        f"{precision} resolves positions only to {spacing_at(precision, farthest):.3g} m; the required resolution is "
+        f"{COARSEST:g} of the smallest radius {plan.radius_min:.3g} m.{better} an outlet, or domain.on_exit: delete."
+    )
+
+
+def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement of a force-controlled wall in one step above the limit."""
+    kind = next(
+        controlled.kind for controlled in plan.controlled_motions if diagnosis.body.name == f"wall {controlled.name}"
+    )
+    slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
+    limit = plan.wall_travel_limit
+    planned = SPEED_MARGIN * diagnosis.body.speed * plan.travel_limit / limit
+    return (
+        f"{_too_far(diagnosis, plan, time, limit)} {slower} {remedy(plan.scene, diagnosis.body.speed, planned, limit)}"
+    )
+
+
+def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str:
+    """Sentence on a displacement in one step above `limit` [m]."""
+    moved = diagnosis.body.speed * diagnosis.time_step
+    return (
+        f"{diagnosis.body} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
+        f"above the limit of {limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be missed."
+    )
+
+
+def _overlap_before(pair: ContactPair) -> str:
+    """Sentence on the overlap one step earlier."""
+    return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} of the smaller radius."
+
+
+def _relative_motion(pair: ContactPair) -> str:
+    """Sentence on the approach velocity; empty if it is not finite."""
+    if not isfinite(pair.approach):
+        return ""
+    return f"They {'approach' if pair.approach >= 0.0 else 'separate'} at {abs(pair.approach):.3g} m/s."
+
+
+def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | None:
+    """The likely cause if it is a time step that is too long, or an impact above the planned `velocity_max`."""
+    velocity_remedy = f"set run.velocity_max to {SPEED_MARGIN * pair.impact_velocity:.3g} m/s"
+    if time_step > pair.stable_step:
+        description = (
+            f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this contact"
+        )
+        return f"{description}: lower run.time_step, or remove it and {velocity_remedy}."
+    if pair.impact_velocity > plan.velocity_max:
+        description = (
+            f"This overlap results from an impact at {pair.impact_velocity:.3g} m/s, above the planned "
+            f"{plan.velocity_max:.3g} m/s"
+        )
+        return f"{description}: {velocity_remedy}, or find the cause of this velocity."
+    return None
+
+
+def _advice(time_step: float, cause: str) -> str:
+    """Cause and remedies if the time step is stable for the contact and the impact is not above `velocity_max`."""
+    return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
+
+
+_REASONS = {
+    "displacement": _displacement,
+    "not_finite": _not_finite,
+    "overlap": _overlap,
+    "left_domain": _left_domain,
+    "wall": _wall,
+    "far": _far,
+}

@@ -1,0 +1,1 @@
+"""Neighbor list, cell grid, contact history and deletion of particles."""

@@ -1,0 +1,102 @@
+"""Transfers the contact history if a contact slides from one triangle of a mesh to the next.
+
+The wall entries of a particle are evaluated in three passes: existing contacts; then new contacts, which may acquire
+the history that a contact of the first pass released; then the released entries, whose remaining history is cleared.
+"""
+
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.mesh import build_mesh_geometry
+from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
+from granflow.engine.state import State
+from granflow.engine.walls import build_triangle_of, build_wall_geometry
+from granflow.geometry.shape import FAR_AWAY
+
+CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
+"""State of the entries evaluated in each pass."""
+
+
+def transfers_history(state: State) -> bool:
+    """True if wall contacts can move to another list entry and have a history to transfer."""
+    return state.plan.features.mesh_walls and bool(state.neighbors.history)
+
+
+def build_release_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): release the history of an entry for another entry; 1 if released.
+
+    The history is released if the triangle no longer owns the contact although the sphere still reaches it: another
+    triangle owns it now.
+
+    Reads:   position, radius, mesh
+    Writes:  in_contact
+    """
+    particles, neighbors = state.particles, state.neighbors
+    separation, triangle_of = _build_separation(state), build_triangle_of(state)
+
+    @ti.func
+    def release_history(i, list_index, j, pose):
+        released, t = 0, triangle_of(j)
+        if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
+            if separation(i, t, pose).norm() < particles.radius[i]:
+                neighbors.in_contact[list_index] = RELEASED
+                released = 1
+        return released
+
+    return release_history
+
+
+def build_acquire_history(state: State) -> Any:
+    """Device function (i, list index, j, pose): a new contact acquires the nearest released history on its wall.
+
+    The distance is that between the nearest points of the two triangles. The history moves: the source entry is
+    cleared.
+
+    Reads:   position, neighbor lists, mesh
+    Writes:  history, in_contact
+    """
+    neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
+    separation, triangle_of, names = _build_separation(state), build_triangle_of(state), list(neighbors.history)
+
+    @ti.func
+    def released_near(i, t, pose):
+        """List index of the nearest released history on the wall of triangle t; -1 if none."""
+        found, nearest = -1, ti.cast(FAR_AWAY, real)
+        for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
+            if neighbors.in_contact[list_index] == RELEASED:
+                other = triangle_of(neighbors.partner[list_index])
+                if mesh.wall[other] == mesh.wall[t]:
+                    distance = (separation(i, other, pose) - separation(i, t, pose)).norm()
+                    if distance < nearest:
+                        found, nearest = list_index, distance
+        return found
+
+    @ti.func
+    def acquire_history(i, list_index, j, pose):
+        t = triangle_of(j)
+        if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
+            source = released_near(i, t, pose)
+            if source >= 0:
+                for name in ti.static(names):
+                    neighbors.history[name][list_index] = neighbors.history[name][source]
+                    neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
+                neighbors.in_contact[source] = NO_CONTACT
+
+    return acquire_history
+
+
+def _build_separation(state: State) -> Any:
+    """Device function (i, triangle, pose): vector [m] from the nearest point of the triangle to particle i.
+
+    The vector is in the frame of the wall at rest.
+    """
+    geometry, wall_geometry = build_mesh_geometry(state), build_wall_geometry(state)
+
+    @ti.func
+    def separation(i, t, pose):
+        return geometry.from_nearest(
+            t, wall_geometry.to_wall_frame(state.mesh.wall[t], pose, state.particles.position[i])
+        )
+
+    return separation

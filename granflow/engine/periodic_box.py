@@ -1,0 +1,227 @@
+"""Periodic box: minimum image, wrapping and image velocity.
+
+Positions are wrapped into the box at neighbor-list rebuilds only; between rebuilds they may be outside by less than
+the skin. In a sheared box (Lees-Edwards) the image above moves with an offset and a velocity, and the image below
+with the opposite ones; both are stored by pose, as wall positions are.
+"""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.engine.state import WALL_BATCH, State
+from granflow.geometry.periodic_box import PeriodicBox
+
+
+def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
+    """Axes of flow and gradient; arbitrary for a box without shear."""
+    return (
+        (0, 0)
+        if periodic_box.image_motion is None
+        else (periodic_box.image_motion.flow, periodic_box.image_motion.gradient)
+    )
+
+
+def build_image_index(state: State) -> Any:
+    """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
+
+    Above and below refer to the gradient axis of a sheared box. Points are in m and may be outside the box by less than
+    the skin.
+    """
+    real, periodic_box = state.backend.position_real, state.plan.periodic_box
+    _, gradient = _lees_edwards_axes(periodic_box)
+    half = 0.5 * float(periodic_box.width[gradient])
+
+    @ti.func
+    def image_index(one, other):
+        branch = one[gradient] - other[gradient]
+        return ti.cast(branch > real(half), ti.i32) - ti.cast(branch < -real(half), ti.i32)
+
+    return image_index
+
+
+def build_minimum_image(state: State) -> Any:
+    """Device function (one, other, pose): branch vector [m] from `other` to `one` by the minimum image convention.
+
+    Exchanged points give exactly the opposite vector. Without periodic axes it is the plain difference.
+
+    Reads:  image_offset
+    """
+    real, periodic_box = state.backend.position_real, state.plan.periodic_box
+    widths, sheared = [float(width) for width in periodic_box.width], periodic_box.image_motion is not None
+    flow, _ = _lees_edwards_axes(periodic_box)
+    image_index, offset = build_image_index(state) if sheared else None, state.control.image_offset
+
+    @ti.func
+    def minimum_image(one, other, pose):
+        branch = one - other
+        if ti.static(sheared):
+            branch[flow] = branch[flow] - ti.cast(image_index(one, other), real) * offset[pose]
+            branch[flow] = branch[flow] - real(widths[flow]) * ti.round(branch[flow] / real(widths[flow]))
+        for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
+            width, half = real(widths[axis]), real(0.5 * widths[axis])
+            above = ti.select(branch[axis] > half, width, 0.0 * width)
+            below = ti.select(branch[axis] < -half, width, 0.0 * width)
+            branch[axis] = branch[axis] - above + below
+        return branch
+
+    return minimum_image
+
+
+def build_shift_by_images(state: State) -> Any:
+    """Device function (point, n, pose): position [m] of a point relative to the n-th image box along the gradient.
+
+    The point itself in a box without shear.
+
+    Reads:  image_offset
+    """
+    real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
+    sheared = periodic_box.image_motion is not None
+    flow, gradient = _lees_edwards_axes(periodic_box)
+    height = float(periodic_box.width[gradient])
+
+    @ti.func
+    def shift_by_images(point, image_index, pose):
+        wrapped = point
+        if ti.static(sheared):
+            image_count = ti.cast(image_index, real)
+            wrapped[flow] = wrapped[flow] - image_count * offset[pose]
+            wrapped[gradient] = wrapped[gradient] - image_count * real(height)
+        return wrapped
+
+    return shift_by_images
+
+
+def build_image_velocity(state: State) -> Any:
+    """Device function (i, j, pose): velocity [m/s] of the image of j nearest to i, relative to j itself.
+
+    Zero except in a sheared box. The velocity is at the half step.
+
+    Reads:  position, image_speed
+    """
+    real, position, periodic_box = state.backend.real, state.particles.position, state.plan.periodic_box
+    sheared, speed = periodic_box.image_motion is not None, state.control.image_speed
+    flow, _ = _lees_edwards_axes(periodic_box)
+    image_index = build_image_index(state) if sheared else None
+
+    @ti.func
+    def image_velocity(i, j, pose):
+        velocity = ti.Vector.zero(real, 3)
+        if ti.static(sheared):
+            velocity[flow] = ti.cast(image_index(position[i], position[j]), real) * speed[pose]
+        return velocity
+
+    return image_velocity
+
+
+def build_wrap_position(state: State) -> Any:
+    """Device function (point): the image of the point [m] inside the box, without shear.
+
+    Coordinates along axes that are not periodic are unchanged.
+    """
+    real, periodic_box = state.backend.position_real, state.plan.periodic_box
+    lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
+
+    @ti.func
+    def wrap_position(point):
+        wrapped = point
+        for axis in ti.static(periodic_box.axes):
+            width = real(widths[axis])
+            wrapped[axis] = point[axis] - width * ti.floor((point[axis] - real(lows[axis])) / width)
+        return wrapped
+
+    return wrap_position
+
+
+def build_wrap(state: State) -> Any:
+    """Kernel (count, pose, time_step): wrap all particles into the box; the energy they gain counts as boundary work.
+
+        W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
+
+    Reads:   position, velocity, mass, force, image_offset, image_speed
+    Writes:  position, velocity, velocity_synchronized, boundary_work
+    """
+    plan, particles, real = state.plan, state.particles, state.backend.real
+    boundary_work: Any = state.control.boundary_work
+    wrap_position, stride, chunk_size = build_wrap_position(state), state.stride, plan.chunk_size
+    gravity, sheared = [float(g) for g in plan.gravity], plan.periodic_box.image_motion is not None
+    cross_boundary = _build_cross_boundary(state) if sheared else None
+
+    @ti.func
+    def add_energy_gain(chunk, i, shift, velocity_shift, dt):
+        """Add the gain of potential energy, and of kinetic energy at the time of the positions."""
+        mass = ti.cast(particles.mass[i], ti.f64)
+        gained = -mass * ti.Vector(gravity, dt=ti.f64).dot(ti.cast(shift, ti.f64))
+        if ti.static(sheared):
+            velocity_synchronous = ti.cast(
+                particles.velocity[i] + 0.5 * dt / particles.mass[i] * particles.force[i], ti.f64
+            )
+            velocity_shift_f64 = ti.cast(velocity_shift, ti.f64)
+            gained += mass * (
+                0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
+            )
+        boundary_work[chunk] = boundary_work[chunk] + gained
+
+    @ti.kernel
+    def wrap(count: ti.i32, pose: ti.i32, dt: real):
+        for task in range((count + chunk_size - 1) // chunk_size * stride):
+            if task % stride == 0:
+                chunk = task // stride
+                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                    before = particles.position[i]
+                    velocity_shift = 0.0 * particles.velocity[i]
+                    wrapped = before
+                    if ti.static(sheared):
+                        wrapped, velocity_shift = cross_boundary(before, pose)
+                    wrapped = wrap_position(wrapped)
+                    particles.position[i] = wrapped
+                    if ti.static(plan.features.energy_budget):
+                        add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
+                    if ti.static(sheared):
+                        particles.velocity[i] = particles.velocity[i] - velocity_shift
+                        if ti.static(plan.features.rate_dependent):
+                            particles.velocity_synchronized[i] = particles.velocity_synchronized[i] - velocity_shift
+
+    return wrap
+
+
+def _build_cross_boundary(state: State) -> Any:
+    """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s].
+
+    Reads:  image_offset, image_speed
+    """
+    real, position_real, periodic_box, control = (
+        state.backend.real,
+        state.backend.position_real,
+        state.plan.periodic_box,
+        state.control,
+    )
+    flow, gradient = _lees_edwards_axes(periodic_box)
+    low, width = float(periodic_box.low[gradient]), float(periodic_box.width[gradient])
+
+    @ti.func
+    def cross_boundary(point, pose):
+        image_count = ti.floor((point[gradient] - position_real(low)) / position_real(width))
+        wrapped, velocity_shift = point, ti.Vector.zero(real, 3)
+        wrapped[gradient] = point[gradient] - position_real(width) * image_count
+        wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
+        velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
+        return wrapped, velocity_shift
+
+    return cross_boundary
+
+
+def upload_offsets(state: State, step: int) -> None:
+    """Upload offset [m] and velocity [m/s] of the images for WALL_BATCH steps after step number `step`.
+
+    Velocities refer to the middle of each step, because particle velocities are half a step behind.
+
+    Writes:  image_offset, image_speed
+    """
+    periodic_box, clock, control = state.plan.periodic_box, state.clock, state.control
+    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
+    position_real = np.float32 if state.backend.precision == "f32" else np.float64
+    real = np.float64 if state.backend.precision == "f64" else np.float32
+    control.image_offset.from_numpy(periodic_box.offsets(times).astype(position_real))
+    control.image_speed.from_numpy(periodic_box.speeds(times - 0.5 * clock.time_step).astype(real))

@@ -1,0 +1,1 @@
+"""Worker threads of a CPU: cores, barrier, affinity, tuning of their number."""

@@ -1,0 +1,254 @@
+"""Force-controlled walls on the device: the force of the particles on a wall, and the resulting motion.
+
+    servo   v(t + dt/2) = gain [F - f(t)], limited to +-velocity_max
+    free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
+    both    x(t + dt) = x(t) + dt v(t + dt/2)
+
+with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo, or the
+weight and the applied force of a free wall; gain [m/(N s)], mass M [kg] and damping c [N s/m] are those of the plan. As
+in the leapfrog scheme of the particles, the velocity of a wall is half a step behind its position, and both are
+integrated in the same phase of the step.
+"""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from granflow.engine.limits import ABORT_WALL
+from granflow.engine.state import State
+from granflow.geometry.motion import is_running
+
+SAVED_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
+"""Fields of the wall dynamics that are saved in checkpoints."""
+
+
+def build_add_wall_force(state: State) -> tuple[Any, Any]:
+    """Device functions that clear and sum the forces on force-controlled walls.
+
+    clear:  (chunk)
+    add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts, with
+            opposite sign
+
+    Writes:  wall_force
+    """
+    controlled_motions, fields = state.plan.controlled_motions, state.wall_dynamics
+
+    @ti.func
+    def clear_wall_forces(chunk):
+        for r in ti.static(range(len(controlled_motions))):
+            fields.wall_force[chunk, r] = 0.0
+
+    @ti.func
+    def add_wall_force(chunk, w, force):
+        for r in ti.static(range(len(controlled_motions))):
+            if w == controlled_motions[r].wall:
+                force_along = ti.cast(force, ti.f64).dot(ti.Vector(controlled_motions[r].direction, dt=ti.f64))
+                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - force_along
+
+    return clear_wall_forces, add_wall_force
+
+
+def build_wall_dynamics(state: State) -> Any:
+    """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
+
+    Chunks are summed in order, so that the result does not depend on the number of threads.
+
+    Reads:   wall_force, was_active, active
+    Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
+    """
+    controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
+    rebuild_limit, step_limit = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
+
+    @ti.func
+    def controlled_velocity(r: ti.template(), force_on_wall, dt):
+        """Velocity [m/s] of a motion at the next half step; the first kick of a free wall is half a step."""
+        velocity = fields.velocity[r]
+        if ti.static(controlled_motions[r].kind == "servo"):
+            velocity = controlled_motions[r].gain * (controlled_motions[r].force + force_on_wall)
+            velocity = ti.max(ti.min(velocity, controlled_motions[r].velocity_max), -controlled_motions[r].velocity_max)
+        else:
+            kick = dt / controlled_motions[r].mass * (controlled_motions[r].force + force_on_wall)
+            if fields.was_active[r] == 0:
+                kick = 0.5 * kick
+            drag = 0.5 * controlled_motions[r].damping * dt / controlled_motions[r].mass
+            velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
+        return velocity
+
+    @ti.func
+    def add_work(r: ti.template(), force_on_wall, velocity, dt):
+        """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for it."""
+        velocity_mean = 0.5 * (fields.velocity[r] + velocity)
+        displacement = dt * velocity_mean
+        if fields.was_active[r] == 0:
+            displacement = 0.5 * displacement
+        fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
+        if ti.static(controlled_motions[r].kind == "free"):
+            fields.work[r] = (
+                fields.work[r]
+                + (controlled_motions[r].force - controlled_motions[r].damping * velocity_mean) * displacement
+            )
+
+    @ti.func
+    def displacements_of(wall: ti.template(), dt):
+        """Largest displacement since the rebuild, and in this step [m]."""
+        displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for r in ti.static(range(len(controlled_motions))):
+            if ti.static(controlled_motions[r].wall == wall):
+                displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
+                step_displacement += ti.abs(dt * fields.velocity[r])
+        return displacement, step_displacement
+
+    @ti.func
+    def move_walls(chunks, pose, dt_real):
+        dt = ti.cast(dt_real, ti.f64)
+        for r in ti.static(range(len(controlled_motions))):
+            force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+            for chunk in range(chunks):
+                force_on_wall += fields.wall_force[chunk, r]
+            if fields.active[pose, r] == 1:
+                velocity = controlled_velocity(r, force_on_wall, dt)
+                add_work(r, force_on_wall, velocity, dt)
+            fields.velocity[r] = velocity
+            fields.was_active[r] = fields.active[pose, r]
+            fields.offset[r] = fields.offset[r] + dt * velocity
+        for r in ti.static(range(len(controlled_motions))):
+            displacement, step_displacement = displacements_of(controlled_motions[r].wall, dt)
+            if not displacement <= rebuild_limit:
+                control.rebuild_requested[0] = 1
+            if not step_displacement <= step_limit:
+                ti.atomic_max(control.abort[0], ABORT_WALL)
+
+    return move_walls
+
+
+def build_wall_displacement(state: State) -> tuple[Any, Any]:
+    """Device functions (wall): displacement [m] and velocity [m/s] of a force-controlled wall; zero for others.
+
+    Reads:  offset, velocity
+    """
+    controlled_motions, fields, real = state.plan.controlled_motions, state.wall_dynamics, state.backend.position_real
+
+    def sum_per_wall(values: Any) -> Any:
+        @ti.func
+        def total_of(w):
+            total = ti.Vector.zero(real, 3)
+            for r in ti.static(range(len(controlled_motions))):
+                if w == controlled_motions[r].wall:
+                    total += ti.cast(values[r] * ti.Vector(controlled_motions[r].direction, dt=ti.f64), real)
+            return total
+
+        return total_of
+
+    return sum_per_wall(fields.offset), sum_per_wall(fields.velocity)
+
+
+def upload_running(state: State, times: np.ndarray) -> None:
+    """Set which motions are active in the steps that end at each pose. A wall that is not present does not move.
+
+    times:  (WALL_BATCH,) [s], middle of each step
+
+    Writes:  active
+    """
+    if state.wall_dynamics is None:
+        return
+    running = [
+        is_running(state.wall_motions[controlled.wall][controlled.motion], times)
+        & bool(state.walls.present[controlled.wall])
+        for controlled in state.plan.controlled_motions
+    ]
+    state.wall_dynamics.active.from_numpy(np.stack(running, axis=1).astype(np.int32))
+
+
+def mark_rebuild(state: State) -> None:
+    """Measure the displacements of force-controlled walls from the present positions.
+
+    Reads:   offset
+    Writes:  offset_at_rebuild
+    """
+    if state.wall_dynamics is not None:
+        state.wall_dynamics.offset_at_rebuild.copy_from(state.wall_dynamics.offset)
+
+
+def controlled_displacements(state: State) -> np.ndarray:
+    """Displacement (walls, 3) [m] of each wall by force-controlled motions."""
+    return _per_wall(state, "offset")
+
+
+def controlled_velocities(state: State) -> np.ndarray:
+    """Velocity (walls, 3) [m/s] of each wall by force-controlled motions, half a step behind its position."""
+    return _per_wall(state, "velocity")
+
+
+def _per_wall(state: State, name: str) -> np.ndarray:
+    """Sum over the motions of each wall of a field times the direction (walls, 3)."""
+    found = np.zeros((len(state.plan.walls), 3))
+    if state.wall_dynamics is not None:
+        values = getattr(state.wall_dynamics, name).to_numpy()
+        for controlled, value in zip(state.plan.controlled_motions, values, strict=True):
+            found[controlled.wall] += value * np.array(controlled.direction)
+    return found
+
+
+def controlled_totals(state: State) -> dict[str, float]:
+    """Displacement [m] and velocity [m/s] of force-controlled walls; with the energy budget, energies [J].
+
+    Keys as `wall_displacement.NAME`; velocities at the time of the positions. Empty without force-controlled walls.
+    """
+    if state.wall_dynamics is None:
+        return {}
+    controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
+    offset = state.wall_dynamics.offset.to_numpy()
+    found: dict[str, float] = {}
+    for r, controlled in enumerate(controlled_motions):
+        for quantity, values in (("wall_displacement", offset), ("wall_velocity", velocity)):
+            name = f"{quantity}.{controlled.name}"
+            found[name] = found.get(name, 0.0) + float(values[r])
+    if state.plan.features.energy_budget:
+        free = [r for r, controlled in enumerate(controlled_motions) if controlled.kind == "free"]
+        found["free_wall_energy"] = sum(0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free)
+        found["free_wall_work"] = float(work[free].sum())
+    return found
+
+
+def controlled_work(state: State) -> float:
+    """Work [J] of all force-controlled walls on the particles since the start."""
+    return 0.0 if state.wall_dynamics is None else float(_synchronized(state)[1].sum())
+
+
+def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Velocity [m/s], work on particles and other work [J] of each motion (motions,) at the time of the positions."""
+    fields, half = state.wall_dynamics, 0.5 * state.clock.time_step
+    velocity_half, work_on_particles, work = (
+        field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
+    )
+    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    velocity = velocity_half.copy()
+    for r in np.flatnonzero(fields.was_active.to_numpy()):
+        controlled = state.plan.controlled_motions[r]
+        if controlled.kind == "free":
+            drag = 0.5 * controlled.damping * half / controlled.mass
+            velocity[r] = (
+                (1.0 - drag) * velocity_half[r] + half / controlled.mass * (controlled.force + force_on_wall[r])
+            ) / (1.0 + drag)
+        velocity_mean = 0.5 * (velocity_half[r] + velocity[r])
+        work_on_particles[r] -= half * velocity_mean * force_on_wall[r]
+        work[r] += (
+            half * velocity_mean * (controlled.force - controlled.damping * velocity_mean) * (controlled.kind == "free")
+        )
+    return velocity, work_on_particles, work
+
+
+def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
+    """State of the force-controlled walls by field name, for checkpoints; empty without such walls."""
+    return (
+        {}
+        if state.wall_dynamics is None
+        else {name: getattr(state.wall_dynamics, name).to_numpy() for name in SAVED_FIELDS}
+    )
+
+
+def load_wall_dynamics_state(state: State, saved: dict[str, np.ndarray]) -> None:
+    """Restore a state of `wall_dynamics_state`."""
+    for name, values in saved.items():
+        getattr(state.wall_dynamics, name).from_numpy(values)

@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, topology, contact ownership of facets, edges and corners, cell grid."""

@@ -1,0 +1,136 @@
+"""Periodic boundary conditions of the domain on the host (numpy): wrapping, nearest images, Lees-Edwards shear."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+AXES = "xyz"
+"""Names of the axes 0, 1 and 2."""
+
+
+@dataclass(frozen=True)
+class ImageMotion:
+    """Lees-Edwards shear: flow and gradient axes (0 to 2), velocity of the image above [m/s], start time [s].
+
+    The velocity is the shear rate times the width of the box along the gradient axis.
+    """
+
+    flow: int
+    gradient: int
+    speed: float
+    start: float
+
+
+@dataclass(frozen=True)
+class PeriodicBox:
+    """Periodic axes of a box, its lower corner (3,) [m] and its widths (3,) [m].
+
+    `axes`: 0 to 2 for x to z. `offset` [m]: displacement of the image above in a Lees-Edwards box, along the flow axis;
+    see `at`. (A. W. Lees, S. F. Edwards, J. Phys. C 5 (1972) 1921.)
+    """
+
+    axes: tuple[int, ...]
+    low: np.ndarray
+    width: np.ndarray
+    image_motion: ImageMotion | None = None
+    offset: float = 0.0
+
+    def at(self, time: float) -> "PeriodicBox":
+        """The periodic box at a time [s]."""
+        return self if self.image_motion is None else replace(self, offset=float(self.offsets(np.array([time]))[0]))
+
+    def offsets(self, times: np.ndarray) -> np.ndarray:
+        """Displacements (n,) [m] of the image above at times (n,) [s], in [-width/2, width/2].
+
+        The displacement is periodic with the width of the box along the flow axis.
+        """
+        if self.image_motion is None:
+            return np.zeros(len(times))
+        width = self.width[self.image_motion.flow]
+        moved = self.image_motion.speed * np.maximum(times - self.image_motion.start, 0.0)
+        return np.asarray(moved - width * np.round(moved / width))
+
+    def speeds(self, times: np.ndarray) -> np.ndarray:
+        """Velocities (n,) [m/s] of the image above at times (n,) [s]; 0 up to the start of the shear."""
+        return (
+            np.zeros(len(times))
+            if self.image_motion is None
+            else np.where(times > self.image_motion.start, self.image_motion.speed, 0.0)
+        )
+
+    def strain(self, time: float) -> float:
+        """Shear strain at a time [s]: shear rate times the time since the start of the shear.
+
+        Negative for a negative shear rate, 0 without shear.
+        """
+        return (
+            0.0
+            if self.image_motion is None
+            else self.image_motion.speed * max(time - self.image_motion.start, 0.0) / self._height
+        )
+
+    @property
+    def _height(self) -> float:
+        """Width of the box along the gradient axis [m]."""
+        assert self.image_motion is not None
+        return float(self.width[self.image_motion.gradient])
+
+    def wrap(self, points: np.ndarray) -> np.ndarray:
+        """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset.
+
+        Each periodic coordinate is then in [low, low + width), except for rounding; the input is not modified.
+        """
+        return self._shifted(points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis]))[0]
+
+    def wrap_with_velocity(
+        self, points: np.ndarray, velocity: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 3) [m] wrapped into the box, and their velocities (n, 3) [m/s] in it, at a time [s].
+
+        A point that crosses a Lees-Edwards face upward gets the velocity v - speed along the flow axis.
+        """
+        shifted, image_counts = self.at(time)._shifted(
+            points, lambda axis, shifted: np.floor((shifted - self.low[axis]) / self.width[axis])
+        )
+        if self.image_motion is None:
+            return shifted, velocity
+        shifted_velocity = np.array(velocity)
+        shifted_velocity[:, self.image_motion.flow] -= image_counts * self.speeds(np.array([time]))[0]
+        return shifted, shifted_velocity
+
+    def nearest_images(self, points: np.ndarray, references: np.ndarray) -> np.ndarray:
+        """Periodic images (n, 3) [m] of points (n, 3) [m] nearest to the reference points (n, 3), row by row."""
+        return self._shifted(
+            points, lambda axis, shifted: np.round((shifted - references[:, axis]) / self.width[axis])
+        )[0]
+
+    def _shifted(
+        self, points: np.ndarray, image_counts_of: Callable[[int, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points shifted by image counts along every axis, and the counts (n,) along the gradient axis.
+
+        `image_counts_of`: (axis, coordinates (n,)) -> number of widths (n,) by which the points move down. The gradient
+        axis comes first, because its shift changes the coordinate along the flow axis.
+        """
+        shifted, gradient_counts = np.array(points), np.zeros(len(points))
+        for axis in sorted(self.axes, key=lambda axis: self.image_motion is None or axis != self.image_motion.gradient):
+            image_counts = image_counts_of(axis, shifted[:, axis])
+            shifted[:, axis] -= image_counts * self.width[axis]
+            if self.image_motion is not None and axis == self.image_motion.gradient:
+                shifted[:, self.image_motion.flow] -= image_counts * self.offset
+                gradient_counts = image_counts
+        return shifted, gradient_counts
+
+    def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face.
+
+        The given spheres come first. At an edge or corner, all images of a sphere are included. Without shear.
+        """
+        for axis in self.axes:
+            height = position[:, axis] - self.low[axis]
+            below, above = height < radius, height > self.width[axis] - radius
+            shift = self.width[axis] * np.eye(3)[axis]
+            position = np.concatenate([position, position[below] + shift, position[above] - shift])
+            radius = np.concatenate([radius, radius[below], radius[above]])
+        return position, radius

@@ -1,0 +1,271 @@
+"""Surfaces of revolution: a straight segment in the (r, z) half plane revolved about an axis.
+
+Cylinder, cone frustum and disc (with or without a round hole) are surfaces of this kind. The surface is thin and
+two-sided. Each end of the segment is a circular edge; `shared_edges.join_shared_edges` assigns shared edges to owners.
+
+The parameters are those of REVOLVED: origin, axis, radius at the start, length and direction (r, z) of the segment, and
+for each end the direction (r, z) of the competing face and 1 if this surface owns the edge.
+"""
+
+import numpy as np
+import taichi as ti
+
+from granflow.geometry.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
+
+FACET_COUNT = 64
+"""Number of facets around the axis, for visualization."""
+
+
+@ti.func
+def half_plane_coordinates(point, parameters):
+    """Coordinates (r, z) of the point in its half plane, and the radial unit vector.
+
+        radial = axis x (offset x axis)
+
+    r is the distance from the axis [m], z the height above the start of the segment [m]. On the axis the radial
+    direction is a fixed vector. The double cross product keeps the radial vector perpendicular to the axis even if it
+    consists of rounding errors only.
+    """
+    offset = ti.Vector([point[0] - parameters[0], point[1] - parameters[1], point[2] - parameters[2]])
+    axis = ti.Vector([parameters[3], parameters[4], parameters[5]])
+    z = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
+    radial = axis.cross(offset.cross(axis))
+    r = radial.norm()
+    on_axis = r == 0.0
+    near_z = ti.abs(axis[2]) > 0.5
+    zero = axis[0] * 0.0
+    any_radial = ti.select(near_z, ti.Vector([axis[2], zero, -axis[0]]), ti.Vector([-axis[1], axis[0], zero]))
+    direction = ti.select(on_axis, any_radial, radial)
+    divisor = ti.select(on_axis, any_radial.norm(), r)
+    return r, z, direction / divisor
+
+
+@ti.func
+def segment_coordinates(r, z, parameters):
+    """Position along the segment, distance beyond the nearer end (0 above the face), and height above it [m].
+
+    t = (r - r0) ur + z uz,    h = (r - r0) uz - z ur        (ur, uz) direction of the segment, r0 its start
+    """
+    outward = r - parameters[6]
+    along = outward * parameters[8] + z * parameters[9]
+    height = outward * parameters[9] - z * parameters[8]
+    beyond = along - ti.min(ti.max(along, 0.0), parameters[7])
+    return along, beyond, height
+
+
+@ti.func
+def revolved_distance(point, parameters):
+    """Distance from the surface [m], at least 0, without regard to shared edges (ShapeKind.surface_distance)."""
+    r, z, _ = half_plane_coordinates(point, parameters)
+    _, beyond, height = segment_coordinates(r, z, parameters)
+    return ti.sqrt(beyond * beyond + height * height)
+
+
+@ti.func
+def owns_contact(along, height, parameters):
+    """Whether this surface owns the contact.
+
+    True on its face. On an edge true only if the surface owns the edge and the point lies beyond the end of the
+    competing face as well; otherwise that face is nearer.
+
+    along, height:  of `segment_coordinates` [m]
+    """
+    before_start = along <= 0.0
+    after_end = along >= parameters[7]
+    from_start = along
+    from_end = along - parameters[7]
+    r_start = from_start * parameters[8] + height * parameters[9]
+    z_start = from_start * parameters[9] - height * parameters[8]
+    r_end = from_end * parameters[8] + height * parameters[9]
+    z_end = from_end * parameters[9] - height * parameters[8]
+    owns_start = (parameters[12] > 0.0) & (r_start * parameters[10] + z_start * parameters[11] <= 0.0)
+    owns_end = (parameters[15] > 0.0) & (r_end * parameters[13] + z_end * parameters[14] <= 0.0)
+    return ((not before_start) | owns_start) & ((not after_end) | owns_end)
+
+
+@ti.func
+def closest_on_revolved(point, parameters):
+    """Distance [m] from the surface and unit vector from its nearest point to the point (ShapeKind.closest).
+
+    The distance is FAR_AWAY if the nearest point is on an edge that another wall owns. On the surface the unit vector
+    is the face normal.
+    """
+    r, z, radial = half_plane_coordinates(point, parameters)
+    along, beyond, height = segment_coordinates(r, z, parameters)
+    gap = ti.sqrt(beyond * beyond + height * height)
+    on_surface = gap == 0.0
+    divisor = ti.select(on_surface, 1.0, gap)
+    tangential = beyond / divisor
+    perpendicular = ti.select(on_surface, 1.0, height / divisor)
+    normal_r = tangential * parameters[8] + perpendicular * parameters[9]
+    normal_z = tangential * parameters[9] - perpendicular * parameters[8]
+    normal = normal_r * radial + normal_z * ti.Vector([parameters[3], parameters[4], parameters[5]])
+    distance = ti.select(owns_contact(along, height, parameters), gap, FAR_AWAY)
+    return distance, normal
+
+
+def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Reference implementation of `closest_on_revolved`: nearest point in space on the section through the point.
+
+    points:   (n, 3) [m]
+    Returns:  distance (n,) [m] or FAR_AWAY, unit vector (n, 3)
+    """
+    axis = parameters[3:6]
+    start, end = profile(parameters)
+    radial = radial_directions(points - parameters[0:3], axis)
+    edge_start = parameters[0:3] + start[0] * radial + start[1] * axis
+    edge_end = parameters[0:3] + end[0] * radial + end[1] * axis
+    chord = edge_end - edge_start
+    fraction = np.sum((points - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
+    foot = edge_start + np.clip(fraction, 0.0, 1.0)[:, None] * chord
+    from_surface = points - foot
+    distance = np.linalg.norm(from_surface, axis=1)
+    on_surface = distance == 0.0
+    face_normal = np.cross(chord, np.cross(axis, radial)) / np.linalg.norm(chord, axis=1)[:, None]
+    normal = from_surface / np.where(on_surface, 1.0, distance)[:, None]
+    normal[on_surface] = face_normal[on_surface]
+    not_owned = (fraction <= 0) & ~reference_owns_edge(from_surface, radial, axis, parameters[10:13])
+    not_owned |= (fraction >= 1) & ~reference_owns_edge(from_surface, radial, axis, parameters[13:16])
+    return np.where(not_owned, FAR_AWAY, distance), normal
+
+
+def reference_owns_edge(from_surface: np.ndarray, radial: np.ndarray, axis: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Whether a surface owns the contacts of points beyond one of its edges.
+
+    from_surface:  (n, 3) [m], from the edge to the points
+    radial:        (n, 3) radial unit vectors
+    axis:          (3,) unit vector
+    edge:          (3,), direction r, z of the competing face, owner flag
+    Returns:       (n,) bool
+    """
+    neighbor = edge[0] * radial + edge[1] * axis
+    return (edge[2] > 0) & (np.sum(from_surface * neighbor, axis=1) <= 0)
+
+
+def radial_directions(offsets: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) from the axis to points at `offsets` (n, 3) [m] from a point on the axis.
+
+    A fixed vector for points on the axis. The projection is repeated, because near the axis the first result is mostly
+    rounding error.
+    """
+    radial = offsets - np.outer(offsets @ axis, axis)
+    on_axis = np.linalg.norm(radial, axis=1) <= 1e-12 * np.linalg.norm(offsets, axis=1)
+    radial[on_axis] = np.cross(np.eye(3)[1 if abs(axis[2]) > 0.5 else 2], axis)
+    radial /= np.linalg.norm(radial, axis=1)[:, None]
+    radial -= np.outer(
+        radial @ axis, axis
+    )  # second projection: near the axis the first result is mostly rounding error
+    return radial / np.linalg.norm(radial, axis=1)[:, None]
+
+
+def profile(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the segment as (r, z), each (2,) [m], in the frame of the shape; the start has z = 0."""
+    start = np.array([parameters[6], 0.0])
+    return start, start + parameters[7] * parameters[8:10]
+
+
+def revolved_triangles(parameters: np.ndarray, center: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (2 FACET_COUNT, 3) [m] and triangles (2 FACET_COUNT, 3) of the surface as facets around the axis.
+
+    `center` and `extent` are unused. One of the edges may have the radius 0.
+    """
+    axis = parameters[3:6]
+    angle = 2 * np.pi * np.arange(FACET_COUNT) / FACET_COUNT
+    radial = radial_directions(np.zeros((1, 3)), axis)[0]
+    around = np.outer(np.cos(angle), radial) + np.outer(np.sin(angle), np.cross(axis, radial))
+    rings = [parameters[0:3] + r * around + z * axis for r, z in profile(parameters)]
+    index = np.arange(FACET_COUNT)
+    next_index = (index + 1) % FACET_COUNT
+    lower = np.stack([index, next_index, next_index + FACET_COUNT], axis=1)
+    upper = np.stack([index, next_index + FACET_COUNT, index + FACET_COUNT], axis=1)
+    return np.concatenate(rings), np.concatenate([lower, upper])
+
+
+def revolved_reach(parameters: np.ndarray, point: np.ndarray, axis: np.ndarray) -> float:
+    """Distance [m] of the farthest point of both edges from the axis; 0 for rotation about its own axis.
+
+    point:    (3,) [m], a point on the axis of the motion
+    axis:     (3,) unit vector along the axis of the motion
+    Returns:  an upper bound if the two axes are not parallel
+    """
+    origin, axis_of_shape = parameters[0:3], parameters[3:6]
+    radius = max(end[0] for end in profile(parameters))
+    centers = np.array([origin + end[1] * axis_of_shape for end in profile(parameters)])
+    from_surface = distance_from_axis(centers, point, axis).max()
+    size = radius + parameters[7]
+    return 0.0 if is_parallel(axis_of_shape, axis) and from_surface <= 1e-9 * size else float(from_surface + radius)
+
+
+def revolved_area(parameters: np.ndarray) -> float:
+    """Area [m2]: length of the segment times the path of its midpoint about the axis (Pappus).
+
+    A = pi (r_start + r_end) length
+    """
+    start, end = profile(parameters)
+    return float(np.pi * (start[0] + end[0]) * parameters[7])
+
+
+REVOLVED = ShapeKind(
+    name="revolved",
+    parameter_names=(
+        *("origin_x", "origin_y", "origin_z"),
+        *("axis_x", "axis_y", "axis_z"),
+        *("start_r", "length", "direction_r", "direction_z"),
+        *("start_neighbor_r", "start_neighbor_z", "start_owned"),
+        *("end_neighbor_r", "end_neighbor_z", "end_owned"),
+    ),
+    closest=closest_on_revolved,
+    surface_distance=revolved_distance,
+    reference_closest=reference_closest_on_revolved,
+    triangles=revolved_triangles,
+    reach_about=revolved_reach,
+    area=revolved_area,
+)
+"""Kind of all surfaces of revolution."""
+
+
+def revolved(origin: object, axis: object, start_r: float, end_r: float, end_z: float) -> Shape:
+    """Segment from (start_r, 0) to (end_r, end_z) [m] revolved about the axis; neither edge is shared.
+
+    origin:  (3,) [m], point on the axis at z = 0
+    axis:    (3,), any length above 0
+    Raises:  ValueError for a negative radius, a segment without length, both radii 0, or an axis without direction
+    """
+    if start_r < 0 or end_r < 0:
+        raise ValueError("A radius must not be negative.")
+    length = np.hypot(end_r - start_r, end_z)
+    if not length > 0 or max(start_r, end_r) == 0:
+        raise ValueError("A surface of revolution requires a length and a radius above zero.")
+    free_edge = (0.0, 0.0, 1.0)
+    direction = (end_r - start_r) / length, end_z / length
+    return make_shape(REVOLVED, origin, unit(axis), start_r, length, *direction, *free_edge, *free_edge)
+
+
+def cone(a: object, b: object, radius_a: float, radius_b: float) -> Shape:
+    """Cone frustum with `radius_a` [m] at point `a` and `radius_b` [m] at point `b`; one radius may be 0.
+
+    a, b:    (3,) [m], different points on the axis
+    Raises:  ValueError as in `revolved`
+    """
+    axis = np.asarray(b, dtype=float) - np.asarray(a, dtype=float)
+    return revolved(a, axis, radius_a, radius_b, float(np.linalg.norm(axis)))
+
+
+def cylinder(a: object, b: object, radius: float) -> Shape:
+    """Cylinder from point `a` (3,) [m] to point `b` (3,) [m] with a radius [m], open at both ends.
+
+    Raises ValueError as in `revolved`.
+    """
+    return cone(a, b, radius, radius)
+
+
+def disc(center: object, normal: object, radius: float, hole_radius: float = 0.0) -> Shape:
+    """Flat disc, with a round hole if `hole_radius` [m] is above zero.
+
+    center:  (3,) [m]
+    normal:  (3,), any length above 0; the disc is two-sided
+    Raises:  ValueError if the hole is not smaller than the disc, or as in `revolved`
+    """
+    if not radius > hole_radius:
+        raise ValueError("The hole of a disc must be smaller than the disc.")
+    return revolved(center, normal, hole_radius, radius, 0.0)

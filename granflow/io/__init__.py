@@ -1,0 +1,1 @@
+"""Files: formats, atomic writing, lock, log and checkpoint archives. Knows arrays and text, not scenes."""

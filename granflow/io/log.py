@@ -1,0 +1,83 @@
+"""The record of a run in its output directory: `run.log` and `scene_as_run.yaml`."""
+
+import logging
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib import metadata
+from pathlib import Path
+from typing import Protocol
+
+from granflow.io.atomic_files import write_text
+from granflow.visible_text import VisibleFormatter
+
+
+class HasYamlText(Protocol):
+    """Protocol of objects with a YAML text, such as a scene."""
+
+    def text(self) -> str:
+        """Return the YAML text with all defaults."""
+
+
+@contextmanager
+def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
+    """In the block, write the records of the logger `granflow` from level INFO to `run.log` in the directory.
+
+    An older log is replaced, or extended with `append`. An exception that ends the block is the last entry and
+    propagates. Creates the directory if necessary. The level of the logger is restored afterwards.
+    """
+    logger = logging.getLogger("granflow")
+    level_before = logger.level
+    handler = _file_handler(Path(directory), "a" if append else "w")
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield logger
+    except BaseException as error:
+        logger.error("ended by %s: %s", type(error).__name__, error)
+        raise
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level_before)
+        with suppress(OSError):
+            handler.close()
+
+
+def versions() -> str:
+    """Return the versions of granflow, Taichi, numpy and Python, and the platform."""
+    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", "taichi", "numpy"))
+    return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
+
+
+def version_of(package: str) -> str:
+    """Return the version of an installed package, or "not installed"."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
+    """Write the resolved scene as `scene_as_run.yaml`, which loads as the same scene. Return its path.
+
+    The file is written atomically, in UTF-8; the directory is created if necessary.
+    """
+    path = Path(directory) / "scene_as_run.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, scene.text())
+    return path
+
+
+class _LogFile(logging.FileHandler):
+    """A log file whose write errors do not stop a run: it must still report other errors and end properly."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Drop the record."""
+
+
+def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
+    """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
+    directory.mkdir(parents=True, exist_ok=True)
+    handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
+    handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    return handler

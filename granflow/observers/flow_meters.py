@@ -1,0 +1,246 @@
+"""Flow meters: the mass that passes a plane, tracked for each particle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from granflow.geometry.periodic_box import PeriodicBox
+from granflow.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Particles at the previous sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
+
+    id: np.ndarray
+    mass: np.ndarray
+    position: np.ndarray
+    distance: np.ndarray
+    part: np.ndarray
+
+
+_SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
+"""Arrays of the previous sample in checkpoints."""
+
+
+class FlowCount:
+    """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg]).
+
+    One count per flow meter, and one more for each material or group if the meter has `group_by`.
+    """
+
+    def __init__(self) -> None:
+        self.mass, self.count = 0.0, 0
+        self.history: list[tuple[float, str, float]] = []
+
+    def add(self, mass: np.ndarray, direction: np.ndarray) -> None:
+        """Count particles of masses (n,) [kg] with directions (n,): 1 forward, -1 backward."""
+        self.mass += float((mass * direction).sum())
+        self.count += int(direction.sum())
+
+    def mass_flow(self) -> float:
+        """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
+        if len(self.history) < 2:
+            return 0.0
+        (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
+        return (mass_now - mass_before) / (time_now - time_before)
+
+    def readings(self) -> list[float]:
+        """Return mass [kg], number, mass flow rate [kg/s] since the previous sample, as in FLOW_METER_QUANTITIES."""
+        return [self.mass, self.count, self.mass_flow()]
+
+    def result(self) -> dict[str, float]:
+        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`."""
+        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return mass, number and history."""
+        return {"mass": self.mass, "count": self.count, "history": self.history}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        self.mass, self.count = saved["mass"], saved["count"]
+        self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
+
+
+class FlowMeter:
+    """Net mass and number of particles through a plane, or through a disc or rectangle in it.
+
+    `point` (3,) [m]: on the plane, center of the disc of `radius` [m] or corner of the rectangle with the edges
+    `sides` (2, 3) [m], which are perpendicular. `normal` (3,), of any length: forward direction. `periodic_box`: None
+    without periodic axes. `group_by`: "material" or "group" for additional separate counts, with the names `parts`.
+    Particles are tracked by id between successive samples:
+
+    - A center that changes sides crosses where the straight line between its two positions intersects the plane. It
+      counts if that point is within the disc or rectangle: forward as plus, backward as minus.
+    - A particle deleted since the last sample counts as crossed if it was on the near side with its projection within
+      the disc or rectangle: it left the domain before it could be sampled on the far side.
+    - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as backward.
+    - A particle that is first sampled on the far side does not count.
+
+    The interval between samples must be short enough that particles move in nearly straight lines.
+    """
+
+    def __init__(
+        self,
+        point: Sequence[float],
+        normal: Sequence[float],
+        radius: float | None = None,
+        periodic_box: PeriodicBox | None = None,
+        sides: Sequence[Sequence[float]] | None = None,
+        group_by: str | None = None,
+        parts: Sequence[str] = (),
+    ) -> None:
+        self.point = np.asarray(point, dtype=np.float64)
+        self.normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+        self.radius = np.inf if radius is None else radius
+        self.sides = None if sides is None else np.asarray(sides, dtype=np.float64)
+        self._periodic_box, self._group_by = periodic_box, group_by
+        self.total = FlowCount()
+        self.parts = {name: FlowCount() for name in parts}
+        self._last: _Sample | None = None
+
+    @property
+    def mass(self) -> float:
+        """Net mass so far [kg]."""
+        return self.total.mass
+
+    @property
+    def count(self) -> int:
+        """Net number of particles so far."""
+        return self.total.count
+
+    @property
+    def history(self) -> list[tuple[float, str, float]]:
+        """Time [s], stage and mass [kg] at each sample."""
+        return self.total.history
+
+    def flow_counts(self) -> dict[str, FlowCount]:
+        """Return the total count under "", and the counts of the parts by name."""
+        return {"": self.total, **self.parts}
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Count the particles that passed since the last sample; reads id, mass, position and the array `group_by`.
+
+        The first snapshot is the reference and counts nothing.
+        """
+        now = self._sample(snapshot)
+        if self._last is not None:
+            self._count_crossed(self._last, now)
+            self._count_deleted(self._last, now)
+        self._last = now
+        for flow_count in self.flow_counts().values():
+            flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
+
+    def mass_flow(self) -> float:
+        """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
+        return self.total.mass_flow()
+
+    def result(self) -> dict[str, float]:
+        """Return the final numbers of the total count, as in FlowCount."""
+        return self.total.result()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles present."""
+        last = {} if self._last is None else {name: getattr(self._last, name) for name in _SAMPLE_FIELDS}
+        return {
+            "tallies": {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()},
+            "last": last,
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        for name, flow_count in self.flow_counts().items():
+            flow_count.load_state_dict(saved["tallies"][name])
+        self._last = _Sample(**saved["last"]) if saved["last"] else None
+
+    def _sample(self, snapshot: Snapshot) -> _Sample:
+        """Return the particles of a snapshot with their distances (n,) [m] from the plane, positive on the far side."""
+        particles = snapshot.particles
+        distance = (particles["position"] - self.point) @ self.normal
+        part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
+        return _Sample(particles["id"], particles["mass"], particles["position"], distance, part)
+
+    def _count_crossed(self, last: _Sample, now: _Sample) -> None:
+        """Count the particles that exist in both samples and crossed between them.
+
+        In a periodic box, the lines to the nearest image of the end and from the nearest image of the start are both
+        tested, since the plane may be near either boundary.
+        """
+        _, before, after = np.intersect1d(last.id, now.id, assume_unique=True, return_indices=True)
+        start, end = last.position[before], now.position[after]
+        direction = self._crossing(
+            start, end if self._periodic_box is None else self._periodic_box.nearest_images(end, start)
+        )
+        if self._periodic_box is not None:
+            crossed_from_image = self._crossing(self._periodic_box.nearest_images(start, end), end)
+            direction = np.where(direction == 0, crossed_from_image, direction)
+        crossed = direction != 0
+        self._add(now.mass[after][crossed], direction[crossed], now.part[after][crossed])
+
+    def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or not."""
+        first, last = ((points - self.point) @ self.normal for points in (start, end))
+        direction = (last > 0).astype(int) - (first > 0).astype(int)
+        fraction = first / np.where(direction == 0, 1.0, first - last)
+        point = start + fraction[:, None] * (end - start)
+        return np.where(self._within(point), direction, 0)
+
+    def _within(self, point: np.ndarray) -> np.ndarray:
+        """Return whether points (n, 3) [m] of the plane lie in the disc or rectangle."""
+        offset = point - self.point
+        if self.sides is None:
+            return np.asarray(np.linalg.norm(offset, axis=1) <= self.radius)
+        share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
+        return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
+
+    def _count_deleted(self, last: _Sample, now: _Sample) -> None:
+        """Count as forward the particles in the last sample only that were in front of the disc or rectangle."""
+        foot = last.position - last.distance[:, None] * self.normal
+        near = (last.distance <= 0) & self._within(foot)
+        deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
+        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int), last.part[deleted])
+
+    def _add(self, mass: np.ndarray, direction: np.ndarray, part: np.ndarray) -> None:
+        """Add masses (n,) [kg] with directions (n,) to the total count, and to the counts of their parts (n,)."""
+        self.total.add(mass, direction)
+        for number, flow_count in enumerate(self.parts.values()):
+            flow_count.add(mass[part == number], direction[part == number])
+
+
+def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
+    """Return the mass flow rate [kg/s] of the middle half of the mass in the last stage with flow.
+
+        0.5 M / (t(3/4 M) - t(1/4 M))
+
+    `history`: (time [s], stage, cumulative mass [kg]) in order of time. M is the mass that passed in the last stage
+    whose final mass differs from its initial mass; a stage begins at the last sample of the previous one. t(m) is the
+    first time at which the mass reaches m, interpolated linearly. The start and the end of the flow have no influence.
+    Returns 0 without flow.
+    """
+    times = np.array([time for time, _, _ in history])
+    masses = np.array([mass for _, _, mass in history])
+    for first, last in reversed(_stages(history)):
+        passed = masses[last] - masses[first]
+        if passed != 0:
+            share = (masses[first : last + 1] - masses[first]) / passed
+            quarters = [_first_reached(times[first : last + 1], share, share_reached) for share_reached in (0.25, 0.75)]
+            return float(0.5 * passed / (quarters[1] - quarters[0]))
+    return 0.0
+
+
+def _stages(history: Sequence[tuple[float, str, float]]) -> list[tuple[int, int]]:
+    """Return the first and last index of each stage; the first one is the last index of the previous stage."""
+    names = [stage for _, stage, _ in history]
+    ends = [index for index in range(len(names)) if index + 1 == len(names) or names[index] != names[index + 1]]
+    return list(pairwise([0, *ends]))
+
+
+def _first_reached(times: np.ndarray, share: np.ndarray, share_reached: float) -> float:
+    """Return the first time [s] at which `share` reaches a value, interpolated linearly."""
+    after = int(np.argmax(share >= share_reached))
+    fraction = (share_reached - share[after - 1]) / (share[after] - share[after - 1])
+    return float(times[after - 1] + fraction * (times[after] - times[after - 1]))

@@ -1,0 +1,125 @@
+"""Builds the meters that `output.metrics` of a scene specifies."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from granflow.observers.base import CONTACTS, PARTICLES
+from granflow.observers.coarse_graining.field_grid import CoarseGrid, grid_for
+from granflow.observers.metrics.meter import MetricMeter
+from granflow.observers.metrics.mixing import lacey_index
+from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
+from granflow.observers.particle_selection import mobile_particles, selected
+from granflow.particles.regions import frame_along
+from granflow.plan.size_classes import diameter_range
+from granflow.scene.schema.analysis import (
+    ContentMetric,
+    CoordinationMetric,
+    FabricMetric,
+    LaceyMetric,
+    ReposeMetric,
+)
+from granflow.scene.schema.insertion import Box
+from granflow.scene.schema.scene import Scene
+from granflow.snapshot import Snapshot
+
+MIN_HEAP_CONTACTS = 2
+"""Smallest number of contacts of a particle in a heap: a particle that rolls away on the floor has one."""
+
+COLUMN_WIDTH = 2.0
+"""Edge of the columns in which the surface of a heap is determined, in largest diameters."""
+
+NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
+
+
+def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
+    """Return a meter for each metric of the scene, by name in `output.metrics`, in the order of the scene."""
+    return {name: _metric_meter(scene, spec) for name, spec in scene.output.metrics.items()}
+
+
+def _metric_meter(
+    scene: Scene, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
+) -> MetricMeter:
+    """Return the meter of one metric of the scene; the class of `spec` determines the kind."""
+    if isinstance(spec, LaceyMetric):
+        return _lacey_metric_meter(scene, spec)
+    if isinstance(spec, ReposeMetric):
+        return _repose_meter(scene, spec)
+    if isinstance(spec, FabricMetric):
+        return MetricMeter(lambda snapshot: _fabric(snapshot, spec.region), NEEDS_CONTACTS)
+    if isinstance(spec, ContentMetric):
+        return MetricMeter(lambda snapshot: _content(snapshot, spec.region), NEEDS_PARTICLES)
+    return MetricMeter(lambda snapshot: _coordination(snapshot, spec.region), NEEDS_PARTICLES)
+
+
+def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
+    """Return a meter of the Lacey index. Kind A: given groups or materials, or diameters below `smaller_than` [m]."""
+    grid: CoarseGrid = grid_for(scene.domain, spec)
+    groups = [list(scene.particles).index(name) for name in spec.groups or ()]
+    materials = [list(scene.materials).index(name) for name in spec.materials or ()]
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        is_kind_a = np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
+        if spec.smaller_than is not None:
+            is_kind_a = 2.0 * particles["radius"] < spec.smaller_than
+        return {"lacey_index": lacey_index(particles["position"], is_kind_a, grid, spec.at_least)}
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _repose_meter(scene: Scene, spec: ReposeMetric) -> MetricMeter:
+    """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is inclined.
+
+    Particles with fewer than MIN_HEAP_CONTACTS contacts are not part of the heap.
+    """
+    upwards = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
+    frame = frame_along(upwards)
+    edge = COLUMN_WIDTH * max(diameter_range(group)[1] for group in scene.particles.values())
+    axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        in_heap = (particles["coordination_number"] >= MIN_HEAP_CONTACTS) & _inside(particles["position"], spec.region)
+        heap = selected(particles, in_heap)
+        points = heap["position"].astype(float) @ frame.T
+        if spec.surface == "cone":
+            slope = slope_of_cone(points, heap["radius"], edge, axis)
+        else:
+            slope = slope_of_plane(points, heap["radius"], edge)
+        return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the anisotropy and the diagonal of the fabric tensor of contacts with midpoints inside the region."""
+    contacts = snapshot.contacts or {}
+    middle = 0.5 * (contacts["position_i"] + contacts["position_j"])
+    tensor = fabric_tensor(selected(contacts, _inside(middle, region)))
+    parts = {f"fabric_{axis}{axis}": float(tensor[k, k]) for k, axis in enumerate("xyz")}
+    return {"fabric_anisotropy": anisotropy(tensor)} | parts
+
+
+def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
+    """Return the coordination numbers of the mobile particles with centers inside the region."""
+    particles = mobile_particles(snapshot.particles)
+    return coordination(particles["coordination_number"][_inside(particles["position"], region)])
+
+
+def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
+    """Return number, mass [kg] and volume [m3] of the mobile particles with centers inside the region."""
+    particles = mobile_particles(snapshot.particles)
+    selected_particles = selected(particles, _inside(particles["position"], region))
+    volume = 4.0 / 3.0 * np.pi * float((selected_particles["radius"].astype(float) ** 3).sum())
+    mass = float(selected_particles["mass"].astype(float).sum())
+    return {"content_count": float(len(selected_particles["mass"])), "content_mass": mass, "content_volume": volume}
+
+
+def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:
+    """Return whether points (n, 3) [m] are inside the region; True without a region."""
+    if region is None:
+        return np.ones(len(points), bool)
+    above, below = points >= np.array(region.min), points <= np.array(region.max)
+    return np.asarray(np.logical_and(above, below).all(axis=1))

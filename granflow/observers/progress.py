@@ -1,0 +1,180 @@
+"""Progress of a run: a live bar on a terminal, lines at intervals elsewhere."""
+
+import math
+import time as clock
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from granflow.observers.schedule import Schedule
+from granflow.snapshot import Snapshot
+
+# Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not affect a run.
+UPDATE_COUNT = 500
+SECONDS_BETWEEN_LINES = 10.0
+# Number of updates over which rates are averaged: large enough for a steady value, small enough to follow insertion.
+RATE_SAMPLES = 25
+
+
+class ProgressDisplay:
+    """Shows simulated time, stage, steps per second, particle-steps per second and time left.
+
+    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `console`: standard
+    error by default. Without a terminal, a line is printed at the start of each stage, every ten seconds of wall clock,
+    and at the end.
+    """
+
+    wants: frozenset[str] = frozenset()
+
+    def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._stage_plan = StagePlan(stages)
+        self._schedule = Schedule(self._stage_plan.end / UPDATE_COUNT)
+        self._rates = StepRates()
+        self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
+
+    def next_time(self) -> float:
+        """Return the time of the next update [s]."""
+        return self._schedule.next_time()
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Update the display with time, step, stage and the total `particle_count` of a snapshot."""
+        self._schedule.mark_done(snapshot.time)
+        self._stage_plan.enter(snapshot.stage, snapshot.time)
+        self._rates.add(clock.monotonic(), snapshot.step, snapshot.totals.get("particle_count", 0.0))
+        self._display.show(snapshot, self._stage_plan.end, self._rates)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the time of the last update, the stage, and the latest end of the run; updates affect the steps."""
+        return {"last_time": self._schedule.last_time, "stage": self._stage_plan.stage, "end": self._stage_plan.end}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue after the saved time; changed stages may extend the end."""
+        self._schedule.resume_after(saved["last_time"])
+        self._stage_plan.resume_in(saved["stage"], saved["end"])
+
+    def truncate(self) -> None:
+        """Do nothing: this observer has no files."""
+
+    def finish(self) -> None:
+        """Close the display and restore the terminal."""
+        self._display.close()
+
+
+class StagePlan:
+    """Latest end of a run [s], from the actual start times of its stages.
+
+    `stages`: (name, maximum duration [s]) in order; at least one. `end` [s] is the sum of all durations at first.
+    """
+
+    def __init__(self, stages: Sequence[tuple[str, float]]) -> None:
+        self._stages = list(stages)
+        self.stage = self._stages[0][0]
+        self.end = sum(duration for _, duration in self._stages)
+
+    def enter(self, stage: str, time: float) -> None:
+        """Record the stage at `time` [s]; a new stage updates the end."""
+        names = [name for name, _ in self._stages]
+        if stage == self.stage or stage not in names:
+            return
+        self.stage = stage
+        self.end = time + sum(duration for _, duration in self._stages[names.index(stage) :])
+
+    def resume_in(self, stage: str, end: float) -> None:
+        """Restore the stage and the latest end [s] of the run."""
+        self.stage, self.end = stage, max(end, self.end)
+
+
+class StepRates:
+    """Steps and particle-steps per second of wall clock over the latest updates."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, int, float]] = deque(maxlen=RATE_SAMPLES)
+
+    def add(self, seconds: float, step: int, particle_count: float) -> None:
+        """Record an update: wall clock `seconds` [s], steps since the start, particles present."""
+        self._samples.append((seconds, step, particle_count))
+
+    def steps_per_second(self) -> float:
+        """Return the steps per second, 0 while unknown."""
+        if len(self._samples) < 2:
+            return 0.0
+        (first_seconds, first_step, _), (last_seconds, last_step, _) = self._samples[0], self._samples[-1]
+        elapsed = last_seconds - first_seconds
+        return (last_step - first_step) / elapsed if elapsed > 0 else 0.0
+
+    def particle_steps_per_second(self) -> float:
+        """Return the particle-steps per second for the current number of particles, 0 while unknown."""
+        return self.steps_per_second() * self._samples[-1][2] if self._samples else 0.0
+
+
+class _Bar:
+    """A live bar."""
+
+    def __init__(self, console: Console) -> None:
+        columns = (
+            TextColumn("{task.fields[stage]}"),
+            BarColumn(),
+            TextColumn("{task.fields[reached]}"),
+            TextColumn("{task.fields[rates]}"),
+            TimeRemainingColumn(),
+        )
+        self._progress = Progress(*columns, console=console)
+        self._task: TaskID | None = None
+
+    def show(self, snapshot: Snapshot, end: float, rates: StepRates) -> None:
+        if self._task is None:
+            self._progress.start()
+            self._task = self._progress.add_task("run", total=end, stage=snapshot.stage, rates="", reached="")
+        self._progress.update(
+            self._task,
+            completed=snapshot.time,
+            total=end,
+            stage=snapshot.stage,
+            reached=_time_text(snapshot.time, end),
+            rates=_rates_text(rates),
+        )
+
+    def close(self) -> None:
+        self._progress.stop()
+
+
+class _Lines:
+    """Lines at intervals."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._stage = ""
+        self._printed_at = -SECONDS_BETWEEN_LINES
+        self._pending: str | None = None
+
+    def show(self, snapshot: Snapshot, end: float, rates: StepRates) -> None:
+        reached = _time_text(snapshot.time, end)
+        self._pending = f"{snapshot.stage}: {reached}, step {snapshot.step}, {_rates_text(rates)}"
+        now = clock.monotonic()
+        if snapshot.stage != self._stage or now - self._printed_at >= SECONDS_BETWEEN_LINES:
+            self._stage, self._printed_at = snapshot.stage, now
+            self._print()
+
+    def close(self) -> None:
+        self._print()
+
+    def _print(self) -> None:
+        if self._pending is not None:
+            self._console.print(self._pending, highlight=False, markup=False, soft_wrap=True)
+            self._pending = None
+
+
+def _time_text(time: float, end: float) -> str:
+    """Return the time with a fixed number of decimals that resolves a thousandth of the end."""
+    decimals = max(0, 3 - math.floor(math.log10(end)))
+    return f"{time:.{decimals}f} of {end:.4g} s"
+
+
+def _rates_text(rates: StepRates) -> str:
+    """Return the step rates as text; millions of particle-steps per second with two decimals."""
+    steps, particle_steps = rates.steps_per_second(), rates.particle_steps_per_second()
+    return f"{steps:.0f} steps/s, {particle_steps / 1e6:.2f} M particle-steps/s"

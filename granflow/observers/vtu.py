@@ -1,0 +1,201 @@
+"""Frames for ParaView: particles as points, contacts as lines, walls as triangles."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.geometry.mesh.mesh import triangle_areas
+from granflow.io.frames import FrameSeries, mesh_of_cells, mesh_of_points
+from granflow.observers.base import CONTACTS, PARTICLES, WALLS
+from granflow.observers.schedule import Schedule
+from granflow.observers.wall_traction import traction_and_pressure
+from granflow.snapshot import Snapshot
+
+# Largest rounding error of float32 positions over the smallest radius; above it, files contain float64 positions.
+POSITION_TOLERANCE = 1e-4
+
+_PARTICLE_ARRAYS = (
+    "id",
+    "radius",
+    "diameter",
+    "velocity",
+    "angular_velocity",
+    "force",
+    "material",
+    "group",
+    "coordination_number",
+    "fixed",
+    "kinetic_energy",
+)
+_CONTACT_POINTS = ("position_i", "position_j")
+"""Arrays of contacts that become the points of the mesh."""
+
+
+class Frames:
+    """Base class of frames: a schedule and a series of files.
+
+    Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
+    `start` [s]: of the frames, in simulated time. Raises ValueError for an interval that is not positive.
+    """
+
+    wants: frozenset[str] = frozenset()
+    stem = ""
+
+    def __init__(self, directory: Path, interval: float, start: float = 0.0) -> None:
+        self.series = FrameSeries(directory, self.stem)
+        self._schedule = Schedule(interval, start)
+
+    def next_time(self) -> float:
+        """Return the time of the next frame [s]."""
+        return self._schedule.next_time()
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Write one frame, due or not; a second snapshot of the same time has no effect."""
+        if snapshot.time != self._schedule.last_time:
+            self.series.write(self.mesh(snapshot), snapshot.time)
+            self._schedule.mark_done(snapshot.time)
+
+    def finish(self) -> None:
+        """Do nothing: after `observe`, each frame is complete on disk."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Flush the frames to the disk; return their list and number."""
+        series = self.series
+        series.sync()
+        return {"last_time": self._schedule.last_time, "frames": list(series.frames), "frame_count": series.frame_count}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the list of frames; the next frame follows them."""
+        self._schedule.resume_after(saved["last_time"])
+        self.series.frames = [(time, name) for time, name in saved["frames"]]
+        self.series.frame_count = saved["frame_count"]
+
+    def truncate(self) -> None:
+        """Remove the frames after the restored state."""
+        self.series.truncate()
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Return the mesh of one frame. Raises NotImplementedError in the base class."""
+        raise NotImplementedError
+
+
+class ParticleFrames(Frames):
+    """`particles_NNNN.vtu`: one vertex per particle, with the arrays of the snapshot.
+
+    `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions resolve 1e-4
+    of the smallest radius. If None, the positions of each frame determine it. Positions that float32 does not resolve
+    are written as float64. Types of the other arrays: `granflow.fields`.
+    """
+
+    wants = frozenset({PARTICLES})
+    stem = "particles"
+
+    def __init__(self, directory: Path, interval: float, start: float = 0.0, reach: float | None = None) -> None:
+        super().__init__(directory, interval, start)
+        self._reach = reach
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Return the mesh of one frame, with `diameter` [m] and `kinetic_energy` [J] computed from other arrays."""
+        particles = _with_derived(snapshot.particles)
+        points = self._points(particles["position"], particles["radius"])
+        arrays = {
+            PARTICLE_QUANTITIES[name].vtu_name: PARTICLE_QUANTITIES[name].for_file(particles[name])
+            for name in _PARTICLE_ARRAYS
+            if name in particles
+        }
+        return mesh_of_points(points, arrays)
+
+    def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Return the positions (n, 3) [m] as float32, or float64 if float32 is too coarse for the smallest radius."""
+        reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
+        rounding = 0.5 * np.spacing(np.float32(reach))
+        resolved = rounding <= POSITION_TOLERANCE * radius.min(initial=np.inf)
+        return position.astype(np.float32 if resolved else np.float64)
+
+
+class ContactFrames(Frames):
+    """`contacts_NNNN.vtu`: one line per contact from center to center (or to the contact point on a wall)."""
+
+    wants = frozenset({CONTACTS})
+    stem = "contacts"
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts, with CONTACT_QUANTITIES."""
+        contacts = snapshot.contacts or {}
+        ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
+        points = np.stack(ends, axis=1).reshape(-1, 3)
+        lines = np.arange(len(points)).reshape(-1, 2)
+        arrays = {
+            quantity.vtu_name: quantity.for_file(contacts[name])
+            for name, quantity in CONTACT_QUANTITIES.items()
+            if name in contacts and name not in _CONTACT_POINTS
+        }
+        return mesh_of_cells("line", points, lines, arrays)
+
+
+class WallFrames(Frames):
+    """`walls_NNNN.vtu`: the triangles of the present walls at their current position.
+
+    `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall`
+    is the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an
+    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values.
+    """
+
+    stem = "walls"
+
+    def __init__(
+        self,
+        directory: Path,
+        interval: float,
+        triangles: Mapping[str, tuple[np.ndarray, np.ndarray]],
+        start: float = 0.0,
+        measured: Mapping[str, float | None] | None = None,
+    ) -> None:
+        super().__init__(directory, interval, start)
+        self._triangles, self._measured = dict(triangles), dict(measured or {})
+        self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
+        self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
+
+    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+        """Return the mesh of one frame: the triangles of all present walls, in the order of the scene.
+
+        Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are float32.
+        """
+        points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+        wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
+        point_count = 0
+        for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
+            pose = snapshot.walls.get(name)
+            if pose is None or not pose.present:
+                continue
+            points.append(pose.moved(rest_points))
+            corners.append(rest_corners + point_count)
+            walls.append(np.full(len(rest_corners), index, np.int32))
+            wall_forces.append(self._traction_and_pressure(snapshot, index, name, len(rest_corners)))
+            point_count += len(rest_points)
+        cell_data = {"wall": np.concatenate(walls)}
+        if self._measured:
+            for name, parts in zip(("traction", "pressure"), zip(*wall_forces, strict=True), strict=True):
+                cell_data[name] = np.concatenate(parts).astype(np.float32)
+        return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
+
+    def _traction_and_pressure(
+        self, snapshot: Snapshot, index: int, name: str, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return traction (count, 3) and pressure (count,) [Pa] on a wall; NaN if its force is not measured."""
+        if name not in self._measured:
+            return np.full((count, 3), np.nan), np.full(count, np.nan)
+        return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
+
+
+def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of a snapshot with `diameter` [m] and, given mass and velocity, `kinetic_energy` [J] (n,)."""
+    arrays = dict(particles)
+    arrays["diameter"] = 2 * arrays["radius"]
+    if "mass" in arrays and "velocity" in arrays:
+        arrays["kinetic_energy"] = 0.5 * arrays["mass"] * (arrays["velocity"] ** 2).sum(axis=1)
+    return arrays

@@ -1,0 +1,91 @@
+"""Particle groups from files: selection of the rows of each group, and their particles."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.io.regular_files import resolved
+from granflow.particles.particle_data import ParticleData, particles_of
+from granflow.particles.table import ParticleTable, read_table
+from granflow.scene.schema.insertion import FileInsertion
+from granflow.scene.schema.scene import Scene
+
+
+def table_of(scene: Scene, name: str) -> ParticleTable:
+    """All rows of the file of a group.
+
+    Raises ValueError for a group without a file, and SceneError if the file cannot be read, is invalid, or lies outside
+    the folder of the scene, also by a symbolic link.
+    """
+    insertion = scene.particles[name].insert
+    if not isinstance(insertion, FileInsertion):
+        raise ValueError(f"{name} is not read from a file.")
+    try:
+        folder = resolved(scene.folder)
+        path = resolved(folder / insertion.file)
+    except OSError as error:
+        raise SceneError(f"{scene.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
+    if not path.is_relative_to(folder):
+        location = scene.locate("particles", name, "insert", "file")
+        raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
+    return read_table(scene.folder / insertion.file)
+
+
+def rows_of(scene: Scene, name: str) -> ParticleTable:
+    """The rows of a group: all, or those of its material (name or number) if the file has a material column.
+
+    Raises SceneError if no row matches, or if the file cannot be read.
+    """
+    table = table_of(scene, name)
+    if table.material is None:
+        return table
+    is_own = np.isin(table.material, _names_of(scene, scene.particles[name].material))
+    if not is_own.any():
+        location, material = scene.locate("particles", name, "material"), scene.particles[name].material
+        others = ", ".join(sorted(set(table.material.tolist()))[:5])
+        raise SceneError(f"{location}: no row of {table.path} is of {material}; its materials are {others}.")
+    return table.subset(is_own)
+
+
+def unassigned_rows(scene: Scene) -> list[str]:
+    """An error message for each file with rows of a material that no group uses; missing files are skipped."""
+    files: dict[str, list[str]] = {}
+    for name, group in scene.particles.items():
+        if isinstance(group.insert, FileInsertion) and (scene.folder / group.insert.file).exists():
+            files.setdefault(group.insert.file, []).append(name)
+    problems = []
+    for names in files.values():
+        table = table_of(scene, names[0])
+        if table.material is not None:
+            used_materials = [known for name in names for known in _names_of(scene, scene.particles[name].material)]
+            unassigned = ~np.isin(table.material, used_materials)
+            if unassigned.any():
+                row, material = table.line[unassigned][0], table.material[unassigned][0]
+                problems.append(
+                    f"{table.path}:{row}: this particle is of {material}, but no group has this material; add one."
+                )
+    return problems
+
+
+def particles_from_file(scene: Scene, name: str) -> ParticleData:
+    """The particles of a group from its file, in the order of its rows.
+
+    Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at rest. Raises
+    SceneError if the number of rows has changed since the scene was resolved.
+    """
+    rows, group = rows_of(scene, name), scene.particles[name]
+    if len(rows) != group.count:
+        raise SceneError(
+            f"{rows.path}: this file has changed: it had {group.count} particles, and has {len(rows)} now."
+        )
+    particles = particles_of(scene, name, rows.position, rows.radius)
+    if group.fixed:
+        return particles
+    moving = {key: getattr(rows, key) for key in ("velocity", "angular_velocity") if getattr(rows, key) is not None}
+    return replace(particles, **moving)
+
+
+def _names_of(scene: Scene, material: str) -> list[str]:
+    """Names of a material in a file: its name, or its number in the scene, from 0."""
+    return [material, str(list(scene.materials).index(material))]

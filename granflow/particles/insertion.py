@@ -1,0 +1,235 @@
+"""Insertion of particles during the run: a number or mass per second, at random free positions in a region.
+
+Inserters run on the host: `next_time` is the time of the next batch, `insert_due` returns its particles.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import SceneError
+from granflow.particles.close_pairs import overlaps_any
+from granflow.particles.packing import RegionFullError, Spheres, check_width
+from granflow.particles.particle_data import ParticleData, particles_of, random_for, seeds_of, shortfall
+from granflow.particles.regions import CylinderSampler, RegionSampler, SlabSampler, sampler_of
+from granflow.particles.sizes import ordered_diameters
+from granflow.scene.schema.insertion import DiscFace, InletInsertion, RainInsertion
+from granflow.scene.schema.scene import Scene
+
+MAX_BATCHES = 500
+"""Largest number of batches of one group: each batch interrupts the device."""
+
+BATCH_FRACTION = 0.05
+"""Largest solid fraction of the region that one batch fills."""
+
+DUE_TOLERANCE = 1e-6
+"""Tolerance of due times, as a fraction of the mean interval between particles: `next_time` is rounded."""
+
+MAX_RETRIED_BATCHES = 4
+"""Largest number of queued particles that are tried again in one batch, in batch sizes: limits the cost of a full
+region."""
+
+SAVED_FIELDS = ("queued", "due_count", "batch_count", "next_time")
+"""Attributes of an inserter in checkpoints: particle numbers (q,), counts, and the time of the next batch [s]."""
+
+
+ATTEMPTS = (8, 56)
+"""Positions tried for a particle: in the first round, and in the second round after a failure of the first."""
+
+
+class Inserter:
+    """Inserter of one group (rain or inlet); the sizes and their order are drawn at construction.
+
+    Particle k is due at start + k / rate, or, with a mass flow rate, at
+
+        t_k = start + (m_0 + ... + m_(k-1)) / mass_flow
+
+    Due particles are inserted in batches. A particle without a free position is queued and has priority in the next
+    batch. Walls are not considered. The positions depend on the seed of the scene, the number of the batch, and the
+    existing particles.
+
+    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion, read-only.
+    `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval` [s]: mean
+    time between particles. `next_time` [s]: time of the next batch; infinite after the last.
+
+    Raises ValueError for a group without rain or inlet, and RegionFullError if the largest particle does not fit into
+    the region.
+    """
+
+    def __init__(self, scene: Scene, group_name: str) -> None:
+        group = scene.particles[group_name]
+        self.scene, self.group_name = scene, group_name
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            raise ValueError(f"{group_name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
+        self.start = insertion.start
+        self.radius = ordered_diameters(group.sizes, group.count, random_for(scene, group_name)) / 2
+        self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * scene.materials[group.material].density
+        self.due_at = self.start + _delays(insertion, self.mass)
+        self.interval = (
+            1.0 / insertion.rate if insertion.rate else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
+        )
+        for array in (self.radius, self.mass, self.due_at):
+            array.setflags(write=False)
+        gathered = math.ceil(group.count / MAX_BATCHES)
+        self.region = _insertion_region(
+            insertion, self.radius.max(), np.array(group.velocity, float), gathered * self.interval
+        )
+        check_width(self.region, self.radius.max())
+        self.batch = batch_size(self.radius, self.region.volume)
+        self.queued = np.empty(0, dtype=np.int64)
+        self.due_count = 0
+        self.batch_count = 0
+        self.next_time = self.start
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the insertion: SAVED_FIELDS. The random numbers follow from the number of the batch."""
+        return {name: getattr(self, name) for name in SAVED_FIELDS}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state saved by `state_dict`."""
+        for name in SAVED_FIELDS:
+            setattr(self, name, saved[name])
+
+    @property
+    def remaining(self) -> int:
+        """Number of particles not inserted yet, including queued ones."""
+        return len(self.radius) - self.due_count + len(self.queued)
+
+    @property
+    def is_inserted(self) -> np.ndarray:
+        """Whether each particle (count,) has been inserted."""
+        is_inserted = np.arange(len(self.radius)) < self.due_count
+        is_inserted[self.queued] = False
+        return is_inserted
+
+    def insert_due(self, time: float, position: np.ndarray, radius: np.ndarray) -> ParticleData:
+        """Particles inserted at `time` [s], without overlap with existing ones or each other.
+
+        `position` (m, 3) [m], `radius` (m,) [m]: existing particles, whose periodic images are considered too.
+        Particles without a free position are added to `queued`; at most MAX_RETRIED_BATCHES batches of queued particles
+        are tried. Changes `queued`, `due_count`, `batch_count` and `next_time`.
+        """
+        due = int(np.searchsorted(self.due_at, time + DUE_TOLERANCE * self.interval, side="right"))
+        arriving = np.arange(self.due_count, due)
+        queue = np.concatenate([self.queued, arriving])
+        self.due_count += len(arriving)
+        candidates = queue[: MAX_RETRIED_BATCHES * self.batch + len(arriving)]
+        periodic_box = self.scene.domain.periodic_box()
+        existing = (np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
+        obstacles = Spheres(*periodic_box.with_images(*existing))
+        random = np.random.default_rng([*seeds_of(self.scene, self.group_name), self.batch_count])
+        positions = self.find_positions(candidates, obstacles.near(self.region), random)
+        inserted = np.array(list(positions), dtype=np.int64)
+        self.queued = queue[~np.isin(queue, inserted)]
+        self.batch_count += 1
+        self.next_time = self.time_after(time)
+        centers = np.array([positions[k] for k in inserted]).reshape(-1, 3)
+        return particles_of(self.scene, self.group_name, centers, self.radius[inserted])
+
+    def time_after(self, time: float) -> float:
+        """Time of the next batch [s], when its last particle is due; infinite if no particles remain.
+
+        If only queued particles remain, one mean batch interval after `time` [s].
+        """
+        if self.remaining == 0:
+            return math.inf
+        if self.due_count == 0:
+            return self.start
+        if self.due_count == len(self.radius):
+            return time + self.batch * self.interval
+        last = min(self.due_count + self.batch, len(self.radius)) - 1
+        return float(self.due_at[last])
+
+    def find_positions(
+        self, candidates: np.ndarray, obstacles: Spheres, random: np.random.Generator
+    ) -> dict[int, np.ndarray]:
+        """Free centers (3,) [m] found for `candidates`, by particle number, in the order tried.
+
+        `candidates` (c,) int64: particle numbers; `obstacles`: existing spheres near the region. Each particle has
+        ATTEMPTS[0] attempts in the first round, and ATTEMPTS[1] in the second if the first fails.
+        """
+        positions: dict[int, np.ndarray] = {}
+        for attempts in ATTEMPTS:
+            unplaced = np.array([k for k in candidates if k not in positions], dtype=np.int64)
+            repeated_radii = np.repeat(self.radius[unplaced], attempts)
+            proposed = self.region.sample(repeated_radii, random)
+            free = ~overlaps_any(proposed, repeated_radii, obstacles.position, obstacles.radius)
+            for row, k in enumerate(unplaced):
+                own = slice(row * attempts, (row + 1) * attempts)
+                self.place_first_clear(int(k), proposed[own][free[own]], positions)
+        return positions
+
+    def place_first_clear(self, k: int, proposed: np.ndarray, positions: dict[int, np.ndarray]) -> None:
+        """Add the first proposed center of particle `k` without overlap with those of this batch to `positions`.
+
+        `proposed` (t, 3) [m]: centers without overlap with existing particles. Nothing is added if none is clear.
+        """
+        if len(proposed) and positions:
+            occupied = np.array(list(positions.values()))
+            limit = self.radius[k] + self.radius[list(positions)]
+            is_clear = np.linalg.norm(proposed[:, None, :] - occupied, axis=2) >= limit
+            proposed = proposed[is_clear.all(axis=1)]
+        if len(proposed):
+            positions[k] = proposed[0]
+
+
+def batch_size(radius: np.ndarray, volume: float) -> int:
+    """Number of particles per batch, at least 1.
+
+        n = min(count / MAX_BATCHES, BATCH_FRACTION V / mean sphere volume)
+
+    `radius` (count,) [m]: of all particles of the group; `volume` V [m3] of the region. The second limit keeps the
+    region dilute, so that free positions are found.
+    """
+    mean_volume = float(np.mean(4 / 3 * np.pi * radius**3))
+    capacity = int(BATCH_FRACTION * volume / mean_volume)
+    return max(1, min(math.ceil(len(radius) / MAX_BATCHES), capacity))
+
+
+def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.ndarray:
+    """Due times (n,) [s] after the start, for the masses (n,) [kg] in the order of insertion."""
+    if insertion.rate is not None:
+        return np.arange(len(mass)) / insertion.rate
+    assert insertion.mass_flow is not None
+    return (np.cumsum(mass) - mass) / insertion.mass_flow
+
+
+def _insertion_region(
+    insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
+) -> RegionSampler:
+    """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.
+
+    `radius` [m]: largest; `velocity` (3,) [m/s] of the group; `gathered` [s]: time of one batch. The depth is one
+    diameter plus the normal velocity times that time.
+    """
+    if isinstance(insertion, RainInsertion):
+        return sampler_of(insertion.region)
+    if isinstance(insertion.face, DiscFace):
+        disc = insertion.face.disc
+        normal = np.array(disc.normal) / math.hypot(*disc.normal)
+        depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
+        return CylinderSampler(np.array(disc.center), disc.center + depth * normal, disc.radius)
+    rectangle = insertion.face.rectangle
+    first, second = np.array(rectangle.sides, float)
+    normal = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
+    depth = 2.0 * radius + max(float(velocity @ normal), 0.0) * gathered
+    return SlabSampler(np.array(rectangle.corner), first, second, depth)
+
+
+def inserters(scene: Scene) -> tuple[Inserter, ...]:
+    """Inserters of all groups with rain or inlet, in the order of the scene.
+
+    Raises SceneError with one message for each group that does not fit into its region.
+    """
+    inserters, problems = [], []
+    for name, group in scene.particles.items():
+        if isinstance(group.insert, RainInsertion | InletInsertion):
+            try:
+                inserters.append(Inserter(scene, name))
+            except RegionFullError as error:
+                problems.append(shortfall(scene, name, error))
+    if problems:
+        raise SceneError(problems)
+    return tuple(inserters)

@@ -1,0 +1,1 @@
+"""Output directories: checkpoints and their validation, resume, previous runs, results, stages and timings."""

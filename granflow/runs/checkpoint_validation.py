@@ -1,0 +1,245 @@
+"""Checks a checkpoint against the plan of the run before it is copied to the device; see `checkpoint_parts`."""
+
+from math import pi
+
+import numpy as np
+
+from granflow.io.checkpoint import Checkpoint
+from granflow.io.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
+from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
+from granflow.plan.plan import Plan
+from granflow.runs.checkpoint_neighbors import check_neighbors
+from granflow.scene.schema.scene import Scene
+
+ROUNDING = 1e-5
+"""Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
+
+COUNTS = ("inserted_count", "deleted_count")
+"""Keys of numbers of particles since the start."""
+
+MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
+"""Keys of masses [kg] and energies [J] of inserted and deleted particles."""
+
+SECONDS = ("neighbor_list", "advance", "sampled_forces", "sampled_integration")
+"""Keys of wall clock by phase [s]."""
+
+TALLIES = ("rebuild_count", "step_count", "particle_steps")
+"""Keys of numbers of rebuilds, steps and particle-steps."""
+
+WALL_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
+"""Keys of the arrays of force-controlled walls."""
+
+KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
+"""Keys of the state of a run."""
+
+
+def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object]) -> None:
+    """Check the state that does not depend on the current scene: stages, clocks, the keys of the plan fingerprint.
+
+    `before`: scene of the checkpoint. `decided`: fingerprint of the current plan, see `resume.plan_fingerprint`; only
+    its keys are compared here. Raises CheckpointError.
+    """
+    part = Part.of(checkpoint)
+    part.mapping(KEYS)
+    _check_stage_progress(part["stage_progress"], [stage.name for stage in before.schedule])
+    for each in part["wall_clock"].parts(("output_seconds", "wall_clock")):
+        each.number(0.0)
+    for each in part["plan"].parts(decided):
+        if not isinstance(each.value, bool | int | float | str):
+            raise each.mismatch("a number or a text")
+    for name in part["earlier"].items():
+        name.text(list(before.particles))
+    for key in ("insertion", "observers", "engine"):
+        part[key].mapping()
+    clock = part["engine"]["clock"]
+    _check_clock(clock, checkpoint.time)
+
+
+def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
+    """Check all values for the device: counts, types, shapes, ranges, indices.
+
+    `plan`: of the scene that continues the run; `before`: scene of the checkpoint, whose densities and materials
+    determine the masses. The ranges exclude indices that would be out of range on the device. Raises CheckpointError.
+    """
+    engine = Part.of(checkpoint)["engine"]
+    count = engine["particle_count"].integer(0, plan.particle_capacity)
+    steps = engine["clock"]["step_count"].integer()
+    for name in ("steps_since_update", "steps_since_rebuild"):
+        engine[name].integer(0, steps)
+    for wall in engine["walls_present"].items(len(plan.walls)):
+        wall.flag()
+    _check_accounting(engine["accounting"], count, plan)
+    _check_timing(engine["clocks"])
+    _check_particles(engine["particles"], engine["accounting"], plan, before)
+    check_neighbors(engine["neighbors"], count, plan)
+    _check_wall_dynamics(engine["wall_dynamics"], plan)
+    _check_energy_budget(engine["energy_budget"], plan)
+
+
+def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
+    """Check the state that `start_from` reads: particles and their groups.
+
+    Independent of any plan, because the new run may have other groups and features; `before`: scene of the checkpoint.
+    Raises CheckpointError.
+    """
+    engine = Part.of(checkpoint)["engine"]
+    count = engine["particle_count"].integer(0, 2**31 - 1)
+    inserted = len(group) if isinstance(group := engine["accounting"]["group"].value, np.ndarray) else 0
+    engine["accounting"]["group"].integers(inserted, high=len(before.particles) - 1)
+    engine["clock"]["time_step"].number(0.0, LARGEST_REAL)
+    particles = engine["particles"]
+    for name in (
+        "position",
+        "velocity",
+        "force",
+        *(("angular_velocity", "torque") if "angular_velocity" in particles.mapping() else ()),
+    ):
+        particles[name].floats(count, 3)
+    for name in ("radius", "mass"):
+        particles[name].floats(count, low=float(np.finfo(np.float32).tiny))
+    particles["id"].distinct(count, high=inserted - 1)
+    for array in particles.parts():
+        if not isinstance(array.value, np.ndarray) or len(array.value) != count:
+            raise array.mismatch(f"an array of {count} particles")
+
+
+def _check_stage_progress(progress: Part, stages: list[str]) -> None:
+    """Check the present stage and the start and end [s] of each stage up to it, in the order `stages`."""
+    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes"))
+    present = progress["stage"].text(stages)
+    times = progress["stage_times"]
+    if list(times.mapping()) != stages[: stages.index(present) + 1]:
+        raise times.error("has other stages than those up to the present one")
+    for each in times.parts():
+        began, ended = each.items(2)
+        ended.number(began.number(0.0, LARGEST_REAL))
+    progress["next_check"].number()
+    progress["arrived"].flag()
+    if progress["target"].value is not None:
+        progress["target"].number(0.0, LARGEST_REAL)
+    for change in progress["changes"].items():
+        change.number(0.0)
+
+
+def _check_clock(clock: Part, time: float) -> None:
+    """Check that the step count and the time step [s] result in the `time` [s] of the header, within half a step."""
+    clock.mapping(("time_step", "step_count", "since_step", "since_time"))
+    step = clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
+    count = clock["step_count"].integer()
+    since_step = clock["since_step"].integer(0, count)
+    now = clock["since_time"].number(0.0, LARGEST_REAL) + (count - since_step) * step
+    if not abs(now - time) <= 0.5 * step:
+        raise clock.error(f"gives the time {now:.6g} s, but the header {time:.6g} s")
+
+
+def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
+    """Check counts, masses [kg] and energies [J] of inserted and deleted particles, and material and group by id.
+
+    `count`: particles present, which is the inserted minus the deleted number.
+    """
+    accounting.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
+    inserted = accounting["inserted_count"].integer(count, plan.particle_capacity)
+    accounting["deleted_count"].integer(inserted - count, inserted - count)
+    for name in MASSES:
+        accounting[name].number(-LARGEST_REAL, LARGEST_REAL)
+    for outlet in accounting["outlets"].parts(plan.scene.outlets):
+        for each in outlet.items(2):
+            each.number(0.0, LARGEST_REAL)
+    accounting["material"].integers(inserted, high=len(plan.scene.materials) - 1)
+    accounting["group"].integers(inserted, high=len(plan.scene.particles) - 1)
+
+
+def _check_timing(clocks: Part) -> None:
+    """Check the wall clock by phase [s] and the numbers of steps, rebuilds and particle-steps."""
+    clocks.mapping((*SECONDS, *TALLIES))
+    for name in SECONDS:
+        clocks[name].number(0.0, LARGEST_REAL)
+    for name in TALLIES:
+        clocks[name].integer(0, MOST_STEPS)
+
+
+def particle_arrays(plan: Plan) -> dict[str, int]:
+    """Return the names of the particle arrays in a checkpoint of this plan, with the components per particle.
+
+    Vectors have 3 components, shape (n, 3); others 1, shape (n,). Which arrays exist depends on `plan.features`.
+    """
+    features = plan.features
+    vectors = ["position", "velocity", "force", "position_at_rebuild"]
+    vectors += ["angular_velocity", "torque"] * features.rotation + ["velocity_synchronized"] * features.rate_dependent
+    whole = ["id"] + ["material"] * (not features.one_material) + ["fixed"] * features.fixed_particles
+    return dict.fromkeys(vectors, 3) | dict.fromkeys((*whole, "radius", "mass"), 1)
+
+
+def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scene) -> None:
+    """Check shape and range of each particle array, and radius, mass and material against the scene.
+
+    The mass must be density times 4/3 pi R^3, within the rounding of single precision.
+    """
+    inserted = accounting["inserted_count"].integer()
+    count = inserted - accounting["deleted_count"].integer()
+    arrays = particle_arrays(plan)
+    particles.mapping(arrays)
+    for name in (name for name, width in arrays.items() if width == 3):
+        particles[name].floats(count, 3)
+    ids = particles["id"].distinct(count, high=inserted - 1)
+    sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
+    radius = particles["radius"].floats(count, low=sizes[0], high=sizes[1]).astype(float)
+    materials = list(before.materials.values())
+    number = accounting["material"].integers(inserted, high=len(materials) - 1)[ids]
+    mass = 4.0 / 3.0 * pi * radius**3 * np.array([material.density for material in materials])[number]
+    if np.any(np.abs(particles["mass"].floats(count) - mass) > ROUNDING * mass):
+        raise particles["mass"].error("differs from density times volume")
+    if "fixed" in arrays:
+        particles["fixed"].integers(count, high=1)
+    if "material" in arrays:
+        known = {name: index for index, name in enumerate(plan.materials)}
+        expected = np.array([known.get(name, 0) for name in before.materials])[number]
+        if np.any(particles["material"].integers(count, high=plan.material_count - 1) != expected):
+            raise particles["material"].error("differs from the materials in accounting")
+    _check_positions(particles, count, plan)
+
+
+def _check_positions(particles: Part, count: int, plan: Plan) -> None:
+    """Check that particles were inside the domain at the last rebuild and have moved less than the skin since.
+
+    Displacements up to 2 skins and positions up to one skin outside the domain are accepted, plus rounding [m].
+    """
+    position = particles["position"].floats(count, 3).astype(float)
+    at_rebuild = particles["position_at_rebuild"].floats(count, 3).astype(float)
+    rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
+    if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.skin + rounding):
+        raise particles["position"].error("is farther from position_at_rebuild than the skin allows")
+    low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
+    if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
+        raise particles["position_at_rebuild"].error("is outside the domain")
+
+
+def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
+    """Check the controlled walls; if they differ from those of the plan, another check reports it."""
+    if [each.text() for each in dynamics["controlled_motions"].items()] != [
+        each.key for each in plan.controlled_motions
+    ]:
+        return
+    count = len(plan.controlled_motions)
+    names = WALL_FIELDS if count else ()
+    dynamics.mapping(("controlled_motions", *names))
+    for name in names:
+        if name == "was_active":
+            dynamics[name].integers(count, high=1)
+        else:
+            dynamics[name].floats(*((plan.chunk_capacity, count) if name == "wall_force" else (count,)))
+
+
+def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
+    """Check the sums per chunk: `losses` (chunks, 5), `boundary_work` (chunks,), `impulses` (chunks, walls, 7)."""
+    features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
+    shapes: dict[str, tuple[int, ...]] = {}
+    if features.energy_budget:
+        shapes["losses"] = (chunks, len(LOSSES))
+    if features.energy_budget and features.periodic != "none":
+        shapes["boundary_work"] = (chunks,)
+    if measured:
+        shapes["impulses"] = (chunks, measured, IMPULSE_SIZE)
+    energy_budget.mapping(shapes)
+    for name, shape in shapes.items():
+        energy_budget[name].floats(*shape)

@@ -1,0 +1,58 @@
+"""Copies the input files of a scene to the output directory, so that a run can be continued on any machine."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from filecmp import cmp
+from pathlib import Path
+
+from granflow.io.atomic_files import replacing
+from granflow.io.regular_files import resolved
+from granflow.plan.meshes import mesh_path
+from granflow.scene.schema.scene import FileInsertion, MeshWall, Scene
+
+RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
+"""Names of result files: a particle file with such a name is not copied, because the run writes its own."""
+
+
+def copy_inputs(directory: Path, scene: Scene) -> None:
+    """Copy mesh files and particle files to the paths that the resolved scene in the directory contains.
+
+    A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are created.
+    Raises OSError if a file cannot be copied.
+    """
+    for source, name in _inputs(scene):
+        target = Path(directory) / name
+        if target.exists() and (source == resolved(target) or cmp(source, target, shallow=False)):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            target.replace(target.with_name(target.name + ".before"))
+        with replacing(target) as temporary:
+            shutil.copyfile(source, temporary)
+
+
+def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
+    """Yield the key and the path of each input file of the scene: meshes and particle tables.
+
+    The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene. The file
+    need not exist.
+    """
+    for name, wall in scene.walls.items():
+        if isinstance(wall, MeshWall):
+            yield f"walls.{name}.file", scene.folder / wall.file
+    for name, group in scene.particles.items():
+        if isinstance(group.insert, FileInsertion):
+            yield f"particles.{name}.insert.file", scene.folder / group.insert.file
+
+
+def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
+    """Yield the files and their names in the scene, except particle files that a continued run no longer has."""
+    for wall in scene.walls.values():
+        if isinstance(wall, MeshWall):
+            yield mesh_path(scene, wall), wall.file
+    for insertion in (group.insert for group in scene.particles.values()):
+        if isinstance(insertion, FileInsertion) and not RESULTS.fullmatch(insertion.file):
+            path = resolved(scene.folder / insertion.file)
+            if path.exists():
+                yield path, insertion.file

@@ -1,0 +1,107 @@
+"""Particle insertion during a run."""
+
+from collections import Counter
+from collections.abc import Container, Iterator
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.engine import Engine
+from granflow.particles.generate import inserters
+from granflow.scene.schema.scene import ClassSizes, Scene
+
+
+class ParticleInsertion:
+    """The inserters of a scene.
+
+    scene:            resolved scene
+    existing_groups:  groups without inserter, because their particles come from an earlier run
+    Raises:           SceneError if an inserter cannot be built
+    """
+
+    def __init__(self, scene: Scene, existing_groups: Container[str]) -> None:
+        self._scene = scene
+        self._inserters = tuple(each for each in inserters(scene) if each.group_name not in existing_groups)
+
+    def next_time(self) -> float:
+        """Return the simulated time [s] of the next insertion; infinite after the last one."""
+        return min((inserter.next_time for inserter in self._inserters), default=inf)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all particles are inserted."""
+        return all(inserter.remaining == 0 for inserter in self._inserters)
+
+    def insert_due(self, engine: Engine) -> bool:
+        """Insert the particles that are due; return whether any were inserted.
+
+        The inserters receive the positions (n, 3) [m] and radii (n,) [m] of the present particles, which new particles
+        must not overlap. The number of queued particles in the accounting is updated.
+        """
+        inserted = False
+        for inserter in self._inserters:
+            if engine.reached(inserter.next_time):
+                existing = engine.host_copy.copy_to_host(("position", "radius"))
+                new = inserter.insert_due(
+                    engine.time + 0.5 * engine.time_step, existing["position"], existing["radius"]
+                )
+                engine.insert(new)
+                inserted = inserted or len(new) > 0
+        self._update_queue(engine)
+        return inserted
+
+    def results(self) -> dict[str, dict[str, float]]:
+        """Return the results of each inserted group by name.
+
+        `inserted_count`, `inserted_mass` [kg] and `not_inserted_count`, as in INSERTION_QUANTITIES.
+        """
+        return {
+            inserter.group_name: {
+                "inserted_count": float(inserter.is_inserted.sum()),
+                "inserted_mass": float(inserter.mass[inserter.is_inserted].sum()),
+                "not_inserted_count": float(inserter.remaining),
+            }
+            for inserter in self._inserters
+        }
+
+    def shortfalls(self) -> Iterator[str]:
+        """Yield a sentence for each group with particles that are queued or were not due before the end."""
+        for inserter in self._inserters:
+            if inserter.remaining:
+                queued = len(inserter.queued)
+                not_due = inserter.remaining - queued
+                reasons = [f"{queued} are queued for lack of space"] * bool(queued) + [
+                    f"{not_due} were not due"
+                ] * bool(not_due)
+                requested = len(inserter.radius)
+                yield (
+                    f"{inserter.remaining} of {requested} {inserter.group_name} were not inserted: "
+                    f"{' and '.join(reasons)}."
+                )
+
+    def class_shares(self) -> Iterator[str]:
+        """Yield a sentence for each group with size classes: inserted particles and mass share of each class."""
+        for inserter in self._inserters:
+            if isinstance(self._scene.particles[inserter.group_name].diameter, ClassSizes):
+                radius, mass = inserter.radius[inserter.is_inserted], inserter.mass[inserter.is_inserted]
+                parts = [
+                    f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"
+                    for size, count in sorted(Counter(radius.tolist()).items())
+                ]
+                yield f"{inserter.group_name} inserted: {', '.join(parts) or 'none'}."
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of each inserter by group: numbers and numpy arrays."""
+        return {inserter.group_name: inserter.state_dict() for inserter in self._inserters}
+
+    def load_state_dict(self, saved: dict[str, Any], engine: Engine) -> None:
+        """Restore the state of `state_dict`, and the number of queued particles of the engine."""
+        for inserter in self._inserters:
+            inserter.load_state_dict(saved[inserter.group_name])
+        self._update_queue(engine)
+
+    def _update_queue(self, engine: Engine) -> None:
+        """Update the number of queued particles in the accounting."""
+        if self._inserters:
+            engine.accounting.queued_count = int(np.sum([len(inserter.queued) for inserter in self._inserters]))

@@ -1,0 +1,171 @@
+"""The numbers of a completed run: `result.json`, and the table printed at the end."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from granflow.fields import unit_of
+from granflow.io.atomic_files import write_text
+from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
+
+_COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
+_TOTAL = "wall_clock"
+_STATE = ("kinetic_energy", "overlap_mean", "overlap_largest", "coordination_number", "energy_error")
+_WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_pressure_largest")
+"""Totals and wall forces in the closing table; `result.json` contains all of them."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Numbers of a completed run, in SI units.
+
+    `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
+    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, output, compile.
+    `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
+    `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
+    inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
+    """
+
+    run: Mapping[str, float]
+    timings: Mapping[str, float]
+    totals: Mapping[str, float]
+    flow_meters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    wall_forces: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    metrics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    insertion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    expectations: tuple[ExpectationResult, ...] = ()
+
+    def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
+        """Return this result with the evaluated expectations of the scene; the other fields are the same."""
+        return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All numbers by their names in the `expect:` block of a scene.
+
+        Totals and `run` without prefix (`kinetic_energy`, `simulated_time`), wall clock as `timings.neighbor_list`;
+        flow meters, walls and inserted groups as `mass_flow.outlet`, `wall_force.floor`, `inserted_mass.beads`.
+        """
+        named = {**self.run, **self.totals}
+        named.update({f"timings.{part}": seconds for part, seconds in self.timings.items()})
+        parts = (self.flow_meters, self.wall_forces, self.metrics, self.insertion)
+        for part, readings in (reading for each in parts for reading in each.items()):
+            named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
+        return named
+
+
+def write_result(directory: Path, result: Result) -> Path:
+    """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
+
+    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, and expect, a list of sentences.
+    All numbers are in SI units; whole numbers are written without decimals.
+    """
+    sections = {
+        "run": _finite(result.run),
+        "timings": _finite(result.timings),
+        "totals": _finite(result.totals),
+        "flow_meters": {name: _finite(readings) for name, readings in result.flow_meters.items()},
+        "wall_forces": {name: _finite(readings) for name, readings in result.wall_forces.items()},
+        "metrics": {name: _finite(readings) for name, readings in result.metrics.items()},
+        "insertion": {name: _finite(readings) for name, readings in result.insertion.items()},
+        "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
+    }
+    path = Path(directory) / "result.json"
+    write_text(path, json.dumps(sections, indent=2) + "\n")
+    return path
+
+
+def closing_table(result: Result, title: str = "Result") -> Table:
+    """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces, insertion."""
+    table = Table(title=Text(title), show_header=False, title_justify="left")
+    table.add_column(justify="left")
+    table.add_column(justify="right")
+    table.add_column(justify="left")
+    for section in (
+        _run_rows(result),
+        _time_rows(result),
+        _total_rows(result),
+        _part_rows(result.flow_meters),
+        _wall_force_rows(result),
+        _part_rows(result.metrics),
+        _part_rows(result.insertion),
+    ):
+        for row in section:
+            table.add_row(*row)
+        table.add_section()
+    return table
+
+
+def readable(number: float) -> str:
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
+
+    Large: from 1e4 to 1e12, rounded to four significant digits.
+    """
+    if float(number).is_integer() and abs(number) < 1e15:
+        return f"{int(number):,}".replace(",", " ")
+    if 1e4 <= abs(number) < 1e12:
+        return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
+    return f"{number:.4g}"
+
+
+def _run_rows(result: Result) -> list[tuple[str, str, str]]:
+    rows = {name: number for name, number in result.run.items() if name != _TOTAL}
+    return [(_label(name), readable(number), unit_of(name)) for name, number in rows.items()]
+
+
+def _time_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the wall clock of each phase [s] and its share, the remaining time as "other", and the total."""
+    named = sum(result.timings.values())
+    total = max(result.run.get(_TOTAL, named), named)
+    parts = dict(result.timings) | ({"other": total - named} if total > named else {})
+    rows = [
+        (_label(part), f"{seconds:.2f} s", f"{seconds / total:.0%}" if total > 0 else "")
+        for part, seconds in parts.items()
+    ]
+    return [*rows, (_label(_TOTAL), f"{total:.2f} s", "")]
+
+
+def _total_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the rows of counts, state numbers, and totals of single outlets and walls, with their units."""
+    names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
+    names += [name for name in result.totals if "." in name]
+    return [(_label(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
+
+
+def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
+    """Return the rows of meters, metrics or walls by name."""
+    return [
+        (f"{_label(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
+        for part, readings in parts.items()
+        for quantity, number in readings.items()
+    ]
+
+
+def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Return the rows of force magnitudes and pressures; result.json also contains the components."""
+    shown = {
+        wall: {name: number for name, number in readings.items() if name in _WALL_FORCE_NAMES}
+        for wall, readings in result.wall_forces.items()
+    }
+    return _part_rows(shown)
+
+
+def _label(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    # The module json writes NaN as invalid JSON and does not accept numpy numbers.
+    return {name: _json_number(number) for name, number in numbers.items()}
+
+
+def _json_number(number: float) -> float | None:
+    """Return a Python number for JSON: an int if it is whole and below 2^53, None if it is not finite."""
+    if not math.isfinite(number):
+        return None
+    return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)

@@ -1,0 +1,177 @@
+"""Checks whether a run can continue from a checkpoint with a given scene, and schedules new checkpoints."""
+
+import hashlib
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.geometry.motion import Motion, pose
+from granflow.io.checkpoint import Checkpoint, remove_old_checkpoints, write_checkpoint
+from granflow.load import scene_of
+from granflow.observers.schedule import Schedule
+from granflow.plan.plan import Plan
+from granflow.plan.walls import StageTimes, wall_motions
+from granflow.runs.checkpoint_validation import check_engine, check_run
+from granflow.scene.differences import Difference, differences, forbidden
+from granflow.scene.schema.scene import Checkpoints, Scene
+
+PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
+"""Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
+
+FEATURE_SWITCHES = (
+    *("friction", "rolling", "rotation", "rate_dependent", "cohesion", "one_material", "energy_budget", "wall_forces"),
+    "fixed_particles",
+)
+"""Features that determine which arrays exist."""
+
+MAX_JUMP = 1e-3
+"""Largest displacement of a wall by a change of its motion, over the smallest radius."""
+
+
+def plan_fingerprint(plan: Plan) -> dict[str, Any]:
+    """Return the numbers and features of a plan that checkpoints contain, by name.
+
+    PLAN_NUMBERS in SI units, FEATURE_SWITCHES, and `mesh_digest`. A run continues only if all are equal.
+    """
+    numbers = {name: getattr(plan, name) for name in PLAN_NUMBERS} | {"mesh_digest": mesh_digest(plan)}
+    return numbers | {name: getattr(plan.features, name) for name in FEATURE_SWITCHES}
+
+
+def mesh_digest(plan: Plan) -> str:
+    """Return the SHA-256 of the triangles of all mesh walls, their order included; empty without mesh walls.
+
+    The digest covers points and corners at rest, after scaling, rotation and translation.
+    """
+    digest = hashlib.sha256(str(len(plan.walls)).encode())
+    for index, mesh in plan.meshes.items():
+        digest.update(f"{index} {mesh.corners.shape}".encode() + mesh.corners.tobytes() + mesh.points.tobytes())
+    return digest.hexdigest() if plan.meshes else ""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Differences between the scene of a checkpoint and the scene that continues the run."""
+
+    differences: tuple[Difference, ...]
+
+    @property
+    def affects_contacts(self) -> bool:
+        """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
+        return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
+
+    def moves_stage_end(self, index: int) -> bool:
+        """Return whether the end of the stage with this index has changed."""
+        return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
+
+
+def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
+    """Check the checkpoint and return the differences between its scene and that of the plan.
+
+    `allow_changes`: accept differences in keys that must normally not change when a run continues.
+
+    Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
+    of the plan differ, or if a wall would jump by more than MAX_JUMP of the smallest radius. Raises CheckpointError if
+    the state does not match its scene or the plan.
+    """
+    saved = checkpoint.saved
+    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
+    check_run(checkpoint, before, plan_fingerprint(plan))
+    stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
+    refused = forbidden(before, now, stages_over)
+    if refused and not allow_changes:
+        named = "\n".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
+        raise GranflowError(
+            f"{named}\nRun the scene from the start, or continue despite the change with --allow-changes."
+        )
+    _refuse_other_numbers(checkpoint, plan)
+    _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
+    check_engine(checkpoint, plan, before)
+    return Change(differences(before, now))
+
+
+def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
+    """Raise GranflowError for the first number or feature of the plan that differs from that of the checkpoint."""
+    for name, before in checkpoint.saved["plan"].items():
+        now = plan_fingerprint(plan)[name]
+        if now != before and name == "mesh_digest":
+            raise GranflowError(
+                f"{checkpoint.path}: the triangles of the mesh walls differ from those of the run, but must not change "
+                "when a run continues; restore the mesh files."
+            )
+        if now != before:
+            remedy = (
+                "; give the old value with --set" if name in ("time_step", "velocity_max", "skin", "chunk_size") else ""
+            )
+            raise GranflowError(
+                f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must not change "
+                f"when a run continues{remedy}."
+            )
+
+
+def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: float) -> None:
+    """Raise GranflowError if a changed motion displaces a wall at `time` [s].
+
+    `before`: scene of the checkpoint; `stage_times`: start and end [s] of its stages. The displacement is that of the
+    corners of the domain.
+    """
+    corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
+    motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
+    for wall, first, second in zip(plan.walls, *motions, strict=False):
+        moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
+        if moved > MAX_JUMP * plan.radius_min:
+            raise GranflowError(
+                f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate "
+                "the old motion at this time (end:) and add another motion from this time (start:)."
+            )
+
+
+def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np.ndarray:
+    """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
+    pose_at_time = pose(motions, np.array([time]))
+    return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
+
+
+class CheckpointWriter:
+    """Schedules and writes the checkpoints of one run, and keeps the newest few.
+
+    `settings`: `interval` [s] of simulated time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is
+    monotonic: a change of the system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
+    """
+
+    def __init__(self, directory: Path, settings: Checkpoints) -> None:
+        self._directory, self._settings = directory, settings
+        self._schedule = Schedule(settings.interval) if settings.interval else None
+        self._written_at = clock.monotonic()
+        self.last_time: float | None = None
+
+    def start(self, time: float) -> None:
+        """Start the schedule at `time` [s]."""
+        self._written_at = clock.monotonic()
+        if self._schedule is not None:
+            self._schedule.mark_done(time)
+
+    def next_time(self) -> float:
+        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
+        return inf if self._schedule is None else self._schedule.next_time()
+
+    def due(self, time: float) -> bool:
+        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
+        return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
+
+    def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
+        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
+
+        `time` [s], `step`: of the state `saved`, as in `write_checkpoint`. Raises OSError if the file cannot be
+        written.
+        """
+        self.start(time)
+        write_checkpoint(self._directory, scene.text(), time, step, saved)
+        remove_old_checkpoints(self._directory, self._settings.keep)
+        self.last_time = time

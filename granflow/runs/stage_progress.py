@@ -1,0 +1,94 @@
+"""Progress of a run through its stages."""
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any
+
+from granflow.engine.engine import Engine
+from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wall_presence
+from granflow.scene.schema.scene import Scene
+
+REST_CHECKS = 200
+"""Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
+
+
+@dataclass
+class StageProgress:
+    """Started and completed stages, and pending events of the current stage.
+
+    stage:        name of the current stage
+    changes:      future times [s] at which walls appear or vanish
+    stage_times:  start and end [s] of the stages that have begun; the end is infinite during a stage
+    next_check:   time [s] of the next check for rest; infinite without checks
+    target:       time [s] to which the current steps lead, None between targets
+    arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
+    """
+
+    stage: str
+    changes: tuple[float, ...]
+    stage_times: dict[str, tuple[float, float]] = field(default_factory=dict)
+    next_check: float = inf
+    target: float | None = None
+    arrived: bool = False
+
+    @classmethod
+    def of(cls, scene: Scene) -> "StageProgress":
+        """Return the progress before the first step."""
+        return cls(scene.schedule[0].name, wall_change_times(scene))
+
+    def begin(self, stage: str, time: float, check_interval: float) -> None:
+        """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
+        self.stage, self.next_check = stage, time + check_interval
+        self.stage_times[stage] = (time, inf)
+
+    def end(self, time: float) -> None:
+        """End the current stage at `time` [s]."""
+        self.stage_times[self.stage] = (self.stage_times[self.stage][0], time)
+
+    def has_ended(self, stage: str) -> bool:
+        """Return whether the stage has ended."""
+        return self.stage_times.get(stage, (0.0, inf))[1] < inf
+
+    def set_target(self, time: float) -> None:
+        """Set the target time [s] of the next steps."""
+        self.target, self.arrived = time, False
+
+    def remove_past_changes(self, engine: Engine) -> bool:
+        """Remove wall changes that are due; return whether any were removed."""
+        remaining = tuple(change for change in self.changes if not engine.reached(change))
+        changed = len(remaining) < len(self.changes)
+        self.changes = remaining
+        return changed
+
+    def set_walls(self, scene: Scene, engine: Engine) -> None:
+        """Copy presence and motions of the walls to the device.
+
+        Presence is that of the middle of the next step, so that a change due at the present time is included.
+        """
+        times: StageTimes = self.stage_times
+        presence = wall_presence(scene, self.stage, engine.time + 0.5 * engine.time_step)
+        engine.set_walls(presence, wall_motions(scene, times))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        return {
+            "stage": self.stage,
+            "stage_times": {name: list(times) for name, times in self.stage_times.items()},
+            "next_check": self.next_check,
+            "target": self.target,
+            "arrived": self.arrived,
+            "changes": list(self.changes),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any], reopened: bool, same_scene: bool) -> None:
+        """Restore the state.
+
+        reopened:    the last stage continues even if it had ended
+        same_scene:  False if the scene changed; the target is then determined again
+        """
+        self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
+        self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}
+        if reopened:
+            self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)
+        if same_scene:
+            self.target, self.arrived = saved["target"], saved["arrived"]

@@ -1,0 +1,114 @@
+"""Wall clock and result of a run, and its log header."""
+
+import logging
+import time as clock
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from granflow.engine.engine import Engine
+from granflow.io.checkpoint import Checkpoint
+from granflow.io.log import versions
+from granflow.plan.explain import explain
+from granflow.plan.plan import Plan
+from granflow.runs.result import Result
+
+
+class WallClock:
+    """Wall-clock time of a run [s], including the time before it was resumed.
+
+    `output`: time [s] spent in observers and checkpoints.
+    """
+
+    def __init__(self) -> None:
+        self._began = clock.perf_counter()
+        self._before_resume, self._setup = 0.0, 0.0
+        self.output = 0.0
+
+    def set_up(self, compile_seconds: float) -> None:
+        """Record the set-up time [s], without `compile_seconds`."""
+        self._setup = clock.perf_counter() - self._began - compile_seconds
+
+    def start(self) -> None:
+        """Start the clock of the run; the time between the set-up and this call is not counted."""
+        self._began = clock.perf_counter()
+
+    @contextmanager
+    def measuring_output(self) -> Iterator[None]:
+        """Count the duration of the block as output."""
+        began = clock.perf_counter()
+        yield
+        self.output += clock.perf_counter() - began
+
+    def total(self, engine: Engine) -> float:
+        """Return the total time so far [s]."""
+        return self._before_resume + clock.perf_counter() - self._began + self._setup + engine.timing.compile
+
+    def state_dict(self, engine: Engine) -> dict[str, Any]:
+        """Return the state for a checkpoint: output time and total time so far [s]."""
+        return {"output_seconds": self.output, "wall_clock": self.total(engine)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        self.output, self._before_resume = saved["output_seconds"], saved["wall_clock"]
+
+
+Readings = Mapping[str, Mapping[str, float]]
+"""Numbers by quantity of each meter, wall or metric, by name."""
+
+
+def collect_result(
+    engine: Engine, wall_clock: WallClock, totals: Mapping[str, float], readings: Mapping[str, Readings]
+) -> Result:
+    """Return the numbers of a run without evaluated expectations.
+
+    engine:    engine at the end of the run
+    totals:    totals of the last snapshot
+    readings:  numbers of flow meters, wall forces, metrics and insertion by kind, as in `Result`
+    """
+    timing = engine.timing
+    computing = max(timing.neighbor_list + timing.advance, 1e-9)
+    run = {
+        "simulated_time": engine.time,
+        "step_count": float(engine.step_count),
+        "time_step": engine.mean_time_step,
+        "steps_per_second": engine.step_count / computing,
+        "particle_steps_per_second": timing.particle_steps / computing,
+        "rebuild_count": float(timing.rebuild_count),
+        "wall_clock": wall_clock.total(engine),
+    }
+    seconds = {
+        "neighbor_list": timing.neighbor_list,
+        "forces": timing.forces,
+        "integration": timing.integration,
+        "output": wall_clock.output,
+        "compile": timing.compile,
+    }
+    kinds = ("flow_meters", "wall_forces", "metrics", "insertion")
+    flow_meters, wall_forces, metrics, insertion = (readings.get(kind, {}) for kind in kinds)
+    return Result(
+        run=run,
+        timings=seconds,
+        totals=totals,
+        flow_meters=flow_meters,
+        wall_forces=wall_forces,
+        metrics=metrics,
+        insertion=insertion,
+    )
+
+
+def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
+    """Write versions, device, plan with reasons, and warnings to the log.
+
+    `resumed`: checkpoint from which the run continues, or None.
+    """
+    log = logging.getLogger("granflow")
+    backend = engine.state.backend
+    log.info("%s", versions())
+    log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
+    for line in explain(plan).splitlines():
+        log.info("%s", line)
+    for warning in plan.warnings:
+        log.warning("%s", warning)
+    if resumed is not None:
+        log.info("resumed from %s at %.6g s", resumed.path, engine.time)

@@ -1,0 +1,1 @@
+"""Schema of scene files, one module per block."""

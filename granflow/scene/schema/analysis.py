@@ -1,0 +1,178 @@
+"""Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field, Tag
+
+from granflow.fields import FIELD_QUANTITIES
+from granflow.scene.schema.fields import (
+    Auto,
+    Count,
+    Counts,
+    Fault,
+    Model,
+    Names,
+    Number,
+    Point,
+    PositiveLength,
+    PositiveTime,
+    Text,
+    UnscaledLength,
+    choose_by_key,
+    list_of,
+)
+from granflow.scene.schema.insertion import Box
+from granflow.scene.suggest import suggestion_or_list
+
+Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
+"""Kernel width [m], or auto: the largest radius of the scene."""
+
+Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+"""Cutoff of the kernel, in kernel widths: 1 to 10."""
+
+
+class GridSpec(Model):
+    """A box divided into cells, given by their edge length or their number.
+
+    Along periodic axes of the domain, the box must cover the whole domain.
+    """
+
+    region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
+    cell: PositiveLength | None = Field(
+        None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
+    )
+    cells: Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of edge length and number of cells is given."""
+        if (self.cell is None) == (self.cells is None):
+            given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
+            yield Fault((), f"{given}; give the edge length of a cell, or the number along x, y and z", whole=True)
+
+    def cell_counts(self, domain: Box) -> tuple[int, int, int]:
+        """Number of cells along x, y and z, each at least 1; without a region the grid covers `domain`.
+
+        A given edge length [m] is adjusted such that a whole number of cells fits into the box.
+        """
+        if self.cells is not None:
+            return self.cells
+        assert self.cell is not None
+        box, edge = self.region or domain, self.cell
+        x, y, z = (max(round((high - low) / edge), 1) for low, high in zip(box.min, box.max, strict=True))
+        return x, y, z
+
+
+class FieldGrid(GridSpec):
+    """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
+
+    Fields of contacts (stress, pressure, fabric) require the contacts of each frame. Formulas: docs/coarse_graining.md.
+    """
+
+    width: Width = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
+    cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
+    interval: PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
+    stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
+    quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(
+        tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for each quantity that is not a known field."""
+        yield from super().faults()
+        for index, name in enumerate(self.quantities):
+            if name not in FIELD_QUANTITIES:
+                remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
+                yield Fault(("quantities", index), f"there is no such field. {remedy}")
+
+
+class LaceyMetric(GridSpec):
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles.
+
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+    """
+
+    kind: Literal["lacey"] = Field(description="kind of metric")
+    groups: Names | None = Field(None, description="groups whose particles form the first component")
+    materials: Names | None = Field(None, description="materials whose particles form the first component")
+    smaller_than: UnscaledLength | None = Field(
+        None, description="diameter below which particles belong to the first component [m]"
+    )
+    at_least: Count = Field(10, description="smallest number of particles in a cell that is evaluated")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one definition of the first component is given."""
+        yield from super().faults()
+        given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "does not define the first component"
+            yield Fault((), f"{found}; give exactly one of groups, materials and smaller_than", whole=True)
+
+
+class ReposeMetric(Model):
+    """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
+
+    The angle is that of a line or plane fitted to the tops of the highest particles.
+    """
+
+    kind: Literal["repose"] = Field(description="kind of metric")
+    surface: Literal["cone", "plane"] = Field(
+        description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
+    )
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    axis: Point | None = Field(
+        None, description="with surface: cone, a point on its axis [m]; default: mean position of the particles"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an axis with a plane: it applies to a cone only."""
+        if self.surface == "plane" and self.axis is not None:
+            yield Fault(("axis",), "it applies only to surface: cone; remove it")
+
+
+class FabricMetric(Model):
+    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
+
+    (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+    """
+
+    kind: Literal["fabric"] = Field(description="kind of metric")
+    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
+
+
+class CoordinationMetric(Model):
+    """Coordination number with and without rattlers, particles with fewer than two contacts.
+
+    (C. Thornton, Geotechnique 50 (2000) 43.)
+    """
+
+    kind: Literal["coordination"] = Field(description="kind of metric")
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+
+
+class ContentMetric(Model):
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box."""
+
+    kind: Literal["content"] = Field(description="kind of metric")
+    region: Box = Field(description="box whose particles are counted")
+
+
+AnyMetric = Annotated[
+    Annotated[LaceyMetric, Tag("<lacey>")]
+    | Annotated[ReposeMetric, Tag("<repose>")]
+    | Annotated[FabricMetric, Tag("<fabric>")]
+    | Annotated[CoordinationMetric, Tag("<coordination>")]
+    | Annotated[ContentMetric, Tag("<content>")],
+    choose_by_key("kind"),
+]
+"""Any kind of metric; the key `kind` selects it."""
+
+
+METRIC_QUANTITIES_BY_KIND = {
+    "content": ("content_count", "content_mass", "content_volume"),
+    "lacey": ("lacey_index",),
+    "repose": ("angle_of_repose", "angle_of_repose_error"),
+    "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
+    "coordination": ("coordination_number", "mechanical_coordination_number", "rattler_share"),
+}
+"""Quantities of each kind of metric; each also has a time average, NAME_mean."""

@@ -1,0 +1,174 @@
+"""Schema of materials, material pairs, and contact models."""
+
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, Tag, model_validator
+
+from granflow.scene.schema.fields import (
+    Density,
+    Model,
+    Number,
+    Positive,
+    Speed,
+    Text,
+    choose_by,
+    pair_list,
+    required_unless,
+    value_error,
+)
+from granflow.scene.schema.normal import Normal, known_laws
+from granflow.scene.schema.presets import PRESETS
+from granflow.scene.suggest import suggestion_or_list
+
+YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
+"""Young's modulus [Pa], above 0."""
+
+YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
+"""Yield strength [Pa], above 0."""
+
+PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
+"""Poisson ratio, above -1 and at most 0.5."""
+
+RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
+"""Restitution coefficient in [0, 1]."""
+
+CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
+"""Cohesion energy density [J/m3], at least 0."""
+
+FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
+"""Friction coefficient, at least 0."""
+
+
+def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
+    """Name of the requested preset, None without one.
+
+    `known`: names of the presets; `kind`: noun for the message. Raises PydanticCustomError for an unknown preset.
+    """
+    name = given.get("preset") if isinstance(given, dict) else None
+    if name is None or name in list(known):
+        return name
+    raise value_error(f"this is not one of the {kind}. {suggestion_or_list(str(name), known, kind)}", "preset")
+
+
+_OPTIONAL = ("yield_strength", "restitution_fit")  # keys of a material: an empty value removes the value of the preset
+
+
+class Material(Model):
+    """Material of particles and walls. A preset supplies the values that are not given here.
+
+    Isotropic and linear elastic; a material without a yield strength never yields.
+    """
+
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
+
+    preset: Text | None = Field(None, description="name of a preset that supplies the values that are not given")
+    young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
+    poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
+    density: Density = Field(description="density of the solid [kg/m3], such as 2500")
+    yield_strength: YieldStrength | None = Field(
+        None,
+        description="yield strength [Pa]; required by some contact models and by Eq. 11 of Zhou (2011)",
+    )
+    restitution_fit: Annotated[tuple[Positive, Positive], pair_list("[sigma, psi]")] | None = Field(
+        None,
+        description="sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        """Add the values of the preset; given values have priority.
+
+        An empty optional value removes that of the preset. Raises PydanticCustomError for an unknown preset.
+        """
+        name = _preset_name(given, PRESETS, "presets")
+        if name is None:
+            return given
+        preset = {key: getattr(PRESETS[name], key) for key in cls.model_fields if key != "preset"}
+        left_out = {key for key, value in given.items() if value is None and key in _OPTIONAL}
+        return preset | {key: value for key, value in given.items() if key not in left_out}
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus [Pa], G = E / (2 (1 + nu))."""
+        return self.young_modulus / (2 * (1 + self.poisson_ratio))
+
+
+class RestitutionFit(Model):
+    """Restitution that decreases with the impact velocity v [m/s] (Zhou 2011, Eq. 12).
+
+    e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+    """
+
+    model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
+
+    sigma: Positive = Field(description="sigma of Zhou (2011), Eq. 12")
+    psi: Positive = Field(description="psi of Zhou (2011), Eq. 12")
+    limit_velocity: Speed | None = Field(
+        None,
+        description="impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths",
+    )
+    preset: Text | None = Field(None, description="name of a preset that supplies sigma and psi")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        """Add sigma and psi of the preset; given values have priority."""
+        fits = {name: preset.restitution_fit for name, preset in PRESETS.items() if preset.restitution_fit}
+        name = _preset_name(given, fits, "presets with a restitution fit")
+        return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
+
+
+def _restitution_tag(value: Any) -> str:
+    """Tag of a restitution: fit for a mapping, none without a value, else number."""
+    if value is None:
+        return "<none>"
+    return "<fit>" if isinstance(value, dict | RestitutionFit) else "<number>"
+
+
+Restitution = Annotated[
+    Annotated[RestitutionNumber, Tag("<number>")]
+    | Annotated[RestitutionFit, Tag("<fit>")]
+    | Annotated[None, Tag("<none>")],
+    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
+]
+"""A number, a fit (Zhou 2011, Eq. 12), or None if the contact model derives it from the materials."""
+
+
+class MaterialPair(Model):
+    """Contact properties of two materials, independent of their order.
+
+    Required for each two materials that can come into contact, including contacts of a material with itself.
+    """
+
+    restitution: Restitution = Field(
+        None,
+        description="restitution coefficient, a number in [0, 1], or sigma and psi of Zhou (2011), Eq. 12; "
+        "required unless the normal contact model derives it from the materials",
+    )
+    friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")
+    rolling_friction: FrictionNumber | None = Field(
+        None, description="rolling friction coefficient; required unless contact.rolling is none"
+    )
+    cohesion_energy_density: CohesionEnergyDensity | None = Field(
+        None, description="cohesion energy density [J/m3]; required with contact.cohesion: sjkr"
+    )
+
+
+class Contact(Model):
+    """Contact models, the same for all pairs of materials.
+
+    Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
+    are properties of the pairs.
+    """
+
+    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its parameters")
+    tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb limit) or none")
+    rolling: Literal["none", "epsd", "cdt"] = Field(
+        description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
+    )
+    cohesion: Literal["none", "sjkr"] = Field(
+        "none",
+        description="none or sjkr (force: cohesion energy density times contact area), with any normal contact model",
+    )

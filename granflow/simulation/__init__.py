@@ -1,5 +1,0 @@
-"""One run of one scene: time loop, stages, insertion and timings."""
-
-from granflow.simulation.loop import Simulation
-
-__all__ = ["Simulation"]

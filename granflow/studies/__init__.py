@@ -1,0 +1,1 @@
+"""Studies of accuracy, stability and cost, comparisons, fits, pictures and HTML reports."""

@@ -1,0 +1,188 @@
+"""Simultaneous collisions under one contact model, repeated with several time steps, sampled and timed."""
+
+from dataclasses import dataclass, replace
+from math import ceil
+from time import perf_counter
+
+import numpy as np
+
+from granflow.engine.backend import Backend
+from granflow.engine.engine import Engine
+from granflow.particles.generate import initial_particles
+from granflow.plan.plan import Plan, plan_for
+from granflow.scene.schema.scene import Scene
+from granflow.studies.accuracy.axes import (
+    DISTANCE,
+    PHASES,
+    VELOCITIES,
+    Integrator,
+    StudiedLaw,
+    collisions_of,
+    common_duration,
+    first_contact_times,
+    kinds_of,
+)
+from granflow.studies.accuracy.exact import end_overlap_ratio
+from granflow.studies.paper.head_on_collisions import FORCES_TO_END, sample, share_to_end, side_by_side
+
+MAX_FULLY_SAMPLED_STEPS = 200
+"""Largest number of steps per collision at which every step is sampled.
+
+Beyond it, sampling covers the steps around the maximum overlap and the end only.
+"""
+SAMPLES_AROUND = 12
+"""Sampled steps before and after these events: a first-order error shifts them by about one step."""
+MAX_DURATIONS = 1.6
+"""Largest simulated time, over the duration of a collision; a collision that lasts longer counts as unfinished."""
+SKIN = 1.0
+"""Skin over the smallest diameter.
+
+No neighbor-list rebuild occurs during a collision. The skin is equal for all time steps, so that the kernels are, too.
+"""
+FINEST = 5000
+"""Steps per collision of the initial scene; every contact model is stable at this resolution."""
+REPEATS = 5
+"""Number of repeated timings."""
+
+
+@dataclass(frozen=True)
+class CollisionResults:
+    """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not observed.
+
+    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): wall time of one collision [s], the total
+    of all simultaneous collisions divided by their number.
+    """
+
+    steps: float
+    time_step: float
+    restitution: np.ndarray
+    duration: np.ndarray
+    overlap_max: np.ndarray
+    seconds: np.ndarray
+
+
+class CollisionBench:
+    """All collisions of one contact model and integrator in one scene; compiled once for all time steps.
+
+    `velocity` (pairs,): approach velocities [m/s]; `pair_ids` (pairs, 2): ids of the particles of each pair. Call
+    `free` after use.
+    """
+
+    def __init__(self, studied_law: StudiedLaw, integrator: Integrator, backend: Backend) -> None:
+        self.studied_law, self.integrator, self.backend = studied_law, integrator, backend
+        self.kinds = kinds_of(studied_law)
+        self.velocity = np.repeat([kind.velocity for kind in self.kinds], PHASES)
+        _, self.plan, self.pair_ids = self._planned(FINEST)
+        self.engine = Engine(self.plan, backend)
+        self.engine.set_walls([], [])
+
+    def run(self, steps: float, repeats: int = REPEATS) -> CollisionResults:
+        """Run the collisions with `steps` time steps per duration, then time them `repeats` times.
+
+        Raises SceneError if that time step is unstable.
+        """
+        scene, plan, _ = self._planned(steps)
+        self._use_time_step(plan)
+        numbers, samples = self._sample_contacts(scene, steps)
+        seconds = np.array([self._timed(scene, steps) for _ in range(repeats)])
+        found = [self._measured(numbers, samples[:, :, pair], pair) for pair in range(len(self.velocity))]
+        restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
+        return CollisionResults(steps, plan.time_step, restitution, duration, overlap, seconds)
+
+    def free(self) -> None:
+        """Free the device memory."""
+        self.engine.free()
+
+    def _planned(self, steps: float) -> tuple[Scene, Plan, np.ndarray]:
+        """Scene with a time step, its plan, and the ids (pairs, 2) of the two particles of each pair.
+
+        The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind
+        at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
+        """
+        time_step = common_duration() / steps
+        skin = SKIN * min(kind.diameter for kind in self.kinds)
+        scene, pair_ids = side_by_side(
+            self.studied_law.normal, collisions_of(self.kinds), first_contact_times(self.kinds, time_step), time_step,
+            self.backend.precision, middle=DISTANCE, velocity_max=min(VELOCITIES),
+            numerics={"skin": skin},
+        )  # fmt: skip
+        return scene, plan_for(scene, on_gpu=not self.backend.on_cpu), pair_ids
+
+    def _use_time_step(self, plan: Plan) -> None:
+        """Change the time step. It is a kernel argument, so that no kernel is recompiled."""
+        self.plan = replace(self.plan, step=plan.step)
+        self.engine.state.clock.change(plan.time_step)
+
+    def _start(self, scene: Scene) -> None:
+        """Reset all particles to their initial state."""
+        self.engine.state.count = 0
+        self.engine.insert(initial_particles(scene))
+        self.engine.refresh()
+
+    def _sample_contacts(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
+        """Sampled steps (samples,), and overlap [m], overlap rate [m/s] and force [N] (samples, 3, pairs)."""
+        self._start(scene)
+        numbers, samples, now = self._sampled_steps(steps), [], 0
+        for number in numbers:
+            if number > now:
+                self.engine.advance(number - now)
+            now = number
+            samples.append(sample(self.engine, self.pair_ids))
+        return np.array(numbers), np.array(samples)
+
+    def _sampled_steps(self, steps: float) -> list[int]:
+        """Numbers of steps after which the state is sampled, in ascending order.
+
+        All steps up to MAX_FULLY_SAMPLED_STEPS per collision; else those around the maximum overlap and the end.
+        """
+        last = ceil(MAX_DURATIONS * steps) + SAMPLES_AROUND
+        if steps <= MAX_FULLY_SAMPLED_STEPS:
+            return list(range(last + 1))
+        duration = common_duration()
+        events = {round(steps * kind.exact.peak_time / duration) for kind in self.kinds} | {round(steps)}
+        near = {event + k for event in events for k in range(-SAMPLES_AROUND, SAMPLES_AROUND + 1)}
+        return sorted({0, *near, last})
+
+    def _timed(self, scene: Scene, steps: float) -> float:
+        """Wall time of one collision [s]: that of all simultaneous collisions, divided by their number."""
+        self._start(scene)
+        whole = ceil(steps) + 1
+        began = perf_counter()
+        self.engine.advance(whole)
+        return (perf_counter() - began) * steps / whole / len(self.velocity)
+
+    def _measured(self, numbers: np.ndarray, samples: np.ndarray, pair: int) -> tuple[float, float, float]:
+        """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated.
+
+        `numbers` (samples,): step numbers; `samples` (samples, 3): overlap [m], overlap rate [m/s], force [N]. The
+        duration is nan if the steps at the end were not sampled.
+        """
+        overlap, rate, force = samples.T
+        parted = force[-1] == 0.0 and rate[-1] < 0.0
+        restitution = float(-rate[-1] / self.velocity[pair]) if parted else 0.0
+        largest = _parabola_max(overlap)
+        acting = np.flatnonzero(force)
+        last = int(acting[-1]) if len(acting) else 0
+        if not parted or last < 3 or numbers[last + 1] - numbers[last - 3] != FORCES_TO_END:
+            return restitution, np.nan, largest
+        end_ratio = end_overlap_ratio(self.studied_law.law_name, self.kinds[pair // PHASES].restitution)
+        if end_ratio is None:
+            end = numbers[last] + share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
+        else:  # free flight from this step on
+            missed = (end_ratio * largest - overlap[last + 1]) / -rate[last + 1]
+            end = numbers[last + 1] - missed / self.plan.time_step
+        first_contact = (pair % PHASES + 0.5) / PHASES
+        return restitution, float(end - first_contact) * self.plan.time_step, largest
+
+
+def _parabola_max(overlap: np.ndarray) -> float:
+    """Maximum overlap [m]: vertex of the parabola through the largest sample and its two neighbors.
+
+    `overlap` (samples,) [m], equally spaced around the maximum; the largest sample itself at an end.
+    """
+    index = int(np.argmax(overlap))
+    if not 0 < index < len(overlap) - 1:
+        return float(overlap[index])
+    before, top, after = overlap[index - 1 : index + 2]
+    bend = 2.0 * top - before - after
+    return float(top + (after - before) ** 2 / (8.0 * bend)) if bend > 0.0 else float(top)

@@ -1,0 +1,104 @@
+"""Figures of the two-particle study."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from granflow.studies.accuracy.orders import fitted_order
+from granflow.studies.accuracy.points import QUANTITIES, QUANTITY_LABELS, StudyLine
+from granflow.studies.figures import COLORS, MARKERS
+
+LINE_STYLES = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
+"""Line style and marker of each precision; contact models and integrators have colors."""
+LOWEST = 1e-9
+"""Smaller errors are drawn at this value."""
+
+HIGHEST = 3.0
+"""Upper end of the error axis."""
+
+WORK_HEIGHT = 3.9
+"""Height of the figure of error and wall time [inch]."""
+
+QUANTITY_HEIGHT = 5.6
+"""Height of the figure of all errors [inch]."""
+
+
+def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
+    """Unique (contact model, integrator) pairs of the lines, in their order."""
+    return list(dict.fromkeys((line.law, line.integrator) for line in lines))
+
+
+def _label(line: StudyLine, lines: Sequence[StudyLine]) -> str:
+    """Legend entry; includes the integrator if several are shown."""
+    several = len({each.integrator for each in lines}) > 1
+    return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
+
+
+def _with_order(line: StudyLine, lines: Sequence[StudyLine]) -> str:
+    """Legend entry with the fitted order of convergence of the restitution, in double precision."""
+    order = fitted_order(line.steps, line.error("restitution")) if line.precision == "f64" else None
+    return _label(line, lines) + (f": order {order.order:.2f}" if order else "")
+
+
+def _plot(
+    axes: Any, line: StudyLine, lines: Sequence[StudyLine], x: np.ndarray, error: np.ndarray, **more: Any
+) -> None:
+    """Plot an error against `x`, with color by contact model and line style by precision."""
+    line_index = _names(lines).index((line.law, line.integrator))
+    style, marker = LINE_STYLES.get(line.precision, ("-", MARKERS[-1]))
+    axes.plot(
+        x, error, linestyle=style, marker=marker, color=COLORS[line_index % len(COLORS)], linewidth=0.9,
+        markersize=3.0, markerfacecolor="white", markeredgewidth=0.8, **more,
+    )  # fmt: skip
+
+
+def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
+    """Draw the restitution error against wall time, and against the time step with fitted slopes.
+
+    `target`: relative error, drawn as a dotted line. The result is the argument of `figures.draw_to`.
+    """
+
+    def draw(figure: Any) -> None:
+        work, steps = figure.subplots(1, 2, sharey=True)
+        for line in sorted(lines, key=lambda line: _names(lines).index((line.law, line.integrator))):
+            error = np.maximum(line.error("restitution"), LOWEST)
+            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line, lines))
+            work.hlines(
+                error, 1e6 * line.seconds("min"), 1e6 * line.seconds("max"), color="0.8", linewidth=0.5, zorder=0
+            )
+            _plot(steps, line, lines, 1.0 / line.steps, error)
+        for axes in (work, steps):
+            axes.set(xscale="log", yscale="log", ylim=(0.3 * LOWEST, HIGHEST))
+            axes.axhline(target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+        work.set(xlabel="wall time per collision (µs)", ylabel="restitution error", title="(a) work and precision")
+        steps.set(xlabel="time step / duration of the collision", title="(b) convergence", xlim=(5e-5, 0.4))
+        figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.0)
+
+    return draw
+
+
+def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
+    """Draw every error against the time step in double precision, with its fitted order."""
+    exact = [line for line in lines if line.precision == "f64"] or list(lines)
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(2, 2, sharex=True, sharey=True)
+        for letter, axes, quantity in zip("abcd", panels.flat, QUANTITIES, strict=True):
+            for line in exact:
+                order = fitted_order(line.steps, line.error(quantity))
+                label = f"{_label(line, exact)}: {order.order:.2f}" if order else _label(line, exact)
+                _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
+            axes.set(
+                xscale="log",
+                yscale="log",
+                ylim=(0.3 * LOWEST, HIGHEST),
+                title=f"({letter}) {QUANTITY_LABELS[quantity]}",
+            )
+            axes.legend(loc="lower right", fontsize=7.0)
+        for axes in panels[1]:
+            axes.set_xlabel("time step / duration of the collision")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("relative error")
+
+    return draw

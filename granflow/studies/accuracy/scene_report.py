@@ -1,0 +1,203 @@
+"""`granflow accuracy SCENE`: sentences, table, CSV, figure and page of the study of one scene."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.studies.accuracy.figures import LINE_STYLES
+from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, ScenePoint, SceneStudy
+from granflow.studies.figures import COLORS, draw_to, require_plotting, write_columns
+from granflow.studies.page import Page, PageTable, Picture, Section, write_page
+
+PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
+"""Names of page, CSV file and figure."""
+
+HEIGHT = 3.9
+"""Height of the figure [inch]."""
+
+LOWEST = 1e-7
+"""Smaller errors are drawn at this value."""
+
+
+LEAD = (
+    "Accuracy against cost in this scene: the same run with several time steps and seeds, compared with the "
+    "finest time step."
+)
+
+
+def scene_recommendation(study: SceneStudy) -> str:
+    """Concluding sentence of the study."""
+    best, requested = study.best, f"{100.0 * study.target:g} % error in restitution"
+    if best is None:
+        return f"No time step of this study satisfies {requested} with all other errors within that limit or the noise."
+    median, least, most = best.cost
+    step = f"dt = {best.time_step:.3g} s (time_step_fraction {best.share:g})"
+    if best.family != "fixed":
+        step = f"run.time_step {best.family} with time_step_fraction {best.share:g}"
+    return (
+        f"For {requested} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
+        f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The unmodified scene uses "
+        f"dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g})."
+    )
+
+
+def noise_sentence(study: SceneStudy) -> str:
+    """Spread over the seeds, and the number of errors above the noise."""
+    significant = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
+            study.quantities]  # fmt: skip
+    spreads = ", ".join(f"{_label(name)} {_percent(spread)}" for name, spread in study.spread.items())
+    return (
+        f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time step: "
+        f"{spreads}. Errors of these quantities above the "
+        f"noise of {SIGMAS:g} standard errors: {sum(significant)} of {len(significant)}; the others, marked n, "
+        f"are not significant."
+    )
+
+
+def _label(name: str) -> str:
+    """Display name of a quantity, with its flow meter."""
+    kind, _, meter = name.partition(".")
+    return kind.replace("_", " ") + (f", {meter}" if meter else "")
+
+
+def _percent(value: float) -> str:
+    """A fraction in percent; small values as powers of ten, without unit."""
+    if value == 0.0:
+        return "0"
+    return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}".replace("-", "−")
+
+
+def scene_heads(study: SceneStudy) -> tuple[str, ...]:
+    """Column headings of `scene_rows`."""
+    return (
+        "time step", "precision", "fraction", "dt s", "restitution", "energy budget",
+        *(_label(name) for name in study.quantities), "s per simulated s", "within target",
+    )  # fmt: skip
+
+
+def scene_rows(study: SceneStudy) -> list[tuple[str, ...]]:
+    """Table rows, one per point: relative errors; n marks errors below the noise."""
+    return [_row(study, point) for point in study.points]
+
+
+def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
+    """Table cells of one point."""
+    first = (point.family, point.precision, f"{point.share:g}", f"{point.time_step:.3g}")
+    if point.stopped:
+        return (*first, *["–"] * (2 + len(study.quantities)), "–", "aborted")
+    errors = []
+    for name in study.quantities:
+        below = point.errors[name] <= study.noise[name]
+        errors.append(_percent(point.errors[name]) + (" n" if below else ""))
+    median, least, most = point.cost
+    return (
+        *first, _percent(point.restitution_error), _percent(point.errors[ENERGY_ERROR]), *errors,
+        f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.within_target(point) else "no",
+    )  # fmt: skip
+
+
+def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
+    """Columns of the CSV, one row per point; nan for aborted runs.
+
+    Values in SI units, errors, noise and spread relative, costs in wall time per simulated time [s/s].
+    """
+    rows = []
+    for point in study.points:
+        row: dict[str, Any] = {name: getattr(point, name) for name in
+                               ("family", "precision", "share", "time_step", "restitution_error")}  # fmt: skip
+        row["energy_error"] = point.errors.get(ENERGY_ERROR, np.nan)
+        for name in study.quantities:
+            row |= {name: point.values.get(name, np.nan), f"{name}_error": point.errors.get(name, np.nan)}
+            row |= {f"{name}_noise": study.noise[name], f"{name}_spread": study.spread[name]}
+        row |= dict(zip(("seconds_median", "seconds_min", "seconds_max"), point.cost, strict=True))
+        rows.append(row | {"seeds": study.seed_count, "stopped": point.stopped})
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def write_scene(out: Path, study: SceneStudy) -> None:
+    """Write CSV and page, with a figure if matplotlib is installed.
+
+    Raises GranflowError at the end if matplotlib is not installed.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    write_columns(out / POINTS, scene_columns(study))
+    missing: GranflowError | None = None
+    try:
+        require_plotting()
+        draw_to(out / FIGURE, draw_scene(study), HEIGHT)
+    except GranflowError as error:
+        missing = error
+    write_page(_page(out, study, drawn=missing is None), out / PAGE)
+    if missing is not None:
+        raise missing
+
+
+def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
+    """Draw every error against wall time, for all precisions."""
+
+    def draw(figure: Any) -> None:
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
+            for precision, (style, marker) in LINE_STYLES.items():
+                _draw_errors(left, right, study, name, precision, color, style, marker)
+        for axes, title, x in (
+            (left, "(a) restitution and energy budget", "s"),
+            (right, "(b) bed quantities and their noise", "s"),
+        ):
+            axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
+            axes.axhline(study.target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+            axes.xaxis.set_minor_formatter("")
+            axes.legend(loc="best", fontsize=7.0)
+        left.set_ylabel("relative error")
+
+    return draw
+
+
+def _draw_errors(
+    left: Any, right: Any, study: SceneStudy, name: str, precision: str, color: str, style: str, marker: str
+) -> None:
+    """Plot one error of one precision against wall time; thin line: noise in double precision."""
+    points = [p for p in study.points if p.precision == precision and not p.stopped]
+    if not points:
+        return
+    axes = right if name in study.quantities else left
+    errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
+    shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
+    if shown:
+        label = f"{'energy budget' if name == ENERGY_ERROR else _label(name)}, {precision}"
+        line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
+        axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
+    if precision == "f64" and name in study.quantities:
+        axes.axhline(study.noise[name], color=color, linewidth=0.6, alpha=0.6)
+
+
+def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
+    """HTML page with recommendation, noise, figure, table and method."""
+    caption = (
+        "Errors relative to the finest time step (restitution: relative to the target of each pair; energy budget: "
+        "relative to the energy throughput); n: below the noise."
+    )
+    parts: list[str | PageTable | Picture] = [scene_recommendation(study), noise_sentence(study)]
+    if drawn:
+        caption_text = (
+            "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy budget. (b) "
+            "Quantities of the bed; thin lines: noise of each quantity, below which errors are not significant. "
+            f"Dotted: {100.0 * study.target:g} %."
+        )
+        parts.append(Picture(out / FIGURE, caption_text, (FIGURE, POINTS)))
+    parts.append(PageTable(caption, scene_heads(study), scene_rows(study)))
+    stopped = [f"{p.precision}, time_step_fraction {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
+    method = (
+        f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: largest error of any "
+        "pair of materials, over phases of first contact, for velocities from a tenth of the largest, as measured by "
+        "`granflow restitution`. Center height: height of the center of mass above the bottom of the domain. Center "
+        "height and coordination number are averages over the run. Mass flow: mean while the middle half of the mass "
+        "passes. Wall time: neighbor list, forces and integration, after compilation; median, minimum and maximum "
+        "over the seeds."
+    )
+    return Page(f"Error against run time: {study.title}", LEAD, [
+        Section("Work and precision", parts), Section("How this was computed", [method, *stopped]),
+    ])  # fmt: skip

@@ -1,0 +1,207 @@
+"""The law of discharge of Beverloo, fitted to mass flow rates through orifices of several sizes.
+
+    W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
+
+with the orifice D, the particle diameter d and the bulk density rho. The fitted quantity is ln W, so that small flows
+have the same weight as large ones; for each k the best C, and the best exponent if it is free, follow from a straight
+line.
+"""
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.regular_files import read_regular_text
+from granflow.scene.schema.units import UnitError, to_si
+
+EXPONENT = 2.5
+"""Exponent of Beverloo's law."""
+
+GRAVITY = 9.81
+"""Default gravitational acceleration [m/s2]."""
+
+K_LOWEST = -10.0
+"""Smallest k of the search; published values lie between 1 and 3."""
+
+K_VALUES = 400
+"""Values of k per search round."""
+
+SEARCH_ROUNDS = 6
+"""Number of search rounds; each covers the interval between the neighbors of the previous best value."""
+
+COLUMNS = {"orifice": "length", "mass_flow": "mass_flow"}
+"""Columns of a table of flows, with the dimension of their units."""
+
+
+@dataclass(frozen=True)
+class Discharge:
+    """Mass flows [kg/s] (n,) through orifices of diameter (n,) [m]."""
+
+    orifice: np.ndarray
+    mass_flow: np.ndarray
+
+
+@dataclass(frozen=True)
+class BeverlooFit:
+    """C, k and the exponent, each with its standard error; the error of a given exponent is 0.
+
+    `residual` (n,): ln of measured over fitted flow. Errors are nan unless the number of flows exceeds that of
+    parameters.
+    """
+
+    c: float
+    k: float
+    exponent: float
+    c_error: float
+    k_error: float
+    exponent_error: float
+    residual: np.ndarray
+
+
+def fit_beverloo(
+    data: Discharge,
+    particle_diameter: float,
+    bulk_density: float,
+    gravity: float = GRAVITY,
+    exponent: float | None = EXPONENT,
+) -> BeverlooFit:
+    """Fit C and k, and the exponent if it is None, to mass flow rates.
+
+        W = C rho sqrt(g) d^(5/2) (D/d - k)^n
+
+    This is Beverloo's law for n = 5/2, with d = `particle_diameter` [m], rho = `bulk_density` [kg/m3], g = `gravity`
+    [m/s2].
+
+    Raises GranflowError if the flows are not positive or if there are fewer different orifices than parameters.
+    """
+    orifices = len(np.unique(data.orifice))
+    needed = 2 if exponent is not None else 3
+    if orifices < needed:
+        raise GranflowError(f"Flows through {orifices} different orifices are too few: give {needed} or more.")
+    if not (np.all(data.mass_flow > 0.0) and np.all(data.orifice > 0.0)):
+        raise GranflowError("A flow or an orifice is not above 0: leave out orifices that were blocked.")
+    ratio = data.orifice / particle_diameter
+    height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * particle_diameter**EXPONENT))
+    k = _best_k(ratio, height, exponent)
+    level, power, residual = (values[0] for values in _line(ratio, height, np.array([k]), exponent))
+    derivatives = [np.ones_like(ratio), -power / (ratio - k), np.log(ratio - k)][:needed]
+    errors = _errors(np.column_stack(derivatives), residual)
+    c = float(np.exp(level))
+    free = float(errors[2]) if exponent is None else 0.0
+    return BeverlooFit(c, k, float(power), c * float(errors[0]), float(errors[1]), free, residual)
+
+
+def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> float:
+    """Value of k below all D/d with the least sum of squares, by successively refined grid search.
+
+    `ratio`: D/d (n,); `height` (n,): ln of the dimensionless flow.
+    """
+    low, high = K_LOWEST, float(ratio.min())
+    best = low
+    for _ in range(SEARCH_ROUNDS):
+        values = np.linspace(low, high, K_VALUES + 2)[1:-1]
+        costs = (_line(ratio, height, values, exponent)[2] ** 2).sum(axis=1)
+        best, step = float(values[int(np.argmin(costs))]), float(values[1] - values[0])
+        low, high = best - step, min(best + step, float(ratio.min()))
+    return best
+
+
+def _line(
+    ratio: np.ndarray, height: np.ndarray, k: np.ndarray, exponent: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Best ln C and exponent (m,) for each k (m,), and the residuals (m, n) of `height` (n,).
+
+    height = ln C + n ln(D/d - k)
+    """
+    along = np.log(ratio - k[:, None])
+    middle = along.mean(axis=1)
+    offset = along - middle[:, None]
+    power = np.full(len(k), exponent) if exponent is not None else (offset @ height) / (offset**2).sum(axis=1)
+    level = height.mean() - power * middle
+    return level, power, height - level[:, None] - power[:, None] * along
+
+
+def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Standard errors (p,) of the parameters from the residuals (n,) of the fit; nan without degrees of freedom.
+
+    `derivatives` (n, p): of the fitted values with respect to the parameters.
+    """
+    degrees_of_freedom = len(residual) - derivatives.shape[1]
+    if degrees_of_freedom < 1:
+        return np.full(derivatives.shape[1], np.nan)
+    covariance = np.linalg.pinv(derivatives.T @ derivatives) * (residual @ residual) / degrees_of_freedom
+    return np.asarray(np.sqrt(np.diag(covariance)))
+
+
+def read_discharges(sources: Sequence[Path]) -> Discharge:
+    """Read flows from runs (directories written by `granflow run`) and CSV files.
+
+    Of a run: twice the radius of its flow meter, and its steady mass flow rate. A CSV file has the columns `orifice`
+    and `mass_flow`, in SI or with units.
+
+    Raises GranflowError for a run without exactly one flow meter with a radius, or for an invalid table.
+    """
+    rows = [row for source in sources for row in (_of_run(source) if source.is_dir() else _of_table(source))]
+    table = np.array(rows, dtype=float).reshape(-1, 2)
+    return Discharge(table[:, 0], table[:, 1])
+
+
+def _of_run(source: Path) -> list[tuple[float, float]]:
+    """Orifice [m] and mass flow rate [kg/s] of a run. Raises GranflowError."""
+    from granflow.load import load
+
+    path = source / "result.json"
+    if not path.exists():
+        raise GranflowError(f"{source} has no result.json; give the directory of a finished run.")
+    try:
+        numbers = json.loads(read_regular_text(path))["flow_meters"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}); give the directory of a finished run.") from None
+    meters = load(source / "scene_as_run.yaml").output.flow_meters
+    found = [
+        (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
+    ]
+    if len(found) != 1:
+        raise GranflowError(
+            f"{source} has {len(found)} flow meters with a radius; one is needed, as wide as the orifice."
+        )
+    return found
+
+
+def _of_table(source: Path) -> list[tuple[float, float]]:
+    """Orifices [m] and mass flow rates [kg/s] of a CSV file. Raises GranflowError with the line number."""
+    reader = csv.DictReader(read_regular_text(source).splitlines())
+    try:
+        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
+        found = []
+        for row in reader:
+            try:
+                orifice, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
+                found.append((orifice, flow))
+            except UnitError as error:
+                raise GranflowError(f"{source}:{reader.line_num}: {error}.") from None
+        return found
+    except csv.Error as error:
+        raise GranflowError(f"{source}:{reader.line_num}: this row cannot be read: {error}.") from None
+
+
+def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:
+    """Table rows of several fits: name, then value and standard error for each fit; last the relative scatter."""
+    rows = []
+    for name in ("c", "k", "exponent"):
+        cells = [_with_error(getattr(fit, name), getattr(fit, f"{name}_error")) for fit in fits]
+        rows.append((name.upper() if name == "c" else name, *cells))
+    scatter = [f"{np.sqrt((fit.residual**2).mean()):.2%}" for fit in fits]
+    return [*rows, ("scatter", *scatter)]
+
+
+def _with_error(value: float, error: float) -> str:
+    """Value and standard error; an error of 0 marks a given value."""
+    return f"{value:.4g} ± {error:.2g}" if error else f"{value:.4g} given"

@@ -1,0 +1,150 @@
+"""Figures of a comparison."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.studies.compare.bed_statistics import FORCE_EDGES
+from granflow.studies.compare.collisions import CollisionSubject, floor_velocity
+from granflow.studies.compare.runs import VariantRun
+from granflow.studies.compare.summary import densest_stage
+from granflow.studies.figures import COLORS, MARKERS, draw_to
+
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+"""Line styles by index of the run."""
+
+ENERGIES = {
+    "kinetic": ("kinetic_energy", "rotational_energy"),
+    "elastic": ("elastic_energy",),
+    "lost: plastic": ("plastic_dissipation",),
+    "lost: friction": ("friction_dissipation", "rolling_dissipation"),
+    "lost: damping": ("damping_dissipation",),
+}
+"""Columns of timeseries.csv that are summed to each curve [J]."""
+
+
+def draw_all(
+    out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
+) -> list[str]:
+    """Write all PNG files; returns their names without suffix.
+
+    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted. Raises
+    GranflowError without matplotlib.
+    """
+    figures: dict[str, tuple[Callable[[Any], None], float]] = {
+        "course": (lambda figure: draw_course(figure, runs), 5.2),
+        "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
+        "contacts": (lambda figure: draw_contacts(figure, runs), 3.1),
+    }
+    if subject is not None and collisions:
+        figures["collisions"] = (lambda figure: draw_collisions(figure, subject, collisions, runs), 5.4)
+    for name, (draw, height) in figures.items():
+        draw_to(out / f"{name}.png", draw, height)
+    return list(figures)
+
+
+def _style(number: int) -> dict[str, Any]:
+    """Color and line style of a run by its index."""
+    return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
+
+
+def _legend(figure: Any, axes: Any) -> None:
+    """Shared legend of a figure, above the panels."""
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=5)
+
+
+def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw flow, bed heights, contacts and overlaps against time.
+
+    A cross marks an aborted run. Without flow meters, the kinetic energy replaces the flow.
+    """
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    meters = runs[0].meters
+    for number, run in enumerate(runs):
+        style, columns = _style(number), run.columns
+        first = columns[f"flow_mass.{meters[0]}"] if meters else 1e3 * columns["kinetic_energy"]
+        panels[0].plot(columns["time"], first, label=run.variant.title, **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 2], **style, alpha=0.6, linewidth=0.8)
+        panels[2].plot(columns["time"], columns["coordination_number"], **style)
+        panels[3].plot(columns["time"], 100.0 * columns["overlap_mean"], **style)
+        if run.stopped:
+            panels[0].plot(columns["time"][-1], first[-1], marker="x", color=style["color"])
+    panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
+    panels[1].set_ylabel("height (mm): center, surface")
+    panels[2].set(ylabel="coordination number", xlabel="time (s)")
+    panels[3].set(ylabel="mean overlap / radius (%)", xlabel="time (s)")
+    _legend(figure, panels[0])
+
+
+def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw stored and dissipated energies, one panel per contact model."""
+    panels = figure.subplots((len(runs) + 1) // 2, 2, sharex=True, sharey=True, squeeze=False)
+    for number, (axes, run) in enumerate(zip(panels.ravel(), runs, strict=False)):
+        for kind, (label, names) in enumerate(ENERGIES.items()):
+            total = sum(run.columns[name] for name in names)
+            axes.plot(run.columns["time"], 1e3 * total, label=label, **_style(kind))
+        axes.set_title(f"({'abcdefghij'[number]}) {run.variant.title}")
+    for axes in panels.ravel()[len(runs) :]:
+        axes.axis("off")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("energy (mJ)")
+    for axes in panels[-1]:
+        axes.set_xlabel("time (s)")
+    _legend(figure, panels[0, 0])
+
+
+def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw the distribution of normal forces and the survival function of the contact duration.
+
+    The forces are those of the densest stage.
+    """
+    left, right = figure.subplots(1, 2)
+    stage = densest_stage(runs)
+    middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
+    for number, run in enumerate(runs):
+        style = _style(number)
+        density = run.forces.density(stage)
+        left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **style)
+        times, share = run.duration_survival
+        right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **style)
+    left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
+    right.set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
+    _legend(figure, left)
+
+
+def draw_collisions(
+    figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
+) -> None:
+    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step.
+
+    `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per contact.
+    """
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
+    titles = {run.variant.key: run.variant.title for run in runs}
+    for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
+        style = _style(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
+        for axes, (name, step) in zip(panels, shown, strict=True):
+            is_row = (columns["law"] == law) & (columns["step"] == step)
+            ratio = columns[name][is_row] / columns[f"{name}_exact"][is_row]
+            axes.plot(columns["velocity"][is_row], ratio, label=titles.get(law, law), **style)
+    for letter, axes in zip("abcd", panels, strict=True):
+        axes.axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
+        axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)
+        axes.axvline(floor_velocity(subject), color="0.7", linestyle=":", linewidth=0.8)
+        axes.set_title(f"({letter})")
+    panels[0].set(xscale="log", ylabel="contact duration, simulated / exact", yscale="log")
+    panels[1].set(ylabel="maximum overlap, simulated / exact", yscale="log")
+    panels[2].set(ylabel="restitution, simulated / target\nfine time step", xlabel="approach velocity (m/s)")
+    panels[3].set(ylabel="restitution, simulated / target\ntime step from reference", xlabel="approach velocity (m/s)")
+    low, high = (f(a.get_ylim()[k] for a in panels[2:]) for k, f in enumerate((min, max)))
+    for axes in panels[2:]:
+        axes.set_ylim(low, high)
+    for axes in panels[:2]:
+        axes.set_yticks([0.4, 0.6, 0.8, 1.0, 1.5, 2.0], ["0.4", "0.6", "0.8", "1", "1.5", "2"])
+        axes.set_yticks([], minor=True)
+    _legend(figure, panels[0])

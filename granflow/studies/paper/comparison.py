@@ -1,0 +1,224 @@
+"""All contact models for the two materials of the paper, matched at one velocity: simulated e(v) and T(v)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from granflow.contact.material import PairMaterial, shear_modulus_eff
+from granflow.contact.model import ModelRequest, NormalLaw
+from granflow.contact.registry import NORMAL_LAWS
+from granflow.engine.backend import Backend
+from granflow.errors import SceneError
+from granflow.scene.schema.scene import Numerics
+from granflow.studies.figures import COLORS, MARKERS
+from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
+from granflow.studies.paper.figure_data import FigureData, relative_deviation
+from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
+from granflow.studies.paper.velocity import restitution_of
+
+VELOCITIES = np.geomspace(0.01, 10.0, 19)
+"""Approach velocities [m/s]."""
+
+REFERENCE_VELOCITY = 1.0
+"""Approach velocity [m/s] at which all contact models have the restitution of Eq. 12."""
+
+_AT_REFERENCE = {"reference_velocity": REFERENCE_VELOCITY}
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "linear": {"stiffness": _AT_REFERENCE},
+    "walton_braun": {"stiffness": _AT_REFERENCE, "unloading": _AT_REFERENCE},
+    "luding": {"stiffness": _AT_REFERENCE, "plasticity_depth": 0.01, "tension": 0.0},
+    "kuwabara_kono": _AT_REFERENCE,
+}
+"""Settings that replace the example of the catalog in this comparison."""
+
+
+@dataclass(frozen=True)
+class CandidateModel:
+    """A contact model with its settings and the matched parameter of each material: restitution or yield strength [Pa].
+
+    One entry per case of PAPER_CASES; None for the parameter that the model does not use.
+    """
+
+    name: str
+    settings: Mapping[str, Any]
+    law: NormalLaw
+    restitutions: tuple[Any, ...]
+    yield_strengths: tuple[float | None, ...]
+
+    @property
+    def normal(self) -> dict[str, Any]:
+        """The entry `contact.normal` of a scene."""
+        return {"law": self.name, **self.settings}
+
+    def text(self) -> str:
+        """Settings and matched parameters, for a table."""
+        text_parts = [f"{key} {_as_text(value)}" for key, value in self.settings.items()]
+        if any(isinstance(value, float) for value in self.restitutions):
+            text_parts.append("restitution " + " and ".join(f"{value:.4g}" for value in self.restitutions))
+        elif self.restitutions[0] is not None:
+            text_parts.append("Eq. 12 with sigma and psi of the paper")
+        if any(self.yield_strengths):
+            text_parts.append(
+                "yield strength " + " and ".join(f"{(y or 0.0) / 1e9:.3g}" for y in self.yield_strengths) + " GPa"
+            )
+        return "; ".join(text_parts)
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return " ".join(f"{key} {_as_text(inner)}" for key, inner in value.items()).replace("_", " ")
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def candidate_model(name: str) -> CandidateModel:
+    """Contact model matched to Eq. 12 at the reference velocity for both materials, by its single free parameter.
+
+    Raises KeyError for an unknown name, ValueError if the model rejects the materials.
+    """
+    kind = NORMAL_LAWS[name]
+    settings = SETTINGS.get(name, kind.example)
+    wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
+    pairs = [pair_of(case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+    defaults = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
+    law = kind.build(
+        ModelRequest(defaults | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle)
+    )
+    if kind.restitution == "number or fit":
+        return CandidateModel(name, settings, law, tuple({"preset": case.name} for case in PAPER_CASES), (None, None))
+    if kind.restitution == "nothing":
+        found = [_matched_strength(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+        return CandidateModel(name, settings, law, (None, None), tuple(found))
+    numbers = [_matched_number(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
+    return CandidateModel(name, settings, law, tuple(numbers), (None, None))
+
+
+def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) -> PairMaterial:
+    """Material pair of the case for contact models, without friction."""
+    shear = shear_modulus_eff(case.solid, case.solid)
+    yields = strength or case.solid.yield_strength
+    return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
+
+
+def theoretical_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
+    """Theoretical restitution of a contact model for the case at an approach velocity [m/s]."""
+    return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
+
+
+def _matched_number(law: NormalLaw, case: PaperCase, e: float) -> float:
+    """Restitution number of the pair for which the contact model has restitution e at the reference velocity."""
+    return _root(
+        lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
+    )
+
+
+def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
+    """Yield strength [Pa] for which the contact model has restitution e at the reference velocity."""
+    low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
+    return _root(
+        lambda y: theoretical_restitution(law, case, pair_of(case, None, y), REFERENCE_VELOCITY) - e, low, high
+    )
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Root of an increasing function between two numbers, by 60 bisections; the nearer end if it has no root there."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) < 0.0 else (low, middle)
+    return high if abs(function(high)) <= abs(function(low)) else low
+
+
+@dataclass(frozen=True)
+class LawComparison:
+    """Outcomes of each contact model, and the models that could not run, with the reason."""
+
+    ran: dict[str, tuple[CandidateModel, Outcomes]] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawComparison:
+    """Simulate collisions of both materials at all velocities (n,) [m/s] with all contact models.
+
+    The time step is the shortest collision duration of Zhou's model over STEPS_PER_CONTACT. Models that reject the
+    materials or the time step are in `LawComparison.refused`.
+    """
+    comparison = LawComparison()
+    shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
+    for name in NORMAL_LAWS:
+        try:
+            model = candidate_model(name)
+            outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT, backend)
+        except (SceneError, ValueError) as error:
+            comparison.refused[name] = str(error)
+            continue
+        comparison.ran[name] = (model, outcomes)
+    return comparison
+
+
+def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
+    """Head-on collisions of a model: both materials, each at all velocities (n,) [m/s]."""
+    found = []
+    for case, e, strength in zip(PAPER_CASES, model.restitutions, model.yield_strengths, strict=True):
+        material = case.material if strength is None else {**case.material, "yield_strength": strength}
+        modified = replace(case, material=material)
+        found += [modified.head_on(e, float(v)) for v in velocities]
+    return found
+
+
+def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCITIES) -> FigureData:
+    """e(v) and T(v) of all contact models, with the deviation of e from the theory of each model.
+
+    `velocities` (n,) [m/s]: those of `compare`. One deviation per model that ran.
+    """
+    count, rows, deviations = len(velocities), [], []
+    for name, (model, outcomes) in comparison.ran.items():
+        requested_values = []
+        for number, case in enumerate(PAPER_CASES):
+            given = case.fit if isinstance(model.restitutions[number], dict) else model.restitutions[number]
+            pair = pair_of(case, given, model.yield_strengths[number])
+            requested_values += [theoretical_restitution(model.law, case, pair, float(v)) for v in velocities]
+        materials, titles = (np.repeat([getattr(c, n) for c in PAPER_CASES], count) for n in ("name", "title"))
+        speeds = np.tile(velocities, len(PAPER_CASES))
+        laws = np.repeat(name, len(speeds))
+        rows.append((laws, materials, speeds, np.array(requested_values), outcomes.restitution, outcomes.duration))
+        where = [f"{v:.3g} m/s ({m})" for v, m in zip(speeds, titles, strict=True)]
+        text = f"simulated e with {name} from its theoretical value"
+        deviations.append(relative_deviation(text, outcomes.restitution, np.array(requested_values), where.__getitem__))
+    names = ("law", "material", "velocity", "restitution_promised", "restitution_simulated", "duration_simulated")
+    columns = {key: np.concatenate(parts) for key, parts in zip(names, zip(*rows, strict=True), strict=True)}
+    caption = (
+        "Restitution coefficient (above) and collision duration (below) of simulated collisions of two spheres of "
+        "25.4 mm with all contact models, against approach velocity. Each model has the restitution of Eq. 12 "
+        f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
+    )
+    title = "Comparison of all contact models"
+    return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
+
+
+def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
+    """Panels of restitution (top) and duration (bottom), with a column for each material."""
+    panels = figure.subplots(2, len(PAPER_CASES), sharex=True, sharey="row")
+    laws = list(dict.fromkeys(columns["law"].tolist()))
+    for column, case in enumerate(PAPER_CASES):
+        for number, law in enumerate(laws):
+            mine = (columns["law"] == law) & (columns["material"] == case.name)
+            style = {
+                "color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": law,
+                "markersize": 6.0 - 0.5 * number, "markerfacecolor": "white", "markeredgewidth": 0.8, "linewidth": 0.9,
+            }  # fmt: skip
+            velocity = columns["velocity"][mine]
+            panels[0, column].plot(velocity, columns["restitution_simulated"][mine], **style)
+            panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **style)
+        for axes in panels[:, column]:
+            axes.axvline(REFERENCE_VELOCITY, linestyle=":", color="0.5", linewidth=0.8)
+        letter = "ab"[column]
+        panels[0, column].set(xscale="log", title=f"({letter}) {case.title}")
+        panels[1, column].set(xlabel="approach velocity (m/s)", yscale="log")
+    panels[0, 0].set_ylabel("restitution coefficient $e$")
+    panels[0, 0].set_ylim(top=1.02)
+    panels[1, 0].set_ylabel(r"collision duration $T$ (µs)")
+    panels[1, 0].set_yticks([50, 100, 200], ["50", "100", "200"])
+    panels[1, 0].set_yticks([40, 60, 70, 80, 90], [], minor=True)
+    handles, names = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=4)

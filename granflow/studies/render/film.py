@@ -1,0 +1,43 @@
+"""Films from pictures: MP4 by the ffmpeg of the package imageio-ffmpeg."""
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from granflow.io.atomic_files import replacing
+
+QUALITY = 8
+"""Quality on the scale 0 to 10 of imageio, without visible block artifacts around particles."""
+
+PLAYS_AT_ONCE = ("-f", "mp4", "-movflags", "+faststart")
+"""Explicit format, because the temporary name has another suffix, and the index first, so that browsers can stream."""
+
+
+def missing_for_film() -> str | None:
+    """Name of the package that films require if it is not installed, else None."""
+    return "imageio-ffmpeg" if find_spec("imageio_ffmpeg") is None else None
+
+
+def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
+    """Write pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
+
+    The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see `missing_for_film`.
+    """
+    from imageio_ffmpeg import write_frames
+
+    with replacing(path) as temporary:
+        writer = None
+        try:
+            for picture in pictures:
+                if writer is None:
+                    writer = write_frames(
+                        str(temporary), picture.shape[1::-1], fps=rate, quality=QUALITY,
+                        macro_block_size=2, output_params=list(PLAYS_AT_ONCE), ffmpeg_log_level="error",
+                    )  # fmt: skip
+                    writer.send(None)
+                writer.send(np.ascontiguousarray(picture))
+        finally:
+            if writer is not None:
+                writer.close()

@@ -1,0 +1,202 @@
+"""Frames of a run as arrays: particles, walls and contacts at each output time, read from VTU files.
+
+The PVD files give the times; files that no longer exist are skipped.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import meshio
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.regular_files import open_regular
+from granflow.io.vtu_reader import read_vtu
+from granflow.scene.schema.units import UnitError, to_si
+
+SAME_TIME = 1e-9
+"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
+
+HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
+"""Text near the beginning of an empty VTU file."""
+
+
+LARGEST_FRAME = 2**32
+"""Maximum size of all arrays of one frame in bytes."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One output time of a run: number in the file names, time [s], and files.
+
+    `walls`, `contacts`: None if the run did not write them at this time.
+    """
+
+    number: int
+    time: float
+    particles: Path
+    walls: Path | None = None
+    contacts: Path | None = None
+
+
+@dataclass(frozen=True)
+class FrameParticles:
+    """Particles of one frame: `position` (n, 3) [m], `radius` (n,) [m], and all arrays of the file by name."""
+
+    position: np.ndarray
+    radius: np.ndarray
+    arrays: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class FrameWalls:
+    """Walls of one frame: `points` (m, 3) [m]; per kind of polygon corners (k, 3 or 4) and wall numbers (k,).
+
+    Corners are indices of points; wall numbers are those of the scene.
+    """
+
+    points: np.ndarray
+    polygons: tuple[np.ndarray, ...]
+    walls: tuple[np.ndarray, ...]
+
+    def same_as(self, other: "FrameWalls | None") -> bool:
+        """Whether both contain the same walls in the same pose."""
+        if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
+            return False
+        mine, theirs = (self.points, *self.polygons), (other.points, *other.polygons)
+        return all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+    def points_of(self, walls: Sequence[int]) -> np.ndarray:
+        """Corners (m, 3) [m] of the walls with the given numbers."""
+        corners = [cells[np.isin(wall, walls)] for cells, wall in zip(self.polygons, self.walls, strict=True)]
+        return self.points[np.unique(np.concatenate([np.zeros(0, np.int64), *(cells.ravel() for cells in corners)]))]
+
+
+@dataclass(frozen=True)
+class ForceChains:
+    """Contacts of one frame: `ends` (k, 2, 3) [m] and `normal_force` (k,) [N]."""
+
+    ends: np.ndarray
+    normal_force: np.ndarray
+
+
+def frames_of(directory: Path) -> list[Frame]:
+    """Particle frames of a run in order, each with its walls and contacts at the same time.
+
+    Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
+    """
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
+        )
+    series = _series(directory, "particles")
+    if not series:
+        is_run = (directory / "run.log").exists() or (directory / "scene_as_run.yaml").exists()
+        why = (
+            "the scene writes none (output.particles), or the run ended before the first one"
+            if is_run
+            else "it is not the directory of a run"
+        )
+        raise GranflowError(f"{directory} contains no particle frames (particles.pvd is missing): {why}.")
+    walls, contacts = _series(directory, "walls"), _series(directory, "contacts")
+    return [
+        Frame(int(path.stem.rpartition("_")[2]), time, path, _at(walls, time), _at(contacts, time))
+        for time, path in series
+    ]
+
+
+def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
+    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
+    listing = directory / f"{stem}.pvd"
+    if not listing.exists():
+        return []
+    try:
+        rows = ElementTree.parse(listing).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        raise GranflowError(
+            f"{listing} cannot be read ({error}); write it again with granflow run or resume."
+        ) from None
+    return [(time, path) for time, path in found if path.exists()]
+
+
+def _at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
+    """File of the given time [s] in another series of the same run."""
+    near = min(series, key=lambda each: abs(each[0] - time), default=None)
+    return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+
+
+def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
+    """Frames selected by last, first, all, a number as in the file names, a time such as 0.4s, or several of these.
+
+    Raises GranflowError for other text and for a number that does not exist.
+    """
+    if text == "all":
+        return list(frames)
+    return [_one(frames, word.strip()) for word in text.split(",")]
+
+
+def _one(frames: Sequence[Frame], word: str) -> Frame:
+    """Frame for one word of a selection. Raises GranflowError."""
+    if word in ("last", "first"):
+        return frames[-1 if word == "last" else 0]
+    if word.isdecimal():
+        found = [frame for frame in frames if frame.number == int(word)]
+        if not found:
+            numbers = f"{frames[0].number} to {frames[-1].number}"
+            raise GranflowError(
+                f"--frame {word}: the run has no such frame; the frames are {numbers}. A time has a unit, {word}s."
+            )
+        return found[0]
+    try:
+        time = to_si(word, "time")
+    except UnitError as error:
+        raise GranflowError(f"--frame {word}: {error}; or give last, first, all, or the number of a frame.") from None
+    return min(frames, key=lambda frame: abs(frame.time - time))
+
+
+def read_particles(frame: Frame) -> FrameParticles:
+    """Particles of a frame; positions are float64. Raises GranflowError if the file cannot be read."""
+    mesh = read_mesh(frame.particles)
+    arrays = {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    radius = arrays.get("radius", np.zeros(len(mesh.points)))
+    return FrameParticles(mesh.points.astype(np.float64), radius, arrays)
+
+
+def read_walls(frame: Frame) -> FrameWalls | None:
+    """Walls of a frame; None if it has no wall file. Raises GranflowError if the file cannot be read."""
+    if frame.walls is None:
+        return None
+    mesh = read_mesh(frame.walls)
+    numbers = mesh.cell_data.get("wall", [np.zeros(len(block.data), np.int32) for block in mesh.cells])
+    blocks = [(block.data, wall) for block, wall in zip(mesh.cells, numbers, strict=True) if len(block.data)]
+    return FrameWalls(mesh.points, tuple(cells for cells, _ in blocks), tuple(np.asarray(wall) for _, wall in blocks))
+
+
+def read_force_chains(frame: Frame) -> ForceChains | None:
+    """Contacts of a frame; None if it has no contact file. Raises GranflowError if the file cannot be read."""
+    if frame.contacts is None:
+        return None
+    mesh = read_mesh(frame.contacts)
+    lines = [block.data for block in mesh.cells if block.type == "line"]
+    ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
+    forces = mesh.cell_data.get("normal_force", [])
+    return ForceChains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
+
+
+def is_empty(path: Path) -> bool:
+    """Whether a VTU file is empty."""
+    with open_regular(path) as file:
+        return EMPTY in file.read(HEADER_SIZE)
+
+
+def read_mesh(path: Path) -> meshio.Mesh:
+    """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
+    try:
+        if is_empty(path):  # meshio cannot read empty files
+            return meshio.Mesh(np.zeros((0, 3)), [])
+        return read_vtu(path, LARGEST_FRAME)
+    except (Exception, SystemExit) as error:  # a truncated file raises various exceptions; meshio may call sys.exit
+        raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None

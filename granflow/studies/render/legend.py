@@ -1,0 +1,94 @@
+"""The legend strip on the right of a picture: time and color scale, outside the view of the particles."""
+
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from granflow.studies.figures import COLORS, STYLE
+from granflow.studies.render.colors import Scale
+
+DPI = 100
+"""Dots per inch; font sizes are proportional to the height of the picture."""
+
+WIDTH = 0.27
+"""Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
+
+LETTERS = 0.03
+"""Font size over the height of the picture."""
+
+TITLE_LETTERS = 13
+"""Maximum number of characters in a line of the title."""
+
+BAR = (0.12, 0.16, 0.17, 0.52)
+"""Left, bottom, width and height of the color bar, relative to the strip."""
+
+NO_VALUE = (0.6, 0.6, 0.6)
+"""Color of nan (red, green, blue; 0 to 1)."""
+
+
+def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
+    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the limit."""
+    from matplotlib import colormaps, colors
+
+    if scale.names is not None:
+        wheel = np.array([colors.to_rgb(color) for color in COLORS])
+        shown = wheel[values.astype(np.int64) % len(wheel)]
+    else:
+        low, high = scale.limits
+        shown = colormaps[scale.map_name](np.clip((values - low) / (high - low), 0.0, 1.0))[:, :3]
+        shown[~np.isfinite(values)] = NO_VALUE
+    return np.round(255.0 * shown).astype(np.uint8)
+
+
+def legend_strip(scale: Scale, time: str, height: int) -> np.ndarray:
+    """The strip as an image (height, width, 3), 0 to 255.
+
+    `time`: text at the top; `height` [pixels]; the width is WIDTH times the height.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    letters = LETTERS * height * 72.0 / DPI
+    with matplotlib.rc_context({**STYLE, "font.size": letters, "savefig.bbox": None}):
+        figure = Figure(figsize=(WIDTH * height / DPI, height / DPI), dpi=DPI, facecolor="white")
+        canvas = FigureCanvasAgg(figure)
+        figure.text(BAR[0], 0.96, time, va="top", fontsize=1.15 * letters)
+        title = "\n".join(_title_lines(scale))
+        figure.text(BAR[0], BAR[1] + BAR[3] + 0.025, title, va="bottom", linespacing=1.15)
+        _legend(figure, scale, letters) if scale.names is not None else _bar(figure, scale, letters)
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def _title_lines(scale: Scale) -> list[str]:
+    lines = [part for line in scale.title.split("\n") for part in wrap(line, TITLE_LETTERS)]
+    return [*lines, f"({scale.unit})"] if scale.unit else lines
+
+
+def _bar(figure: Any, scale: Scale, letters: float) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low, high = (limit / scale.factor for limit in scale.limits)
+    ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(low, high), scale.map_name), cax=figure.add_axes(BAR), extend=ends[scale.out_of_range]
+    )
+    bar.ax.locator_params(nbins=6)
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=letters, width=0.04 * letters, length=0.3 * letters, pad=0.25 * letters)
+    bar.outline.set_linewidth(0.04 * letters)
+
+
+def _legend(figure: Any, scale: Scale, letters: float) -> None:
+    """A colored dot and a name for each material or group, as many as fit."""
+    assert scale.names is not None
+    line = 1.5 * letters * DPI / 72.0 / (figure.get_figheight() * DPI)
+    for row, (number, name) in enumerate(list(scale.names.items())[: int(BAR[3] / line)]):
+        height = BAR[1] + BAR[3] - (row + 0.5) * line
+        figure.text(
+            BAR[0], height, "\N{BLACK CIRCLE}", color=COLORS[number % len(COLORS)], va="center", family="DejaVu Sans"
+        )
+        figure.text(BAR[0] + 0.13, height, name, va="center")

@@ -1,0 +1,236 @@
+"""Pictures of the frames of a run, with the same style, camera and color range."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.atomic_files import replacing
+from granflow.load import load
+from granflow.scene.schema.scene import Scene
+from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
+from granflow.studies.render.camera import Camera, View, aspect_of, camera_for, view_of
+from granflow.studies.render.colors import Scale, scale_for, values_of
+from granflow.studies.render.frames import (
+    ForceChains,
+    Frame,
+    FrameParticles,
+    frames_of,
+    read_force_chains,
+    read_particles,
+    read_walls,
+)
+from granflow.studies.render.legend import WIDTH, colors_of, legend_strip
+from granflow.studies.render.renderer import Renderer, require_pyvista
+
+HEIGHT = 1200
+"""Height of a picture without a given size [pixels]."""
+
+ASPECTS = (0.5, 1.9)
+"""Minimum and maximum width over height of a picture without a given size."""
+
+COLOR_FRAMES = 40
+"""Maximum number of frames that determine the color range."""
+
+THICKEST, THINNEST = 0.5, 0.04
+"""Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
+
+CHAIN_COLOR = "normal_force"
+"""Array of contacts that determines color and thickness of force chains."""
+
+
+@dataclass(frozen=True)
+class PictureStyle:
+    """Content and view of a picture.
+
+    `color`: an array of the particles; with `chains`, contacts are shown instead, colored by normal force. `fit`:
+    shown region, "all", "particles" or "domain". `cut`: hide the front half. `limits`: limits of the color scale [SI].
+    `size`: (width, height) in pixels, including the legend strip.
+    """
+
+    color: str = "velocity"
+    view: str = "iso"
+    zoom: float = 1.0
+    fit: str = "all"
+    cut: bool = False
+    chains: bool = False
+    limits: tuple[float, float] | None = None
+    size: tuple[int, int] | None = None
+
+    @property
+    def shown(self) -> str:
+        """Array that determines the color."""
+        return CHAIN_COLOR if self.chains else self.color
+
+
+@dataclass(frozen=True)
+class PictureSetup:
+    """Common properties of all pictures of a run.
+
+    `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
+    None; `cut`: point [m] and normal (3,) of the plane in front of which nothing is drawn, or None.
+    """
+
+    style: PictureStyle
+    scale: Scale
+    camera: Camera
+    size: tuple[int, int]
+    domain: np.ndarray | None
+    cut: tuple[np.ndarray, np.ndarray] | None
+    decimals: int
+    """Decimals of the time [s] that distinguish the frames."""
+
+
+def scene_as_run(directory: Path) -> Scene | None:
+    """Scene of a run; None if its file is missing or cannot be read."""
+    try:
+        return load(directory / "scene_as_run.yaml")
+    except GranflowError:
+        return None
+
+
+def write_pictures(
+    directory: Path, frames: Sequence[Frame], style: PictureStyle, out: Path | None = None
+) -> list[Path]:
+    """Write a PNG of each frame to `pictures/` of the run, or a single one to `out`; return the paths.
+
+    Files are written atomically and replace earlier ones of the same name.
+
+    Raises GranflowError if the extra `plot` is not installed, if files cannot be read, or if the style requires data
+    that the run did not write.
+    """
+    require_pyvista()
+    from PIL import Image
+
+    paths = [out or directory / "pictures" / f"{name_of(style)}_{frame.number:04d}.png" for frame in frames]
+    for path, picture in zip(paths, pictures(directory, frames, style), strict=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            Image.fromarray(picture).save(temporary, format="PNG", optimize=True)
+    return paths
+
+
+def name_of(style: PictureStyle) -> str:
+    """File name of a style: color and view."""
+    view = style.view if style.view.isalpha() else "from_" + style.view.replace(",", "_")
+    return "_".join(["picture", style.shown.replace(".", "_"), view, *(["cut"] if style.cut else [])])
+
+
+def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> Iterator[np.ndarray]:
+    """Yield pictures (height, width, 3), 0 to 255, of the frames. Raises the errors of `write_pictures`."""
+    require_pyvista()
+    setup = setup_for(directory, frames, style)
+    renderer = Renderer((setup.size[0] - _strip_width(setup.size[1]), setup.size[1]), setup.camera)
+    try:
+        for frame in frames:
+            yield _picture(renderer, setup, frame)
+    finally:
+        renderer.close()
+
+
+def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
+    """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
+    scene = scene_as_run(directory)
+    view = view_of(style.view, None if scene is None else np.array(scene.gravity))
+    whole = frames_of(directory)
+    domain = domain_of(scene)
+    points = bounding_points(style.fit, scene, frames if style.fit == "particles" else whole, domain)
+    size = style.size or _size(aspect_of(view, points))
+    camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], style.zoom)
+    cut = _cut(view, points) if style.cut else None
+    scale = _scale(style, scene, sampled(frames, COLOR_FRAMES))
+    return PictureSetup(style, scale, camera, size, domain, cut, decimals_of([frame.time for frame in whole]))
+
+
+def decimals_of(times: Sequence[float]) -> int:
+    """Number of decimals that distinguish most of these times [s]."""
+    spacing = float(np.median(np.diff(times))) if len(times) > 1 else float(np.max(times))
+    return max(0, -int(np.floor(np.log10(spacing) + 1e-3))) if spacing > 0.0 else 1
+
+
+def _size(aspect: float) -> tuple[int, int]:
+    """Picture size in pixels; even numbers, as films require."""
+    width = HEIGHT * min(max(aspect, ASPECTS[0]), ASPECTS[1])
+    return 2 * round(0.5 * width) + _strip_width(HEIGHT), HEIGHT
+
+
+def _strip_width(height: int) -> int:
+    return int(WIDTH * height)
+
+
+def _cut(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Plane (point, normal) through the center, normal to the axis closest to the direction of the viewer."""
+    axis = int(np.argmax(np.abs(view.toward)))
+    normal = np.zeros(3)
+    normal[axis] = np.sign(view.toward[axis])
+    return 0.5 * (points.min(axis=0) + points.max(axis=0)), normal
+
+
+def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> Scale:
+    """Color scale of a style. Raises GranflowError for force chains if the run has no contacts."""
+    if style.chains:
+        forces = [chains.normal_force for chains in map(read_force_chains, frames) if chains is not None]
+        if not forces:
+            raise GranflowError(
+                "--chains: the run has no contacts_*.vtu; set output.contacts: true in the scene and run it again."
+            )
+        return scale_for(CHAIN_COLOR, forces, limits=style.limits)
+    particles = [each for each in map(read_particles, frames) if len(each.radius)]
+    is_vector = any(np.ndim(each.arrays.get(style.color, 0)) == 2 for each in particles)
+    values = [values_of(each.arrays, style.color) for each in particles]
+    return scale_for(style.color, values, is_vector, _names(scene), style.limits)
+
+
+def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
+    """Names of materials and groups, in the order of their numbers in the files."""
+    if scene is None:
+        return {}
+    from granflow.plan.plan import plan_for
+
+    try:
+        materials = plan_for(scene).materials
+    except GranflowError:  # such as a missing mesh file
+        materials = ()
+    return {"group": tuple(scene.particles), "material": materials}
+
+
+def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarray:
+    """Picture (height, width, 3), 0 to 255, of one frame with its legend strip."""
+    particles = _behind(read_particles(frame), setup.cut)
+    renderer.set_walls(read_walls(frame), setup.domain, setup.cut)
+    if setup.style.chains:
+        _draw_chains(renderer, setup, read_force_chains(frame), particles)
+    else:
+        values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
+        renderer.set_particles(particles, colors_of(values, setup.scale))
+    return np.concatenate(
+        [renderer.draw(), legend_strip(setup.scale, f"{frame.time:.{setup.decimals}f} s", setup.size[1])], axis=1
+    )
+
+
+def _draw_chains(
+    renderer: Renderer, setup: PictureSetup, chains: ForceChains | None, particles: FrameParticles
+) -> None:
+    """Add the contacts as tubes with a radius proportional to the normal force, and the particles faintly."""
+    renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
+    chains = chains or ForceChains(np.zeros((0, 2, 3)), np.zeros(0))
+    share = np.clip(chains.normal_force / setup.scale.limits[1], 0.0, 1.0)
+    selected = share > THINNEST / THICKEST
+    if setup.cut is not None:
+        point, normal = setup.cut
+        selected &= np.all((chains.ends - point) @ normal <= 0.0, axis=1)
+    chains, share = ForceChains(chains.ends[selected], chains.normal_force[selected]), share[selected]
+    mean_radius = float(np.mean(particles.radius)) if len(particles.radius) else 0.0
+    renderer.set_chains(chains, THICKEST * mean_radius * share, colors_of(chains.normal_force, setup.scale))
+
+
+def _behind(particles: FrameParticles, cut: tuple[np.ndarray, np.ndarray] | None) -> FrameParticles:
+    """Particles whose center is behind the plane (point, normal (3,)); all without a plane."""
+    if cut is None:
+        return particles
+    point, normal = cut
+    selected = (particles.position - point) @ normal <= 0.0
+    arrays = {name: values[selected] for name, values in particles.arrays.items()}
+    return FrameParticles(particles.position[selected], particles.radius[selected], arrays)

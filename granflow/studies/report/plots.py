@@ -1,0 +1,104 @@
+"""Interactive plots, drawn by plotly inside the page, without a network connection."""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.studies.figures import COLORS
+from granflow.studies.page import Plot
+from granflow.studies.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
+
+DASHES = ("solid", "dash", "dot", "dashdot")
+"""Line styles: one for each repetition of the colors."""
+
+DIGITS = 6
+"""Significant digits of a number in the page."""
+
+AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
+"""Style of axes in the format of plotly."""
+
+HEIGHT = 340
+"""Height of a plot [pixels]."""
+
+STAGE_ROW, NEAR = 14, 0.1
+"""Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
+
+
+def library() -> str:
+    """JavaScript of plotly, to embed in the page; empty if plotly is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        return ""
+    return get_plotlyjs()
+
+
+def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
+    """Plot of a group of columns against time, with the stages of the run.
+
+    All columns of a group have the same unit.
+    """
+    curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
+    unit = f" ({group.unit})" if group.unit else ""
+    layout = {
+        "height": HEIGHT,
+        "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
+        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "hovermode": "x unified",
+        "showlegend": len(curves) > 1,
+        "legend": {"orientation": "h", "y": -0.28, "x": 0},
+        "xaxis": {**AXIS, "title": {"text": "time (s)"}, "exponentformat": "none", "hoverformat": ".6~g"},
+        "yaxis": {**AXIS, "title": {"text": group.title + unit}},
+        **_stage_marks(series),
+    }
+    return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
+
+
+def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points."""
+    time, values = thinned(series.time, column.values)
+    rounds = number // len(COLORS)
+    return {
+        "type": "scatter",
+        "mode": "lines" if len(time) > 1 else "markers",
+        "name": column.text,
+        "x": _plain(time),
+        "y": _plain(values),
+        "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
+        "hovertemplate": f"%{{y:.5~g}} {column.unit}",
+    }
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    """Numbers with DIGITS digits, as Python floats for JSON."""
+    return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
+
+
+def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
+    """A line and a name at the start of each stage if the run has several."""
+    stages = series.stages if len(series.stages) > 1 else ()
+    line = {"color": "#999", "width": 1, "dash": "dot"}
+    rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
+    return {
+        "shapes": [
+            {"type": "line", "x0": time, "x1": time, "y0": 0, "y1": 1, "yref": "paper", "line": line}
+            for time, _ in stages
+        ],
+        "annotations": [
+            {"x": time, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "left",
+             "yanchor": "bottom", "font": {"size": 11, "color": "#555"}, "yshift": STAGE_ROW * row}
+            for (time, name), row in zip(stages, rows, strict=True)
+        ],
+    }  # fmt: skip
+
+
+def _rows(times: Sequence[float], span: float) -> list[int]:
+    """Row 0 or 1 of each stage name, so that names of closely spaced stages do not overlap."""
+    rows: list[int] = []
+    for before, time in zip([-inf, *times], times, strict=False):
+        rows.append(1 - rows[-1] if rows and time - before < NEAR * span else 0)
+    return rows

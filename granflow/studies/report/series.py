@@ -1,0 +1,143 @@
+"""`timeseries.csv` as columns with units, and their grouping into plots."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.regular_files import read_regular_text
+
+TIME, STAGE = "time", "stage"
+"""Names of the first two columns of timeseries.csv."""
+
+MOST_POINTS = 800
+"""Maximum number of points of a curve; more are not distinguishable on a screen."""
+
+
+@dataclass(frozen=True)
+class SeriesColumn:
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """Name for display: "flow mass, outlet"."""
+        quantity, _, part = self.name.partition(".")
+        return quantity.replace("_", " ") + (f", {part}" if part else "")
+
+
+@dataclass(frozen=True)
+class TimeSeriesTable:
+    """All columns over `time` (n,) [s], and start time [s] and name of each stage."""
+
+    time: np.ndarray
+    columns: tuple[SeriesColumn, ...]
+    stages: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class PlotGroup:
+    """Columns of one unit in a common plot."""
+
+    title: str
+    unit: str
+    columns: tuple[SeriesColumn, ...]
+
+
+def read_series(path: Path) -> TimeSeriesTable | None:
+    """Columns of a time series without an incomplete last line; None if it has no rows.
+
+    Cells that are not numbers become nan. Raises GranflowError if the file is not CSV.
+    """
+    if not path.exists():
+        return None
+    try:
+        lines = read_regular_text(path).splitlines()
+        heads, *rows = list(csv.reader(lines)) or [[]]
+    except csv.Error as error:
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
+    rows = [row for row in rows if len(row) == len(heads)]
+    labels = [_split(head) for head in heads]
+    names = [name for name, _ in labels]
+    if not rows or TIME not in names:
+        return None
+    numbers = {name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names) if name != STAGE}
+    time = numbers.pop(TIME)
+    units = dict(labels)
+    columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
+    stage = [row[names.index(STAGE)] for row in rows] if STAGE in names else [""] * len(rows)
+    begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
+    return TimeSeriesTable(time, columns, tuple(begins))
+
+
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of "kinetic_energy [J]"."""
+    name, _, unit = head.partition(" [")
+    return name, unit.removesuffix("]")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
+    """Group columns of one unit by quantity, or by a common last or first word.
+
+    `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
+    `overlap_mean` and `overlap_largest` the first. The grouping depends on names and units only.
+    """
+    kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
+    for column in columns:
+        kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
+    return [PlotGroup(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
+
+
+def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
+    """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
+    quantity = column.name.partition(".")[0]
+    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    text = quantity.split("_")
+    if any(other.split("_")[-1] == text[-1] for other in other_quantities):
+        return text[-1]
+    if any(other.split("_")[0] == text[0] for other in other_quantities):
+        return text[0]
+    return quantity
+
+
+def _title(members: Sequence[SeriesColumn]) -> str:
+    """Common first words of the quantities, or else common last words."""
+    if len(members) == 1:
+        return members[0].text
+    text = [column.name.partition(".")[0].split("_") for column in members]
+    begin = _common_prefix(text)
+    end = _common_prefix([list(reversed(each)) for each in text])
+    return " ".join(begin or reversed(end))
+
+
+def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
+    """Common first words of all lists."""
+    columns = takewhile(lambda each: len(set(each)) == 1, zip(*text, strict=False))
+    return [each[0] for each in columns]
+
+
+def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval.
+
+    `time`, `values` (n,); values that are not finite are dropped.
+    """
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) > MOST_POINTS:
+        parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)
+        ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
+        finite = np.unique([finite[0], *ends, finite[-1]])
+    return time[finite], values[finite]

@@ -1,0 +1,403 @@
+"""Given and simulated restitution of all material pairs of a scene, at the time step and precision of the scene.
+
+`measure` simulates collisions of the pairs on the device in one run. `warnings` integrates a few collisions with the
+reference implementation of the contact model instead, which takes about 0.1 s and requires no compilation.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.contact.material import PairMaterial
+from granflow.engine.backend import start
+from granflow.engine.engine import Engine
+from granflow.particles.generate import initial_particles
+from granflow.plan.plan import Plan, pair_material, plan_for
+from granflow.plan.size_classes import diameter_range
+from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
+
+VELOCITIES_PER_DECADE = 4
+"""Velocities of the collisions per decade."""
+
+DECADES = 3
+"""Decades of velocity below the largest expected one."""
+PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Phases of first touch within a time step."""
+SPACING = 2.5
+"""Spacing of neighboring collisions over the largest diameter."""
+LONGEST = 20.0
+"""Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
+
+HEIGHT = 5.2
+"""Height of the figure [inch]."""
+
+TOLERANCE = 0.01
+"""Relative difference above which a run reports a warning."""
+QUICK_VELOCITIES = (1.0, 0.3, 0.1)
+"""Velocities of the warning relative to the largest velocity, in the order of evaluation."""
+QUICK_PHASES = (0.25, 0.75)
+"""Phases of first touch within a time step for the warning."""
+
+QUICK_STEPS = 8000
+"""Maximum number of steps of the reference implementation for the warning."""
+HALVINGS = 6
+"""Number of halvings in the search for a sufficient time step (down to 1/64)."""
+
+
+@dataclass(frozen=True)
+class MaterialPairing:
+    """Two materials that can be in contact, and the radii [m] of their smallest spheres.
+
+    `other_radius` is None for a wall.
+    """
+
+    first: str
+    second: str
+    radius: float
+    other_radius: float | None
+
+    @property
+    def name(self) -> str:
+        """The two materials, followed by "wall" if the second is that of a wall."""
+        return f"{self.first}-{self.second}" + (" wall" if self.other_radius is None else "")
+
+    def reduced(self, scene: Scene) -> tuple[float, float]:
+        """Effective radius [m] and mass [kg] of the contact; a wall has infinite radius and mass."""
+        mass = _mass(self.radius, scene.materials[self.first].density)
+        if self.other_radius is None:
+            return self.radius, mass
+        other = _mass(self.other_radius, scene.materials[self.second].density)
+        radius_eff = self.radius * self.other_radius / (self.radius + self.other_radius)
+        return radius_eff, mass * other / (mass + other)
+
+
+def _mass(radius: float, density: float) -> float:
+    return 4.0 / 3.0 * np.pi * radius**3 * density
+
+
+def pairings(scene: Scene) -> list[MaterialPairing]:
+    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii [m]."""
+    smallest: dict[str, float] = {}
+    for group in scene.particles.values():
+        radius = 0.5 * diameter_range(group)[0]
+        smallest[group.material] = min(radius, smallest.get(group.material, radius))
+    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
+    spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]
+    combinations = [*spheres, *((a, b, None) for a in smallest for b in walls)]
+    return [
+        MaterialPairing(a, b, smallest[a], other) for a, b, other in combinations if scene.pair_key(a, b) in scene.pairs
+    ]
+
+
+# ---------------------------------------------------------------- on the device
+
+
+@dataclass(frozen=True)
+class RestitutionRow:
+    """One pair at one velocity [m/s]: given restitution, and smallest and largest simulated value over the phases."""
+
+    pair: str
+    velocity: float
+    requested: float
+    min_reached: float
+    max_reached: float
+
+    @property
+    def reached(self) -> float:
+        """Smallest or largest simulated value, whichever differs more from the given one."""
+        return max(self.min_reached, self.max_reached, key=lambda e: abs(e - self.requested))
+
+    @property
+    def difference(self) -> float:
+        """Relative difference of simulated and given value; infinite if 0 is given and not reached."""
+        if self.requested == 0.0:
+            return 0.0 if self.reached == 0.0 else np.inf
+        return self.reached / self.requested - 1.0
+
+
+def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], float]:
+    """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected one.
+
+    All collisions are at the far side of the domain, where single precision is coarsest; each velocity is repeated for
+    several phases of first touch. The velocities span DECADES decades. Also returns the time step [s].
+
+    Raises SceneError if the scene has no valid plan.
+    """
+    backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
+    plan = plan_for(scene, on_gpu=not backend.on_cpu)
+    pairs = pairings(scene)
+    count = DECADES * VELOCITIES_PER_DECADE + 1
+    velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
+    collisions = plan_for(_collision_scene(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
+    engine = Engine(collisions, backend)
+    engine.state.clock.change(plan.time_step)
+    rebound = _run_collisions(engine, collisions, _longest(plan, pairs, velocities[0]))
+    reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
+    rows = []
+    for pair, per_velocity in zip(pairs, reached, strict=True):
+        material = pair_material(scene, pair.first, pair.second)
+        for velocity, found in zip(velocities, per_velocity, strict=True):
+            requested = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
+            rows.append(RestitutionRow(pair.name, float(velocity), requested, float(found.min()), float(found.max())))
+    return rows, plan.time_step
+
+
+def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
+    """Maximum number of steps of the slowest collision; `velocity` [m/s]: the lowest."""
+    longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
+    return int(LONGEST * longest / plan.time_step) + 10
+
+
+def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
+    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair.
+
+    `velocities` (v,) [m/s]. Without friction and gravity; contacts are at the largest coordinate of the domain.
+    """
+    radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
+    spacing = SPACING * 2.0 * max(radii)
+    contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
+    described: dict[str, Any] = {"particles": {}, "walls": {}}
+    for row, pair in enumerate(pairs):
+        _add_row(described, pair, row, contact_x, spacing, velocities, plan.time_step)
+    reach = [contact_x + spacing, spacing * (len(velocities) * len(PHASES) + 1), spacing * (len(pairs) + 1)]
+    any_pair = next(iter(scene.pairs.values()))
+    used = dict.fromkeys(material for pair in pairs for material in (pair.first, pair.second))
+    material_pairs = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), any_pair)
+           for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
+    frictionless = {"friction": 0.0, "rolling_friction": None}
+    return Scene.model_validate(described | {
+        "title": "Given and simulated restitution",
+        "gravity": [0, 0, 0],
+        "materials": {name: scene.materials[name] for name in used},
+        "pairs": {key: pair.model_copy(update=frictionless) for key, pair in material_pairs.items()},
+        "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
+        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
+        "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
+        "numerics": scene.numerics.model_copy(update={"max_overlap": LARGEST_OVERLAP}),
+        "output": {"interval": 1.0},
+    })  # fmt: skip
+
+
+def _add_row(
+    described: Mapping[str, dict[str, Any]], pair: MaterialPairing, row: int, contact_x: float, spacing: float,
+    velocities: np.ndarray, step: float,
+) -> None:  # fmt: skip
+    """Add the spheres of one pair, one collision per velocity and phase, with contact at x = `contact_x` [m]."""
+    speed = np.repeat(velocities, len(PHASES))
+    gap = speed * step * np.tile(PHASES, len(velocities))
+    positions = np.stack(
+        [np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1
+    )
+    spheres = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
+    share = 1.0 if pair.other_radius is None else 0.5
+    for name, material, radius, side in spheres:
+        if radius is None:
+            corner = [contact_x, -0.5 * spacing, spacing * (row - 0.5)]
+            extent = [[0.0, spacing * len(speed), 0.0], [0.0, 0.0, spacing]]
+            described["walls"][f"wall_{row}"] = {
+                "shape": "rectangle", "corner": corner, "sides": extent, "material": material
+            }  # fmt: skip
+            continue
+        sphere_centers = positions + np.array([contact_x, 0.0, 0.0])
+        sphere_centers[:, 0] += side * (radius + share * gap)
+        velocity = np.outer(-side * share * speed, [1.0, 0.0, 0.0])
+        described["particles"][f"{name}_{row}"] = {
+            "material": material, "diameter": 2.0 * radius, "velocity": velocity.tolist(),
+            "insert": {"kind": "positions", "positions": sphere_centers.tolist()},
+        }  # fmt: skip
+
+
+def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
+    """Rebound velocity (n,) [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
+    engine.insert(initial_particles(plan.scene))
+    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
+    engine.refresh()
+    batch = max(most_steps // 200, 1)
+    done, has_touched = 0, np.zeros(0, dtype=bool)
+    while done < most_steps:
+        engine.advance(batch)
+        done += batch
+        rate, force = _relative(engine, plan)
+        has_touched = (
+            (has_touched if len(has_touched) else np.zeros(len(rate), dtype=bool)) | (force != 0.0) | (rate < 0.0)
+        )
+        if np.all(has_touched & (force == 0.0) & (rate < 0.0)):
+            break
+    engine.free()
+    return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
+
+
+def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Approach rate (n,) [m/s] and force (n,) [N] of each collision, in the order of the scene."""
+    arrays = engine.synchronized(("id", "velocity", "force", "mass"))
+    order = np.argsort(arrays["id"])
+    velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
+    rates, forces, begin = [], [], 0
+    for name, group in plan.scene.particles.items():
+        part = slice(begin, begin + group.count)
+        begin += group.count
+        if name.startswith("first"):
+            rates.append(velocity[part])
+            forces.append(force[part])
+        else:
+            rates[-1] = rates[-1] - velocity[part]
+    return np.concatenate(rates), np.concatenate(forces)
+
+
+def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str, str, str]]:
+    """Table rows: pair, velocity [m/s], given restitution, simulated restitution, difference in percent."""
+    found = []
+    for before, row in zip([None, *rows], rows, strict=False):
+        name = row.pair if before is None or before.pair != row.pair else ""
+        difference = f"{100.0 * row.difference:+.3f}" + (" *" if abs(row.difference) > TOLERANCE else "")
+        found.append((name, f"{row.velocity:.4g}", f"{row.requested:.5f}", f"{row.reached:.5f}", difference))
+    return found
+
+
+def write_restitution(out: Path, rows: Sequence[RestitutionRow], title: str) -> None:
+    """Write `restitution.csv`, then `restitution.png`. Raises GranflowError if matplotlib is not installed."""
+    out.mkdir(parents=True, exist_ok=True)
+    names = ("pair", "velocity", "requested", "min_reached", "max_reached", "difference")
+    write_columns(out / "restitution.csv", {name: np.array([getattr(row, name) for row in rows]) for name in names})
+    draw_to(out / "restitution.png", lambda figure: _draw(figure, rows, title), HEIGHT)
+
+
+def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
+    """Plot restitution (top) and difference in percent (bottom) against velocity; bars span the phases."""
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    below.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="0.93", zorder=0)
+    for number, name in enumerate(dict.fromkeys(row.pair for row in rows)):
+        is_pair = [row for row in rows if row.pair == name]
+        velocity, requested, min_reached, max_reached = (
+            np.array([getattr(row, key) for row in is_pair])
+            for key in ("velocity", "requested", "min_reached", "max_reached")
+        )
+        color, middle, half = (
+            COLORS[number % len(COLORS)],
+            0.5 * (min_reached + max_reached),
+            0.5 * (max_reached - min_reached),
+        )
+        style = POINTS | {"marker": MARKERS[number % len(MARKERS)], "color": color}
+        above.semilogx(velocity, requested, color=color)
+        above.errorbar(velocity, middle, half, label=name, **style)
+        known = requested > 0.0
+        percent = 100.0 / requested[known]
+        below.errorbar(velocity[known], (middle - requested)[known] * percent, half[known] * percent, **style)
+    above.set(ylabel="restitution coefficient $e$", title=f"{title}: given (lines) and simulated (points)")
+    above.legend(loc="best")
+    below.set(xlabel="approach velocity $v$ [m/s]", ylabel="relative difference [%]")
+
+
+# ---------------------------------------------------------------- with the reference implementation
+
+
+def warnings(plan: Plan) -> list[str]:
+    """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
+
+    Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if one is
+    found. Collisions that cannot occur, and collisions for which the plan has a warning already, are excluded.
+    QUICK_STEPS limits the total number of steps of all collisions.
+    """
+    worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
+    steps = 0
+    for pair in pairings(plan.scene):
+        if not _occurs(plan.scene, pair):
+            continue
+        deviations: list[tuple[float, _Impact]] = []
+        for share in QUICK_VELOCITIES:
+            impact = _impact(plan, pair, share * plan.velocity_max)
+            steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
+            if steps > QUICK_STEPS or _unreachable(plan, impact):
+                break
+            deviations.append((abs(_worst_restitution(plan, impact, plan.time_step) / impact.requested - 1.0), impact))
+        key = plan.scene.pair_key(pair.first, pair.second)
+        for size, impact in deviations:
+            if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
+                worst[key] = (size, pair, impact)
+    return [_sentence(plan, pair, impact) for _, pair, impact in worst.values()]
+
+
+def _occurs(scene: Scene, pair: MaterialPairing) -> bool:
+    """Whether the collision is possible: not for two fixed particles, nor for a single particle with itself."""
+    groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
+    mobile = {group.material for group in groups if not group.fixed}
+    if pair.other_radius is None:
+        return pair.first in mobile
+    return bool(mobile) and (pair.first != pair.second or sum(group.count for group in groups) > 1)
+
+
+@dataclass(frozen=True)
+class _Impact:
+    """One collision: pair, effective radius [m] and mass [kg], velocity [m/s], given restitution, duration [s]."""
+
+    material: PairMaterial
+    radius_eff: float
+    mass_eff: float
+    velocity: float
+    requested: float
+    duration: float
+
+
+def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
+    """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
+    collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
+    return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
+
+
+def _unreachable(plan: Plan, impact: _Impact) -> bool:
+    """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a warning."""
+    if plan.law.least_restitution is None or impact.requested == 0.0:
+        return impact.requested == 0.0
+    collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
+    return impact.requested < plan.law.least_restitution(*collision, plan.time_step)
+
+
+def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
+    """Reference restitution that differs most from the given one, over QUICK_PHASES of a time step [s]."""
+    found = [_reference_restitution(plan, impact, step, phase) for phase in QUICK_PHASES]
+    return max(found, key=lambda e: abs(e - impact.requested))
+
+
+def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
+    """Restitution of one collision with the reference implementation, in the leapfrog scheme of the device.
+
+    `step` [s]; `phase`: time of first touch before the first force, over the step. 0 if the spheres stick.
+    """
+    law, mass = plan.law, impact.mass_eff
+    constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))
+    rate = rate_now = impact.velocity
+    overlap = phase * rate * step
+    for _ in range(int(LONGEST * impact.duration / step)):
+        rate_seen = rate_now if law.rate_dependent else rate
+        force, history = law.reference_force(constants, impact.radius_eff, mass, step, overlap, rate_seen, history)
+        kick = force / mass * step
+        rate -= kick
+        rate_now = rate - 0.5 * kick
+        overlap += step * rate
+        if rate < 0.0 and (overlap <= 0.0 or force == 0.0):
+            return -rate / impact.velocity
+    return 0.0
+
+
+def _sentence(plan: Plan, pair: MaterialPairing, impact: _Impact) -> str:
+    """Warning with the given and the simulated restitution, and the remedy."""
+    reached = _worst_restitution(plan, impact, plan.time_step)
+    remedy = next(_remedies(plan, impact), None)
+    advice = f"Use run.time_step: {remedy:.2g} s." if remedy else "A smaller run.time_step reduces the difference."
+    return (
+        f"{pair.name}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time step "
+        f"of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
+    )
+
+
+def _remedies(plan: Plan, impact: _Impact) -> Iterator[float]:
+    """Time steps [s], successively halved, at which the restitution is within the tolerance."""
+    for halvings in range(1, HALVINGS + 1):
+        step = plan.time_step / 2.0**halvings
+        if abs(_worst_restitution(plan, impact, step) / impact.requested - 1.0) <= TOLERANCE:
+            yield step

@@ -1,0 +1,243 @@
+"""Measured stability limit of the time step: the largest step at which confined particles do not gain energy.
+
+Particles with the overlap that the check assumes get a small perturbation; a bisection finds the time step at which
+the perturbation grows. The limit of `check` for the same particles is the reference.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from granflow.contact import theory
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import NormalLaw
+from granflow.contact.normal.thornton import ThorntonCollision
+from granflow.engine.backend import start
+from granflow.engine.engine import Engine
+from granflow.engine.limits import NO_PARTICLE
+from granflow.particles.generate import ParticleData
+from granflow.plan.plan import Plan, pair_cases_of, plan_for
+from granflow.plan.time_step import PairCase, stable_step
+from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.studies.stability.lattices import LATTICES, TestLattice
+
+RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
+"""Radius [m], density [kg/m3], Young's modulus [Pa], Poisson ratio and yield strength [Pa] of the particles."""
+
+ANCHOR = 1e9
+"""Density of an anchor over that of a free particle."""
+VELOCITY = 1e-3
+"""Approach velocity [m/s] whose maximum overlap the particles get; small enough to avoid buckling of chains."""
+SPRING = 1e3
+"""Stiffness [N/m] of the linear springs."""
+PERTURBATION = 1e-3
+"""Speed of the perturbation over VELOCITY."""
+GROWTH_LIMIT = 1e4
+"""Kinetic energy over that of the perturbation that counts as growth: a hundredth of the energy of a collision.
+
+A contact that reverses for the first time within a step releases up to a fiftieth of that, once.
+"""
+CHECKS, STEPS_PER_CHECK = 30, 10
+"""Number of energy checks of a run, and time steps between two of them."""
+
+LOWEST, HIGHEST = 0.25, 4.0
+"""Search range of the bisection, over the limit of the check."""
+RESOLUTION = 1.02
+"""Final ratio of the bisection interval."""
+FRICTION = 10.0
+"""Friction coefficient that prevents sliding."""
+
+LAWS: Mapping[str, tuple[Any, float]] = {
+    "zhou": ("zhou", 0.5),
+    "zhou, e 0": ("zhou", 0.0),
+    "zhou, damped 0.2": ({"law": "zhou", "damping_ratio": 0.2}, 0.5),
+    "hertz, e 1": ("hertz", 1.0),
+    "hertz, e 0.5": ("hertz", 0.5),
+    "hertz, e 0.05": ("hertz", 0.05),
+    "linear, e 1": ({"law": "linear", "stiffness": {"value": SPRING}}, 1.0),
+    "linear, e 0.5": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.5),
+    "linear, e 0.05": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.05),
+    "thornton": ({"law": "thornton", "yield_ratio": 1.6}, 0.5),
+    "walton_braun": (
+        {"law": "walton_braun", "stiffness": {"value": SPRING}, "unloading": "constant"}, 0.5
+    ),
+    "luding": (
+        {"law": "luding", "stiffness": {"value": SPRING}, "plasticity_depth": 0.01}, 0.5
+    ),
+    "kuwabara_kono": ({"law": "kuwabara_kono", "reference_velocity": VELOCITY}, 0.5),
+}  # fmt: skip
+"""`contact.normal` and restitution by name."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Measured limit `bound` [s] and limit of the check `allowed` [s] for a contact model and a lattice.
+
+    Both refer to the same overlaps and numbers of contacts.
+    """
+
+    law: str
+    friction: bool
+    lattice: str
+    bound: float
+    allowed: float
+    scale: float
+    """sqrt(M/K) of one contact [s]."""
+
+    @property
+    def ratio(self) -> float:
+        """Measured limit over the limit of the check."""
+        return self.bound / self.allowed
+
+
+def real_bounds(law: str, friction: bool) -> list[Bound]:
+    """Measured stability limits on every lattice with one contact model.
+
+    `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
+    one engine.
+    """
+    plan = plan_for(_scene(law, FRICTION if friction else 0.0))
+    engine, bounds = Engine(plan, start("cpu", "f64")), []
+    for name, lattice in LATTICES.items():
+        pair_case = _pair_case(plan, lattice)
+        allowed = stable_step(pair_case, plan.law, VELOCITY)
+        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*_pair_arguments(pair_case)))
+        particles = _particles(lattice, overlap_at(plan.law, pair_case), friction)
+        bound = _find_bound(engine, particles, allowed)
+        bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
+    engine.free()
+    return bounds
+
+
+def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
+    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check.
+
+    Thornton's model with its yield overlap; Hertzian models with Zhou (2011), Eq. 5; linear springs with v sqrt(M/K).
+    """
+    pair, radius, mass, speed = _pair_arguments(pair_case)
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
+    if law.name == "thornton":
+        pressure = law.pair_constants(pair)[2]
+        yield_overlap = radius * (0.5 * np.pi * pressure / pair.modulus_eff) ** 2
+        return ThorntonCollision(k, radius, mass, speed, pressure, yield_overlap).overlap_max
+    if law.tangential_stiffness_grows:
+        return float(theory.overlap_max(k, mass, speed))
+    return speed * float(np.sqrt(mass / law.loading_stiffness(*_pair_arguments(pair_case))))
+
+
+def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
+    """Pair, effective radius [m], effective mass [kg] and velocity [m/s] for stiffness functions."""
+    return pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY
+
+
+def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
+    """Pair case of a lattice: free particles with each other, or with anchors only."""
+    partner = "free" if lattice.has_free_pairs else "anchors"
+    pair_case = next(each for each in pair_cases_of(plan.scene) if each.name == f"free-{partner}")
+    return replace(pair_case, contact_count=lattice.max_contacts)
+
+
+def _scene(law: str, friction: float) -> Scene:
+    """Scene with free particles and anchors of equal elasticity, without gravity; particles are inserted later.
+
+    `law`: key of LAWS; `friction`: coefficient. The groups provide the capacity for the largest lattice.
+    """
+    normal, restitution = LAWS[law]
+    solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
+    pair: dict[str, Any] = {"friction": friction}
+    if law != "thornton":
+        pair["restitution"] = restitution
+    names = ("light", "heavy")
+    side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
+    region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
+    group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
+    return Scene.model_validate({
+        "title": "Stability limit of the time step",
+        "gravity": [0, 0, 0],
+        "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
+        "pairs": {f"{a}-{b}": pair for a, b in (names[:1] * 2, names, names[1:] * 2)},
+        "contact": {"normal": normal, "tangential": "mindlin" if friction else "none", "rolling": "none"},
+        "particles": {"free": {"material": "light", **group}, "anchors": {"material": "heavy", **group}},
+        "domain": {"min": [-side] * 3, "max": [side] * 3, "on_exit": "delete"},
+        "run": {"duration": 1.0, "velocity_max": VELOCITY},
+        "numerics": {"max_overlap": LARGEST_OVERLAP, "skin": RADIUS},
+        "output": {"interval": 1.0},
+    })  # fmt: skip
+
+
+def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> ParticleData:
+    """Particles of the lattice with this overlap [m]; random perturbation of the free particles.
+
+    Without friction the perturbation is limited to the directions in which the lattice extends.
+    """
+    count = len(lattice.centers)
+    perturbation = (
+        PERTURBATION
+        * VELOCITY
+        * np.random.default_rng(1).uniform(-1.0, 1.0, (2, count, 3))
+        * ~lattice.is_anchor[:, None]
+    )
+    if not with_friction:
+        perturbation *= np.abs(lattice.centers).max(axis=0) > 0.0  # chains are laterally unstable at any time step
+    kind = lattice.is_anchor.astype(np.int32)
+    return ParticleData(
+        position=lattice.centers * (2 * RADIUS - overlap),
+        velocity=perturbation[0],
+        angular_velocity=perturbation[1] / RADIUS,
+        radius=np.full(count, RADIUS),
+        material=kind,
+        group=kind,
+    )
+
+
+def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
+    """Time step [s] above which the perturbation grows, by bisection on a logarithmic scale.
+
+    `allowed` [s]: limit of the check; the search range is LOWEST to HIGHEST times it.
+    """
+    low, high = LOWEST * allowed, HIGHEST * allowed
+    while high > RESOLUTION * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if _is_unstable(engine, particles, middle) else (middle, high)
+    return float(np.sqrt(low * high))
+
+
+def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
+    """Whether the perturbation grows at this time step [s], or the run aborts."""
+    _restart(engine, particles, step)
+    mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
+    initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
+    for _ in range(CHECKS):
+        engine.advance(STEPS_PER_CHECK)
+        if engine.aborted:
+            return True
+        arrays = engine.host_copy.copy_to_host(("mass", "velocity", "angular_velocity"))
+        free = arrays["mass"] < 10.0 * mass
+        if not _kinetic(
+            arrays["velocity"][free], arrays.get("angular_velocity", np.zeros((len(free), 3)))[free], mass
+        ) < (GROWTH_LIMIT * initial_energy):
+            return True
+    return False
+
+
+def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) -> float:
+    """Kinetic energy of translation and rotation [J] of spheres with equal mass [kg].
+
+        E = m/2 sum v^2 + (2/5) m R^2 / 2 sum w^2
+
+    `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s].
+    """
+    return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
+
+
+def _restart(engine: Engine, particles: ParticleData, step: float) -> None:
+    """Reset the engine to the initial particles with another time step [s]; no kernel is recompiled."""
+    engine.state.clock.change(step)
+    control = engine.state.control
+    for position in (3.0 * particles.position, particles.position):  # first separated, which clears the contact history
+        engine.state.count = 0
+        control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
+        engine.insert(replace(particles, position=position))
+        engine.refresh()

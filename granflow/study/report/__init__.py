@@ -1,6 +1,0 @@
-"""`granflow report`: an HTML page that summarizes a run."""
-
-from granflow.study.report.record import read_record
-from granflow.study.report.report import write_report
-
-__all__ = ["read_record", "write_report"]

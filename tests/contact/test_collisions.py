@@ -1,0 +1,162 @@
+"""Binary collisions with every normal model: restitution, duration and energy balance."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import taichi as ti
+from contact.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path
+
+from granflow.contact.complete_force import complete_force
+
+every_law = pytest.mark.parametrize("case", CASES, ids=str)
+
+VELOCITIES = np.array([0.08, 0.2, 0.45, 0.7, 1.0, 1.4])
+TABLE = ti.types.ndarray(ti.f64, 1)
+
+
+@cache
+def kernel_for(law, constant_count):
+    """A kernel that integrates one collision per velocity with the leapfrog scheme of the engine."""
+    history_size, force_of = max(law.history_count, 1), complete_force(law)
+    since_separation = (
+        1.0 if law.name == "zhou" else 0.5
+    )  # steps; a force averaged over the step ends half a step later
+
+    @ti.kernel
+    def collide(
+        numbers: TABLE, radius: ti.f64, mass: ti.f64, velocity: TABLE, start: TABLE, dt: TABLE, limit: ti.i32,
+        rebound: TABLE, duration: TABLE, lost: TABLE
+    ):  # fmt: skip
+        for i in range(velocity.shape[0]):
+            constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
+            history = ti.Vector.zero(ti.f64, history_size)
+            overlap, half, force, viscous_work, time = start[i] * dt[i] * velocity[i], velocity[i], 0.0, 0.0, 0.0
+            over, free = 0, 0
+            for _ in range(limit):
+                if over == 0:
+                    rate = half
+                    if ti.static(law.rate_dependent):
+                        rate = half - 0.5 * dt[i] * force / mass
+                    before = force
+                    force, viscous, history = force_of(constants, radius, mass, dt[i], overlap, rate, history)
+                    viscous_work += viscous * rate * dt[i]
+                    if force == 0.0 and before > 0.0:
+                        free = 1
+                        duration[i] = time - since_separation * dt[i]
+                    half -= dt[i] * force / mass
+                    if overlap + dt[i] * half <= 0.0:
+                        over = 1
+                        if free == 0:
+                            duration[i] = time + overlap / -half
+                    overlap += dt[i] * half
+                    time += dt[i]
+            rebound[i] = -half
+            lost[i] = viscous_work + law.lost_energy(constants, radius, mass, dt[i], 0.0, history)
+
+    return collide
+
+
+def collisions(case, steps, phases=7, velocities=VELOCITIES):
+    """Restitution, duration over that of the model, relative energy error: (velocities, phases).
+
+    The phases are initial overlaps as fractions of the distance per time step.
+    """
+    law, pair = case.law(), case.pair()
+    velocity = np.repeat(velocities, phases)
+    expected = np.repeat([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in velocities], phases)
+    start = np.tile((np.arange(phases) + 0.5) / phases, len(velocities))
+    found = [np.zeros(len(velocity)) for _ in range(3)]
+    constants = np.array(law.pair_constants(pair))
+    step = expected / steps
+    kernel_for(law, len(constants))(constants, RADIUS, MASS, velocity, start, step, 4 * steps, *found)
+    rebound, duration, lost = found
+    energy = 0.5 * MASS * velocity**2
+    missing = (energy - 0.5 * MASS * rebound**2 - lost) / energy
+    shape = (len(velocities), phases)
+    duration = (duration + start * step) / expected
+    return rebound.reshape(shape) / velocities[:, None], duration.reshape(shape), missing.reshape(shape)
+
+
+COARSE, FINE = 200, 800
+"""Steps per collision."""
+
+
+def expected_restitution(case, steps):
+    """Restitution of the model, or the smallest that it reaches with this number of steps: (velocities, 1)."""
+    law, pair = case.law(), case.pair()
+    found = np.array([law.restitution(pair, RADIUS, MASS, v) for v in VELOCITIES])
+    if law.least_restitution is not None:
+        durations = np.array([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in VELOCITIES])
+        least = [
+            law.least_restitution(pair, RADIUS, MASS, *each) for each in zip(VELOCITIES, durations / steps, strict=True)
+        ]
+        found = np.maximum(found, least)
+    return found[:, None]
+
+
+@pytest.mark.parametrize("case", [case for case in PLAIN if case.name != "zhou_damped"], ids=str)
+def test_restitution_converges_in_second_order(taichi_f64, case):
+    """Error below 1e-4 at 200 steps: onset, maximum overlap and separation are resolved within a time step.
+
+    At restitution 0 the result is the smallest value that the time step permits, which is of first order in the step.
+    """
+    coarse, fine = (
+        np.abs(collisions(case, steps)[0] - expected_restitution(case, steps)).max() for steps in (COARSE, FINE)
+    )
+    assert coarse <= 1e-4
+    assert coarse / fine >= 0.9 * 4.0 ** (1.0 if case.name == "zhou_without_rebound" else 2.0)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [case for case in PLAIN if not case.name.startswith(("linear", "hertz_damped", "zhou_damped", "zhou_without"))],
+    ids=str,
+)
+def test_duration_equals_the_closed_form(taichi_f64, case):
+    """Within the resolution of the separation time, half a step; models with a dashpot state undamped durations."""
+    for steps in (COARSE, FINE):
+        assert np.abs(collisions(case, steps)[1] - 1.0).max() <= 0.51 / steps + 1e-4
+
+
+@every_law
+def test_energy_balance_converges_in_second_order(taichi_f64, case):
+    """The loss of kinetic energy equals the dissipation of the model: plastic work plus damping.
+
+    At the largest velocity some cohesive contacts do not separate, and their energy is still stored.
+    """
+    separating = VELOCITIES[:-1] if case.adhesive else VELOCITIES
+    coarse, fine = (np.abs(collisions(case, steps, velocities=separating)[2]).max() for steps in (COARSE, FINE))
+    assert coarse <= 2e-4
+    assert coarse / fine >= 9.0
+
+
+@pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)
+def test_unloading_stiffness_equals_the_steepest_chord(taichi_f64, case):
+    """The steepest chord of the elastic force near the maximum overlap of a collision; it determines the time step."""
+    law, pair, velocity = case.law(), case.pair(), 1.0
+    steepest = law.unloading_stiffness(pair, RADIUS, MASS, velocity)
+    rising = np.linspace(0.0, 1.2e-3, 12001)[1:]
+    rate = np.full((1, len(rising)), velocity)
+    force = evaluate_path(case, rising[None, :], rate, time_step=0.0).elastic[0]
+    turn = int(np.searchsorted(np.cumsum(force) * rising[0], 0.5 * MASS * velocity**2))
+    path = np.concatenate([rising[: turn + 1], rising[:turn][::-1]])
+    elastic = evaluate_path(case, path[None, :], rate[:, :1] * np.ones((1, len(path))), time_step=0.0).elastic[0]
+    chord_max = np.abs(np.diff(elastic) / np.diff(path)).max()
+    assert chord_max <= 1.002 * steepest
+    if np.isfinite(steepest):
+        assert chord_max >= 0.98 * steepest
+
+
+def test_cohesion_is_conservative(taichi_f64):
+    """The restitution of an elastic contact with cohesion is 1."""
+    (case,) = (case for case in CASES if case.name == "sjkr_hertz_elastic")
+    np.testing.assert_allclose(collisions(case, FINE)[0], 1.0, atol=1e-6)
+
+
+def test_cohesion_lowers_the_restitution_of_a_bilinear_contact(taichi_f64):
+    """The attraction is a spring of -kc, which increases the overlap: e^2 = 1 - (1 - e0^2) / (1 - kc / k1)."""
+    (case,) = (case for case in CASES if case.name == "sjkr_walton_braun_number")
+    attraction = 2.0 * np.pi * COHESION * RADIUS
+    expected = np.sqrt(1.0 - (1.0 - 0.6**2) / (1.0 - attraction / 2e4))
+    np.testing.assert_allclose(collisions(case, FINE)[0], expected, atol=1e-4)

@@ -1,0 +1,121 @@
+"""The adaptive time step: equal to the planned step at the present velocity, exact in free flight, bit-identical."""
+
+import hashlib
+
+import numpy as np
+import pytest
+from engine.test_bit_identity import ARRAYS, complex_scene
+from scene_builders import SOFT, build_scene, particle_group, run_to_end
+from subprocess_runner import in_subprocess
+
+from granflow.contact import theory
+from granflow.engine import stepper
+from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
+from granflow.plan.plan import pair_cases_of
+from granflow.plan.time_step import choose_time_step
+from granflow.scene.schema.scene import Scene
+from granflow.simulation import Simulation
+
+RADIUS = 0.005
+
+
+def adaptive(scene, **run):
+    described = scene.model_dump(by_alias=True, exclude_none=True)
+    described["run"] |= {"time_step": "adaptive"} | run
+    return Scene.model_validate(described)
+
+
+def pair_at(gap, velocity, **run):
+    """Two particles with a gap [m] that closes at `velocity` [m/s]; the planned velocity is 4 m/s."""
+    positions = [[-RADIUS - 0.5 * gap, 0, 0], [RADIUS + 0.5 * gap, 0, 0]]
+    group = particle_group(positions, 2.0 * RADIUS, velocity=[[0.5 * velocity, 0, 0], [-0.5 * velocity, 0, 0]])
+    return build_scene({"balls": group}, run={"duration": 0.01, "velocity_max": 4.0, "time_step": "adaptive"} | run)
+
+
+def first_adapted_step(scene):
+    simulation = Simulation(scene)
+    simulation.run(until=1e-9)
+    step = simulation.engine.time_step
+    plan = simulation.plan
+    simulation.free()
+    return step, plan
+
+
+def planned_step(plan, velocity):
+    numerics = plan.scene.numerics
+    bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
+    return choose_time_step(None, pair_cases_of(plan.scene), plan.law, velocity, *bounds).value
+
+
+@pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])
+def test_step_equals_the_planned_step_for_the_present_velocity(taichi_f64, velocity):
+    """Within one level of the table, at the present velocity times the margin."""
+    step, plan = first_adapted_step(pair_at(1e-5, velocity))
+    assert (
+        planned_step(plan, VELOCITY_MARGIN * velocity * 2.0 ** (1.0 / LEVELS_PER_DOUBLING))
+        <= step
+        <= planned_step(plan, VELOCITY_MARGIN * velocity)
+    )
+
+
+def test_overlap_counts_as_the_impact_velocity_that_causes_it(taichi_f64):
+    """At rest at the maximum overlap of an impact at 1 m/s (Zhou 2011, Eq. 5), the step equals that for 1 m/s."""
+    mass = 4.0 / 3.0 * np.pi * RADIUS**3 * SOFT["density"]
+    k = theory.hertz_stiffness(SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2)), 0.5 * RADIUS)
+    overlapping, _ = first_adapted_step(pair_at(-float(theory.overlap_max(k, 0.5 * mass, 1.001)), 0.0))
+    approaching, _ = first_adapted_step(pair_at(1e-5, 1.001))
+    assert overlapping == approaching
+
+
+def test_step_grows_in_free_flight_and_the_parabola_stays_exact(taichi_f64):
+    """The leapfrog is exact for a constant acceleration, also where the step changes."""
+    start, throw, gravity = np.array([0.0, 0.0, 0.4]), np.array([0.3, 0.0, 2.0]), np.array([0.5, 0.0, -9.81])
+    group = particle_group([start], 2.0 * RADIUS, velocity=throw)
+    scene = build_scene(
+        {"ball": group}, gravity=gravity.tolist(),
+        run={"duration": 0.1, "velocity_max": 4.0, "time_step": "adaptive"},
+    )  # fmt: skip
+    last, simulation = run_to_end(scene)
+    engine = simulation.engine
+    assert engine.time_step > 1.2 * simulation.plan.time_step
+    assert engine.mean_time_step == pytest.approx(last.time / engine.step_count)
+    expected = start + throw * last.time + 0.5 * gravity * last.time**2
+    np.testing.assert_allclose(last.particles["position"][0], expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(last.particles["velocity"][0], throw + gravity * last.time, rtol=0.0, atol=1e-11)
+
+
+def test_collisions_with_a_changing_step_reach_their_restitution(taichi_f64):
+    """A slow collision follows a fast one: the step grows in between, and both pairs rebound with e = 0.8."""
+    positions = [[-2.0 * RADIUS, 0.02 * side, 0] for side in (0, 1)] + [[1e-5, 0.02 * side, 0] for side in (0, 1)]
+    velocity = [[3.0, 0, 0], [0.02, 0, 0], [0, 0, 0], [0, 0, 0]]
+    scene = build_scene(
+        {"balls": particle_group(positions, 2.0 * RADIUS, velocity=velocity)},
+        run={"duration": 0.004, "velocity_max": 4.0, "time_step": "adaptive"},
+    )  # fmt: skip
+    last, simulation = run_to_end(scene)
+    assert simulation.engine.time_step > 1.5 * simulation.plan.time_step
+    separation_velocity = last.particles["velocity"][2:, 0] - last.particles["velocity"][:2, 0]
+    np.testing.assert_allclose(separation_velocity / [3.0, 0.02], 0.8, rtol=1e-3)
+
+
+def fingerprint(threads, in_parallel):
+    """Digest, number of steps and present time step [s] of a run with many contacts."""
+    if in_parallel:
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    simulation = Simulation(adaptive(complex_scene(), duration=0.01), threads=threads)
+    simulation.run()
+    last = simulation.snapshot()
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
+    return [digest.hexdigest(), simulation.engine.step_count, simulation.engine.time_step]
+
+
+def test_results_are_bit_identical_for_any_thread_count():
+    one, two = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint, 2, True)
+    assert one[1] > 3 * STEPS_BETWEEN_UPDATES
+    assert one == two
+
+
+def test_constant_time_step_has_no_level_table(taichi_f64):
+    plain, simulation = run_to_end(pair_at(1e-5, 0.4, time_step="auto", duration=1e-4))
+    assert simulation.plan.adaptive_time_step is None
+    assert plain.time == simulation.engine.step_count * simulation.plan.time_step

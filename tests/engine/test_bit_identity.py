@@ -1,0 +1,133 @@
+"""Runs are bit-identical for any thread count and feature set; a changed order of sums changes rounding only."""
+
+import hashlib
+import os
+
+import numpy as np
+import pytest
+from scene_builders import box, build_scene, particle_group, plane, run_to_end
+from subprocess_runner import in_subprocess
+
+from granflow.engine import backend, stepper
+
+MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
+"""Number of workers that exceeds the number of threads in Taichi's pool."""
+
+ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
+
+
+def complex_scene():
+    """Rain and a falling lattice in a vibrating box: friction, a moving wall, many rebuilds, several chunks."""
+    walls = box(0.06)
+    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    rng = np.random.default_rng(4)
+    positions = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
+    lattice = particle_group(
+        positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.3, positions.shape)
+    )
+    region = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
+    rain = {
+        "material": "glass", "count": 60, "diameter": 0.005,
+        "insert": {"kind": "rain", "region": region, "rate": 3000.0},
+    }  # fmt: skip
+    return build_scene(
+        {"lattice": lattice, "rain": rain}, walls=walls, rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
+        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 64},
+        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6}, output={"interval": 1.0, "wall_forces": True},
+    )  # fmt: skip
+
+
+def fingerprint(threads, in_parallel, precision="f64"):
+    """Digest of the final state, number of particles, of contacts and of neighbor-list rebuilds."""
+    if in_parallel:  # by default, a scene of this size uses one worker
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    if threads == MORE_THAN_POOL:
+        backend.worker_count = lambda requested: (requested, "")
+    last, simulation = run_to_end(complex_scene(), threads=threads, precision=precision)
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
+    digest.update(b"".join(each.tobytes() for each in last.impulses.values()))
+    counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.rebuild_count)
+    return [digest.hexdigest(), *counts]
+
+
+def test_results_are_bit_identical_for_any_thread_count():
+    one, two, two_threads_one_worker = (
+        in_subprocess(fingerprint, *options) for options in ((1, False), (2, True), (2, False))
+    )
+    _, particles, contacts, rebuilds = one
+    assert particles == 316.0
+    assert contacts > 20
+    assert rebuilds > 20
+    assert one == two == two_threads_one_worker
+
+
+def test_more_workers_than_pool_threads_are_bit_identical():
+    """A worker that waits too long at a barrier leaves the launch and frees its thread, so no worker blocks it."""
+    assert in_subprocess(fingerprint, MORE_THAN_POOL, True) == in_subprocess(fingerprint, 1, False)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs the CPU affinity of Linux")
+def test_two_workers_on_one_core_are_bit_identical():
+    one, shared = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint_on_one_core)
+    assert one == shared
+
+
+def fingerprint_on_one_core():
+    """Digest and counts of a run in which two workers share one core and leave launches often."""
+    backend.worker_count = lambda requested: (requested, "")
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    return fingerprint(2, True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["mixed", "f32"])
+def test_results_are_bit_identical_for_any_thread_count_in_lower_precision(precision):
+    one, two = in_subprocess(fingerprint, 1, False, precision), in_subprocess(fingerprint, 2, True, precision)
+    assert one[1] == 316.0
+    assert one == two
+
+
+def bed(**changes):
+    """A block of particles that overlap initially and then separate."""
+    rng = np.random.default_rng(6)
+    positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.8)
+    group = particle_group(positions, 0.01, velocity=rng.normal(0.0, 0.3, positions.shape))
+    parts = {"pair": {"friction": 0.4}} | changes
+    return build_scene(
+        {"balls": group}, walls=box(0.05) | {"far": plane([0, 0, -0.5], [0, 0, 1], "steel")},
+        gravity=[0.0, 0.0, -9.81], run={"duration": 0.003, "velocity_max": 2.0}, **parts,
+    )  # fmt: skip
+
+
+def test_friction_coefficient_0_is_bit_identical_to_disabled_friction(taichi_f64):
+    """A rough wall out of reach enables friction; all pairs in contact have the coefficient 0."""
+    smooth = {"friction": 0.0}
+    without, plain = run_to_end(bed(pair=smooth))
+    idle, rough = run_to_end(bed(pair=smooth, pairs={"glass-steel": {"restitution": 0.8, "friction": 0.5}}))
+    assert not plain.plan.features.friction
+    assert rough.plan.features.friction
+    assert np.all(np.abs(without.particles["velocity"]).max(axis=1) > 0.1), "all particles move"
+    for name in ("position", "velocity", "force"):
+        np.testing.assert_array_equal(idle.particles[name], without.particles[name])
+    assert not idle.particles["angular_velocity"].any()
+
+
+def test_energy_budget_does_not_change_the_motion(taichi_f64):
+    without, _ = run_to_end(bed())
+    with_budget, _ = run_to_end(bed(output={"interval": 1.0, "energy_budget": True}))
+    assert "energy_error" in with_budget.totals
+    for name in ("position", "velocity", "angular_velocity"):
+        np.testing.assert_array_equal(with_budget.particles[name], without.particles[name])
+
+
+def test_chunk_size_changes_rounding_only(taichi_f64):
+    """The chunk size changes the order of sums only: after 3 ms, each difference is below 1e-10 of the maximum."""
+    one_chunk, _ = run_to_end(bed())
+    many_chunks, _ = run_to_end(bed(numerics={"chunk_size": 5}))
+    assert np.any(one_chunk.particles["velocity"] != many_chunks.particles["velocity"])
+    for name in ("position", "velocity", "angular_velocity"):
+        largest = np.abs(one_chunk.particles[name]).max()
+        np.testing.assert_allclose(
+            many_chunks.particles[name], one_chunk.particles[name], rtol=0.0, atol=1e-10 * largest
+        )

@@ -1,0 +1,99 @@
+"""Capacities of neighbor lists and saved history may start at 1: they grow without changing a bit."""
+
+import numpy as np
+import pytest
+from scene_builders import box, build_scene, particle_group
+
+from granflow.engine.neighbor.cell_grid import CellGrid
+from granflow.observers.interval import every
+from granflow.plan import capacities
+from granflow.plan.plan import Plan
+from granflow.simulation import Simulation
+
+ARRAYS = ("position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
+
+
+def compressed_bed(chunk_size):
+    """Closely packed particles and rain, compressed by a rising floor: the number of contacts grows."""
+    rng = np.random.default_rng(5)
+    walls = box(0.04)
+    walls["low_z"] |= {"motion": {"kind": "translation", "velocity": [0.0, 0.0, 1.0]}}
+    bed = particle_group(0.0096 * (np.argwhere(np.ones((4, 4, 2))) + 0.6), rng.uniform(0.0095, 0.0098, 32))
+    region = {"box": {"min": [0.0, 0.0, 0.026], "max": [0.04, 0.04, 0.04]}}
+    rain = {
+        "material": "glass", "count": 12, "diameter": 0.006, "velocity": [0.0, 0.0, -1.0],
+        "insert": {"kind": "rain", "region": region, "rate": 4000.0},
+    }  # fmt: skip
+    return build_scene(
+        {"bed": bed, "rain": rain}, walls=walls, rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.3}, gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": chunk_size, "max_overlap": 0.5}, output={"interval": 1.0, "energy_budget": True},
+        run={"duration": 0.006, "velocity_max": 3.0},
+    )  # fmt: skip
+
+
+def run_and_sample(scene):
+    """Snapshots with contacts every millisecond and at the end, and the simulation."""
+    snapshots = []
+    simulation = Simulation(scene, observers=[every(1e-3, snapshots.append, ("particles", "totals", "contacts"))])
+    simulation.run()
+    snapshots.append(simulation.snapshot(contacts=True))
+    simulation.free()
+    return snapshots, simulation
+
+
+@pytest.mark.parametrize("chunk_size", [1, pytest.param(16, marks=pytest.mark.slow)])
+def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monkeypatch, chunk_size):
+    scene = compressed_bed(chunk_size)
+    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
+    reference, reference_run = run_and_sample(scene)
+    assert reference_run.engine.timing.growth_count == 0
+    assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
+
+    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 1))
+    monkeypatch.setattr(capacities, "SPARE", 1)
+    assert capacities.history_capacity(1) == 1
+    grown, growing_run = run_and_sample(scene)
+    assert growing_run.engine.timing.growth_count > 0
+    assert growing_run.engine.state.neighbors.list_capacity_per_chunk < 40 * chunk_size
+    assert len(grown) == len(reference)
+    for one, other in zip(grown, reference, strict=True):
+        assert one.totals == other.totals
+        for name in ARRAYS:
+            np.testing.assert_array_equal(one.particles[name], other.particles[name])
+        for name, values in one.contacts.items():
+            np.testing.assert_array_equal(values, other.contacts[name])
+
+
+@pytest.mark.slow
+def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkeypatch):
+    """The list capacity suffices, but the history capacity holds one entry per chunk."""
+    scene = compressed_bed(16)
+    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
+    reference, _ = run_and_sample(scene)
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", 1 / 640)
+    monkeypatch.setattr(capacities, "SPARE", 0)
+    assert capacities.history_capacity(640) == 1
+    monkeypatch.setattr(
+        "granflow.engine.stepper.list_capacity_for", lambda saved: raise_history_share(monkeypatch, saved)
+    )
+    grown, growing_run = run_and_sample(scene)
+    assert growing_run.engine.timing.growth_count > 0
+    for name in ARRAYS:
+        np.testing.assert_array_equal(grown[-1].particles[name], reference[-1].particles[name])
+
+
+def raise_history_share(monkeypatch, saved):
+    """Keeps the list capacity and raises the history capacity to sixteen times the number of saved entries."""
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", 16 * saved / 640)
+    return 640
+
+
+@pytest.mark.parametrize("extent", [1.0, 1e6, 1e30])
+@pytest.mark.parametrize("side", [1e-3, 1e-30])
+def test_cell_grid_respects_the_cell_limit_for_any_extent(extent, side):
+    limit = 8192
+    grid = CellGrid.over(np.zeros(3), np.full(3, extent), side, limit)
+    assert 1 <= grid.cell_count <= limit
+    assert min(grid.blocks) >= 1
+    assert min(np.multiply(grid.side, grid.cells)) >= extent

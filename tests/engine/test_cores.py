@@ -1,0 +1,70 @@
+"""The default thread count follows CPU affinity, cgroup quota and Slurm; --threads cannot exceed the cores."""
+
+import pytest
+
+from granflow.engine.threads.cores import allowed_cores, quota_cores, worker_count
+
+V2, V1 = "0::/user/job\n", "5:memory:/job\n4:cpu,cpuacct:/job\n"
+
+
+def write_system_files(root, groups, texts):
+    """Writes the files of /proc and /sys from which the quota is read; returns their root directory."""
+    group_files = {f"sys/fs/cgroup/{name}": text for name, text in texts.items()}
+    for name, text in {"proc/self/cgroup": groups, **group_files}.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return root
+
+
+@pytest.mark.parametrize(
+    ("texts", "cores"),
+    [
+        ({"user/job/cpu.max": "200000 100000"}, 2),
+        ({"user/job/cpu.max": "150000 100000"}, 2),  # 1.5 cores: two threads can use them, one cannot
+        ({"user/job/cpu.max": "50000 100000"}, 1),
+        ({"user/job/cpu.max": "max 100000"}, None),
+        ({"user/job/cpu.max": "max 100000", "user/cpu.max": "300000 100000"}, 3),
+        ({"user/job/cpu.max": "400000 100000", "cpu.max": "100000 100000"}, 1),
+        ({"cpu.max": "nonsense"}, None),
+        ({}, None),
+    ],
+)
+def test_cgroup_v2_quota_limits_the_cores(tmp_path, texts, cores):
+    assert quota_cores(write_system_files(tmp_path, V2, texts), {}) == cores
+
+
+@pytest.mark.parametrize(("quota", "cores"), [("300000", 3), ("-1", None), ("0", None)])
+@pytest.mark.parametrize("folder", ["cpu", "cpu,cpuacct"])
+def test_cgroup_v1_quota_limits_the_cores(tmp_path, folder, quota, cores):
+    texts = {f"{folder}/job/cpu.cfs_quota_us": quota, f"{folder}/job/cpu.cfs_period_us": "100000"}
+    assert quota_cores(write_system_files(tmp_path, V1, texts), {}) == cores
+
+
+@pytest.mark.parametrize(("value", "cores"), [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)])
+def test_slurm_limits_the_cores(tmp_path, value, cores):
+    assert quota_cores(tmp_path, {"SLURM_CPUS_PER_TASK": value}) == cores
+
+
+def test_the_smaller_of_quota_and_slurm_applies(tmp_path):
+    root = write_system_files(tmp_path, V2, {"cpu.max": "200000 100000"})
+    assert quota_cores(root, {"SLURM_CPUS_PER_TASK": "7"}) == 2
+    assert quota_cores(root, {"SLURM_CPUS_PER_TASK": "1"}) == 1
+
+
+@pytest.mark.parametrize(("affinity", "quota", "count"), [(8, 3, 3), (2, 5, 2), (4, 4, 4)])
+def test_default_is_the_smaller_of_affinity_and_quota(affinity, quota, count):
+    assert worker_count(None, affinity, quota) == (count, "")
+
+
+def test_threads_above_the_cores_are_reduced_with_a_warning():
+    count, warning = worker_count(8, affinity=2, quota=1)
+    assert count == 2
+    assert warning == "--threads 8: this process can use 2 cores, so granflow uses 2."
+    assert worker_count(2, affinity=2, quota=1) == (2, "")
+
+
+def test_affinity_replaces_the_core_count_of_the_machine(monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {3}, raising=False)
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    assert allowed_cores() == 1

@@ -1,0 +1,60 @@
+"""Sums of the energy budget, compared with values computed by hand; no device is needed."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from granflow.engine.accounting import Accounting, energy_budget_totals, mechanical_energy
+from granflow.plan.chunk_sums import LOSSES
+
+ENERGIES = (7.0, 2.0, -4.0)
+"""Kinetic, rotational and gravitational energy [J]."""
+
+LOSS_VALUES = {"plastic": 0.5, "friction": 0.25, "rolling": 0.125, "damping": 1.0, "wall_work": 3.0}
+MEASURED = {"elastic_energy": 1.5, "plastic_dissipation": 0.75}
+
+
+def test_mechanical_energy_of_two_particles():
+    """m v^2 / 2, (2/5 m r^2) w^2 / 2 and -m g x; a fixed particle contributes none."""
+    arrays = {
+        "mass": np.array([2.0, 3.0, 100.0]), "radius": np.array([0.5, 1.0, 1.0]), "fixed": np.array([0, 0, 1]),
+        "position": np.array([[0.0, 0.0, 4.0], [0.0, 0.0, -1.0], [0.0, 0.0, 9.0]]),
+        "velocity": np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0], [1.0, 0.0, 0.0]]),
+        "angular_velocity": np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 0.0], [5.0, 0.0, 0.0]]),
+    }  # fmt: skip
+    kinetic, rotational, potential = mechanical_energy(arrays, np.array([0.0, 0.0, -10.0]))
+    assert kinetic == pytest.approx(25.0 + 6.0)
+    assert rotational == pytest.approx(0.5 * 0.4 * 2.0 * 0.25 * 4.0 + 0.5 * 0.4 * 3.0 * 100.0)
+    assert potential == pytest.approx(80.0 - 30.0)
+
+
+def totals(inserted, removed=0.5, **changes):
+    losses = LOSS_VALUES | changes
+    field = SimpleNamespace(to_numpy=lambda: np.array([[losses[name] for name in LOSSES]]))
+    state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), wall_dynamics=None)
+    state.backend = SimpleNamespace(precision="f64")
+    return energy_budget_totals(state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED)
+
+
+BALANCED = 7.0 + 2.0 - 4.0 + 1.5 + (0.5 + 0.75 + 0.25 + 0.125 + 1.0) + 0.5 - 3.0
+"""Inserted energy [J] that closes the budget: stored + dissipated + removed - work of walls."""
+
+
+def test_balanced_budget_has_no_error():
+    budget = totals(BALANCED)
+    assert budget["energy_error"] == pytest.approx(0.0, abs=1e-12)
+    assert budget["plastic_dissipation"] == 1.25
+
+
+@pytest.mark.parametrize(
+    ("name", "sign"), [("plastic", 1), ("friction", 1), ("rolling", 1), ("damping", 1), ("wall_work", -1)]
+)
+def test_each_budget_entry_has_its_sign(name, sign):
+    error = totals(BALANCED, **{name: LOSS_VALUES[name] + 0.5})["energy_error"]
+    assert np.sign(error) == sign
+
+
+def test_inserted_and_removed_energy_enter_the_budget():
+    assert totals(BALANCED + 0.5)["energy_error"] < 0.0
+    assert totals(BALANCED, removed=1.0)["energy_error"] > 0.0

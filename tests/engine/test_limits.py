@@ -1,0 +1,247 @@
+"""Aborted runs: the run stops at once, the message reports particle and time, and the last state is written."""
+
+import re
+
+import meshio
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
+
+from granflow.errors import RunError
+from granflow.observers.interval import every
+from granflow.simulation import Simulation
+
+FAULTY_ID = 2
+"""Id of the particle that exceeds a limit in each scene here (the smaller id of two); all others are valid."""
+
+
+def among_valid(*more):
+    return {
+        "good": particle_group([[0.3, 0.0, 0.0], [0.3, 0.1, 0.0]]),
+        **{f"bad_{number}": group for number, group in enumerate(more)},
+    }
+
+
+SCENES = {
+    "overlaps by more than": lambda: build_scene(
+        among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0]), particle_group([[0.012, 0.0, 0.0]])),
+        run={"duration": 0.01, "velocity_max": 40.0},
+    ),
+    "above the limit": lambda: build_scene(
+        among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[199.0, 0, 0])), gravity=[1e6, 0.0, 0.0],
+        run={"duration": 0.01, "velocity_max": 1.0, "time_step": 5e-6}, numerics={"skin": 1e-3},
+    ),
+    "is not a number": lambda: build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]])), run={"duration": 0.01}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reason", SCENES)
+def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path, reason):
+    def inject_nan(snapshot):
+        if reason == "is not a number" and snapshot.time > 0.0:
+            particles = simulation.engine.state.particles
+            particles.velocity[int(np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0])] = [float("nan")] * 3
+
+    simulation = Simulation(SCENES[reason](), out=tmp_path, observers=[every(1e-4, inject_nan)])
+    with pytest.raises(RunError) as stopped:
+        simulation.run()
+    message = str(stopped.value)
+    assert reason in message
+    assert f"particle {FAULTY_ID} " in message
+    time = float(re.search(r"at ([\d.e+-]+) s", message).group(1))
+    assert time == pytest.approx(simulation.time, rel=1e-5)
+    assert time < 0.001
+    assert str(tmp_path) in message
+    assert ("is not written" in message) == (reason == "is not a number")
+    frames = sorted(tmp_path.rglob("*.vtu"))
+    assert any("particles" in frame.name for frame in frames[-2:]), frames
+    assert_finite(tmp_path)
+    simulation.free()
+
+
+def assert_finite(folder):
+    """Checks that all numbers in frames and rows are finite."""
+    for frame in folder.glob("*.vtu"):
+        mesh = meshio.read(frame)
+        for values in [mesh.points, *mesh.point_data.values()]:
+            assert np.isfinite(np.asarray(values, float)).all(), frame
+    series = folder / "timeseries.csv"
+    rows = series.read_text(encoding="utf-8").splitlines()[1:] if series.exists() else []
+    for row in rows:
+        assert all(np.isfinite(float(value)) for value in row.split(",")[2:] if value), row
+
+
+@pytest.mark.parametrize(("distance", "frames"), [(0.0, 0), (0.006, 1)])
+def test_abort_before_the_first_step_writes_the_initial_state_if_finite(taichi_f64, tmp_path, distance, frames):
+    """Two particles at the same point have no contact normal: forces are not finite, so no frame is written."""
+    group = particle_group([[0.0, 0, 0], [distance, 0, 0]], velocity=[0.0, 3.0, 0.0])
+    simulation = Simulation(build_scene(groups(group), run={"duration": 0.01}), out=tmp_path)
+    with pytest.raises(RunError, match="They overlap initially") as stopped:
+        simulation.run()
+    found = sorted(tmp_path.glob("particles_*.vtu"))
+    assert len(found) == frames and (tmp_path / "timeseries.csv").exists() == bool(frames)
+    assert ("is not written" in str(stopped.value)) == (not frames)
+    assert_finite(tmp_path)
+    if frames:
+        assert np.array_equal(meshio.read(found[0]).point_data["velocity"], [[0.0, 3.0, 0.0]] * 2)
+    simulation.free()
+
+
+def test_f32_run_aborts_where_positions_are_not_resolved():
+    assert in_subprocess(flight, 8186.0) == ""
+    message = in_subprocess(flight, 8191.0)
+    assert "particle 0 (glass, 400 m/s)" in message
+    assert (
+        "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest radius 0.005 m"
+        in message
+    )
+    assert "Use --precision mixed" in message
+
+
+def flight(height):
+    """Message of the abort, or an empty string; a particle flies 4 m from `height` [m] and leaves an expanding domain.
+
+    In f32 the spacing is 2^(12 - 23) = 0.49 mm up to 2^13 = 8192 m and 0.98 mm beyond; the limit is 0.5 mm.
+    """
+    ball = particle_group([[0.0, 0.0, height]], velocity=[0.0, 0.0, 400.0])
+    domain = {"min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, height + 0.1], "on_exit": "expand"}
+    run = {"duration": 0.01, "time_step": 2e-6, "precision": "f32"}
+    simulation = Simulation(build_scene({"ball": ball}, domain=domain, run=run))
+    try:
+        simulation.run()
+    except RunError as error:
+        return str(error)
+    return ""
+
+
+def test_valid_run_has_no_diagnosis(taichi_f64):
+    simulation = Simulation(
+        build_scene(among_valid(particle_group([[0.0, 0.0, 0.0]], velocity=[1.0, 0, 0])), run={"duration": 0.01})
+    )
+    simulation.run()
+    assert simulation.engine.diagnosis is None
+    assert np.isfinite(simulation.snapshot().particles["position"]).all()
+    simulation.free()
+
+
+def groups(*given):
+    return {f"group_{number}": group for number, group in enumerate(given)}
+
+
+def abort_message(scene):
+    """Message of a run that aborts."""
+    simulation = Simulation(scene)
+    with pytest.raises(RunError) as stopped:
+        simulation.run()
+    simulation.free()
+    return str(stopped.value)
+
+
+def number_after(words, message):
+    return float(message.partition(words)[2].split()[0].rstrip(".,:"))
+
+
+BULLET = particle_group([[0.0, 0.0, 0.0]], velocity=[40.0, 0, 0])
+TARGET = particle_group([[0.012, 0.0, 0.0]], material="steel")
+MASS = 2500.0 * np.pi / 6 * 0.01**3
+HERTZ = 4 / 3 * (1e8 / (2 * (1 - 0.25**2))) * np.sqrt(0.0025)
+"""Hertz stiffness [N/m^1.5] of two equal particles of 10 mm of the material `SOFT`."""
+
+
+def test_overlap_message_names_both_particles_with_material_and_speed(taichi_f64):
+    message = abort_message(build_scene(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 40.0}))
+    assert re.search(r"particle 0 \(glass, 39\.\d m/s\) .* with particle 1 \(steel, 0\.\d+ m/s\)", message)
+    assert 0.1 < number_after("smaller radius: by", message) < 0.2
+    assert 39.0 < number_after("approach at", message) < 40.0
+    assert "Raise young_modulus of glass and steel, or raise numerics.max_overlap" in message
+
+
+def test_overlap_in_the_first_step_is_diagnosed_as_an_impact(taichi_f64):
+    near = particle_group([[0.0105, 0.0, 0.0]], material="steel")
+    given = {"run": {"duration": 0.01, "velocity_max": 40.0}, "numerics": {"max_overlap": 1e-3, "skin": 5e-3}}
+    message = abort_message(
+        build_scene(groups(particle_group([[0.0004995, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
+    )
+    assert "They approach at" in message and "They overlap initially" not in message
+    overlapping = abort_message(
+        build_scene(groups(particle_group([[0.00052, 0.0, 0.0]], velocity=[40.0, 0, 0]), near), **given)
+    )
+    assert "They overlap initially" in overlapping
+
+
+def test_impact_above_the_planned_velocity_suggests_a_velocity_max(taichi_f64):
+    scene = build_scene(groups(BULLET, TARGET), run={"duration": 0.01, "velocity_max": 1.0}, numerics={"skin": 5e-3})
+    message = abort_message(scene)
+    assert "above the planned 1 m/s" in message
+    assert 40.0 <= number_after("set run.velocity_max to", message) < 60.0
+
+
+def test_step_above_the_stable_step_of_the_pair_is_diagnosed(taichi_f64):
+    """The stable step is 2 sqrt(M/K), with the tangent stiffness K at the maximum overlap d of an impact at 5 m/s:
+
+        K = 1.5 k sqrt(d),    d = (5 M v^2 / (4 k))^0.4
+
+    It is proportional to v^-0.2. The fifth step overlaps by 0.075 mm; half a step more changes v by
+    k d^1.5 / M * dt / 2, 6 %.
+    """
+    speed, step = 5.0, 1.8e-4
+    bullet, target = (
+        particle_group([[0, 0, 0]], velocity=[speed, 0, 0]),
+        particle_group([[0.014425, 0, 0]], material="steel"),
+    )
+    numerics, run = {"skin": 5e-3, "max_overlap": 0.01}, {"duration": 0.01, "velocity_max": 1.0, "time_step": step}
+    message = abort_message(build_scene(groups(bullet, target), numerics=numerics, run=run))
+    mass_eff = MASS / 2
+    largest = (5 * mass_eff * speed**2 / (4 * HERTZ)) ** 0.4
+    stable = 2 * np.sqrt(mass_eff / (1.5 * HERTZ * np.sqrt(largest)))
+    assert number_after("time step", message) == step
+    assert number_after("exceeds the stable step", message) == pytest.approx(stable, rel=0.2 * 0.12)
+    assert "lower run.time_step" in message
+
+
+def test_initial_overlap_is_diagnosed(taichi_f64):
+    message = abort_message(build_scene(groups(particle_group([[0.0, 0, 0], [0.006, 0, 0]])), run={"duration": 0.01}))
+    assert "particle 0 (glass, at rest) at 0 s" in message
+    assert number_after("smaller radius: by", message) == pytest.approx(0.004 / 0.005, rel=1e-3)
+    assert "They overlap initially: move them apart" in message
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_overlap_message_names_the_wall_with_its_velocity(taichi_f64, moves):
+    motion = {"motion": {"kind": "translation", "velocity": [0, 0, 50.0]}} if moves else {}
+    ball = particle_group([[0.0, 0.0, 0.0072]], velocity=[0.0, 0.0, 0.0 if moves else -50.0])
+    message = abort_message(
+        build_scene(
+            groups(ball), walls={"piston": plane([0, 0, 0], [0, 0, 1], "steel") | motion},
+            run={"duration": 0.01, "velocity_max": 1.0, "time_step": 1e-5}, numerics={"skin": 5e-3},
+        )
+    )  # fmt: skip
+    assert f"with wall piston (steel, {'50 m/s' if moves else 'at rest'})" in message
+    assert 0.1 < number_after("smaller radius: by", message) < 0.2
+    assert 48.0 < number_after("approach at", message) < 50.1
+
+
+def test_displacement_message_names_the_overlapping_partner(taichi_f64):
+    """The displacement in the first step from rest under F = k d^1.5 is F dt^2 / (2 m)."""
+    step, overlap = 6e-5, 0.0039
+    message = abort_message(
+        build_scene(
+            groups(particle_group([[0.0, 0, 0], [0.0061, 0, 0]])), numerics={"max_overlap": 0.8, "skin": 5e-4},
+            run={"duration": 0.01, "velocity_max": 20.0, "time_step": step},
+        )
+    )  # fmt: skip
+    assert "particle 0 (glass, " in message
+    assert "and particle 1 (glass, " in message
+    assert number_after("overlapped by", message) == pytest.approx(overlap / 0.005, rel=1e-3)
+    assert number_after("moves", message) == pytest.approx(HERTZ * overlap**1.5 * step**2 / (2 * MASS), rel=1e-2)
+
+
+def test_message_of_a_particle_outside_the_domain_has_its_position(taichi_f64):
+    domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "error"}
+    fast = particle_group([[0.0, 0, 0]], velocity=[3.0, 0, 0])
+    message = abort_message(
+        build_scene(groups(particle_group([[0, 0.008, 0]], 0.001), fast), domain=domain, run={"duration": 0.1})
+    )
+    assert re.search(r"particle 1 at 0\.003\d+ s is outside the domain", message)
+    assert re.search(r"it is at \[0\.01\d+, 0, 0\] m \(glass, 3 m/s\)", message)

@@ -1,0 +1,233 @@
+"""Neighbor list: candidate pairs, growing capacity, contact history through rebuilds, deletion of particles."""
+
+import numpy as np
+import pytest
+from scene_builders import (
+    SOFT,
+    box,
+    build_scene,
+    neighbors_of,
+    particle_group,
+    plane,
+    prepared_simulation,
+    run_and_sample,
+    run_to_end,
+)
+from scipy.spatial import cKDTree
+
+from granflow.errors import RunError
+from granflow.observers.interval import every
+from granflow.plan import plan as plan_module
+from granflow.simulation import Simulation
+
+
+def random_particles(count, seed=1):
+    """Particles of many sizes at random positions in a box of 12 cm; some overlap."""
+    rng = np.random.default_rng(seed)
+    return {"balls": particle_group(rng.uniform(0.0, 0.12, (count, 3)), rng.uniform(0.004, 0.016, count))}
+
+
+@pytest.mark.parametrize("chunk_size", [1, 37, 512])
+def test_neighbor_list_holds_exactly_the_candidate_pairs(taichi_f64, chunk_size):
+    """Compared with a search over all pairs: a pair within a chunk is listed once, a pair across chunks twice."""
+    scene = build_scene(random_particles(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002})
+    simulation = prepared_simulation(scene)
+    arrays = simulation.engine.host_copy.copy_to_host(("id", "position", "radius"))
+    order = np.argsort(arrays["id"])
+    position, radius = arrays["position"][order], arrays["radius"][order]
+    candidates = {
+        tuple(pair)
+        for pair in cKDTree(position).query_pairs(0.018, output_type="ndarray").tolist()
+        if np.linalg.norm(position[pair[0]] - position[pair[1]]) < radius[pair].sum() + 0.002
+    }
+    entries = neighbors_of(simulation.engine)
+    within = [tuple(sorted(entry[:2])) for entry in entries if entry[1] >= 0 and entry[2]]
+    across = [entry[:2] for entry in entries if entry[1] >= 0 and not entry[2]]
+    assert len(candidates) > 300
+    assert len(within) == len(set(within))
+    assert len(across) == len(set(across))
+    assert {(j, i) for i, j in across} == set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == candidates
+    assert not set(within) & set(across)
+
+    at_walls = {(i, -1 - j) for i, j, _ in entries if j < 0}
+    gaps = np.stack([g for axis in range(3) for g in (position[:, axis], 0.12 - position[:, axis])], axis=1)
+    assert at_walls == {(i, w) for i, w in np.argwhere(gaps < radius[:, None] + 0.002).tolist()}
+    simulation.free()
+
+
+def falling_heap(**numerics):
+    rng = np.random.default_rng(2)
+    positions = 0.0103 * (np.argwhere(np.ones((5, 5, 5))) + 0.5)
+    group = particle_group(
+        positions, rng.uniform(0.0098, 0.0102, len(positions)), velocity=rng.normal(0.0, 0.3, positions.shape)
+    )
+    return build_scene(
+        {"balls": group}, walls=box(0.0515), pair={"friction": 0.4}, gravity=[0.0, 0.0, -9.81],
+        numerics=numerics, run={"duration": 0.005, "velocity_max": 3.0},
+    )  # fmt: skip
+
+
+def test_list_capacity_grows_without_changing_the_result(taichi_f64, monkeypatch):
+    reference, reference_run = run_to_end(falling_heap())
+    monkeypatch.setattr(plan_module, "neighbors_per_particle", lambda count, skin: 0.0)
+    grown, growing_run = run_to_end(falling_heap())
+    assert reference_run.engine.timing.growth_count == 0
+    assert growing_run.engine.timing.growth_count > 0
+    for name in ("position", "velocity", "angular_velocity", "force", "torque"):
+        np.testing.assert_array_equal(grown.particles[name], reference.particles[name])
+
+
+def traveling_pair(skin):
+    """Two particles, the first in front, that rub against each other in flight, clamped between two of large mass.
+
+    A particle at rest fixes the grid, so that cell boundaries pass between the two in flight.
+    """
+    flight = [3.0, 0.0, 0.0]
+    groups = {
+        "pair": particle_group(
+            [[0.0098, 0, 0], [0, 0, 0]], velocity=flight, angular_velocity=[[20.0, 0, 50.0], [-10.0, 30.0, 50.0]]
+        ),
+        "clamp": particle_group([[-0.0098, 0, 0], [0.0196, 0, 0]], material="heavy", velocity=flight),
+        "post": particle_group([[-0.1, -0.1, -0.1]]),
+    }
+    return build_scene(
+        groups,
+        rolling="epsd",
+        materials={"heavy": SOFT | {"density": 1e8}},
+        pair={"friction": 0.5, "rolling_friction": 0.2, "restitution": 0.3},
+        numerics={"skin": skin},
+        run={"duration": 0.012, "velocity_max": 8.0, "time_step": 2e-6},
+        output={"interval": 1.0, "energy_budget": True},
+    )
+
+
+def owners_during(scene):
+    """Owner of the list entry of the pair every 0.1 ms, the last snapshot, and the number of rebuilds."""
+    owners = []
+
+    def sample(snapshot):
+        owners.extend(int(owner) for owner, partner, _ in neighbors_of(simulation.engine) if {owner, partner} == {0, 1})
+
+    simulation = Simulation(scene, observers=[every(1e-4, sample)])
+    simulation.run()
+    last, count = simulation.snapshot(), simulation.engine.timing.rebuild_count
+    simulation.free()
+    return owners, last, count
+
+
+def test_contact_history_does_not_depend_on_owner_and_rebuilds(taichi_f64):
+    """A run with many rebuilds and a change of owner is bit-identical to a run with few rebuilds."""
+    many_rebuilds, few_rebuilds = owners_during(traveling_pair(1e-3)), owners_during(traveling_pair(0.02))
+    assert set(many_rebuilds[0]) == {0, 1}, "each particle owns the pair at some time"
+    assert many_rebuilds[2] > 10 * few_rebuilds[2]
+    assert many_rebuilds[1].totals["friction_dissipation"] > 0.0
+    for name in ("position", "velocity", "angular_velocity", "force", "torque"):
+        np.testing.assert_array_equal(many_rebuilds[1].particles[name], few_rebuilds[1].particles[name])
+
+
+def open_scene(on_exit):
+    directions = np.concatenate([np.eye(3), -np.eye(3)])
+    return build_scene(
+        {
+            "outgoing": particle_group(0.05 * directions, velocity=2.0 * directions),
+            "resting": particle_group([[0.0, 0.0, 0.0]], 0.02),
+        },
+        domain={"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": on_exit},
+        run={"duration": 0.05, "velocity_max": 2.0},
+        output={"interval": 0.01},
+    )
+
+
+def test_particles_outside_the_domain_are_deleted_and_counted(taichi_f64):
+    first, *_, last = run_and_sample(open_scene("delete"), 0.01)
+    assert last.particles["id"].tolist() == [6]
+    assert last.totals["deleted_count"] == 6.0
+    assert last.totals["inserted_count"] == 7.0
+    assert last.totals["particle_count"] == 1.0
+    assert last.totals["deleted_mass"] == pytest.approx(first.particles["mass"][:6].sum(), rel=1e-14)
+
+
+def test_particle_outside_the_domain_aborts_the_run_if_on_exit_is_error(taichi_f64):
+    with pytest.raises(
+        RunError, match="particle [0-9]+ at 0.0[0-9]+ s is outside the domain, and domain.on_exit is error"
+    ):
+        run_and_sample(open_scene("error"), 0.01)
+
+
+def test_expanding_domain_keeps_all_particles(taichi_f64):
+    """Particles outside move by x = x0 + v t, and two of them collide as in a domain that is large enough."""
+    *_, last = run_and_sample(open_scene("expand"), 0.01)
+    directions = np.concatenate([np.eye(3), -np.eye(3)])
+    assert last.totals["deleted_count"] == 0.0
+    np.testing.assert_allclose(last.particles["position"][:6], (0.05 + 2.0 * last.time) * directions, rtol=1e-12)
+    pair = {"two": particle_group([[0.05, 0, 0], [-0.05, 0, 0.002]], velocity=[[2.0, 0, 0], [4.0, 0, 0]])}
+    large, small = (
+        run_to_end(
+            build_scene(pair, domain={"min": [-size] * 3, "max": [size] * 3, "on_exit": "expand"},
+                  run={"duration": 0.06, "velocity_max": 4.0, "time_step": 2e-6})
+        )[0] for size in (1.0, 0.06)
+    )  # fmt: skip
+    assert np.all(large.particles["position"][:, 0] > 0.1)
+    assert np.ptp(large.particles["velocity"][:, 2]) > 0.1
+    np.testing.assert_array_equal(small.particles["velocity"], large.particles["velocity"])
+
+
+def test_distant_particles_do_not_enlarge_the_cells(taichi_f64):
+    """Particles a kilometer away lie outside the grid; their candidate pairs are found as for all others."""
+    rng = np.random.default_rng(7)
+    bulk = rng.uniform(0.0, 0.1, (600, 3))
+    distant = np.array([[1000.0, 0.0, 0.0], [1000.008, 0.0, 0.0], [-300.0, 5.0, 2000.0], [-300.0, 5.009, 2000.0]])
+    scene = build_scene(
+        {"balls": particle_group(np.concatenate([bulk, distant]), 0.01)}, numerics={"skin": 0.001, "chunk_size": 64},
+        domain={"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"},
+    )  # fmt: skip
+    simulation = prepared_simulation(scene)
+    assert simulation.engine.state.cell_sort.cell_side[0].to_numpy() == pytest.approx(np.full(3, 0.011), rel=1e-5)
+    near = {tuple(pair) for pair in cKDTree(np.concatenate([bulk, distant])).query_pairs(0.011).copy()}
+    found = {tuple(sorted(entry[:2])) for entry in neighbors_of(simulation.engine)}
+    assert {(600, 601), (602, 603)} <= found == near
+    simulation.free()
+
+
+def test_ids_stay_with_their_particles_after_deletions(taichi_f64):
+    """Every second particle of a row leaves the domain; the others keep their id, radius and position."""
+    count = 40
+    positions = np.stack([np.linspace(-0.09, 0.09, count), np.zeros(count), np.arange(count) * 1e-4], axis=1)
+    velocity = np.zeros((count, 3))
+    velocity[::2, 1] = 5.0
+    diameter = np.linspace(0.001, 0.004, count)
+    scene = build_scene(
+        {"row": particle_group(positions, diameter, velocity=velocity)}, walls={"far": plane([0, -0.1, 0], [0, 1, 0])},
+        domain={"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "delete"}, run={"duration": 0.03, "velocity_max": 5.0},
+    )  # fmt: skip
+    last, _ = run_to_end(scene)
+    assert last.particles["id"].tolist() == list(range(1, count, 2))
+    np.testing.assert_array_equal(last.particles["radius"], 0.5 * diameter[1::2])
+    np.testing.assert_array_equal(last.particles["position"], positions[1::2])
+
+
+@pytest.mark.parametrize("periodic", [[], ["x", "y", "z"]])
+def test_size_classes_find_all_candidate_pairs(taichi_f64, periodic):
+    """Sizes 1 : 20 in four classes; pairs are owned, and listed twice across chunks, as with one class."""
+    rng, size, skin = np.random.default_rng(9), 0.1, 0.0003
+    diameter = 0.0015 * 20.0 ** np.concatenate([rng.random(800) ** 3, [0.0, 1.0]])
+    positions = rng.uniform(0.0, size, (len(diameter), 3))
+    domain = {"min": [0.0] * 3, "max": [size] * 3, "periodic": periodic, "on_exit": "error"}
+    scene = build_scene(
+        {"balls": particle_group(positions, diameter)}, numerics={"chunk_size": 64, "skin": skin}, domain=domain
+    )
+    simulation = prepared_simulation(scene)
+    assert simulation.plan.features.size_classes == "4"
+    distance = positions[:, None] - positions
+    distance -= np.round(distance / size) * size if periodic else 0.0
+    near = np.linalg.norm(distance, axis=2) < 0.5 * (diameter[:, None] + diameter) + skin
+    pairs = {(i, j) for i, j in np.argwhere(near).tolist() if i < j}
+    entries = neighbors_of(simulation.engine)
+    within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]
+    across = [entry[:2] for entry in entries if not entry[2]]
+    assert len(within) == len(set(within)) > 100
+    assert len(across) == len(set(across)) > 100
+    assert {(j, i) for i, j in across} == set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == pairs
+    simulation.free()

@@ -1,0 +1,197 @@
+"""Periodic axes: minimum images, no seam at the boundary, conservation of momentum and energy across it."""
+
+import numpy as np
+import pytest
+from scene_builders import (
+    build_scene,
+    column,
+    neighbors_of,
+    particle_group,
+    plane,
+    prepared_simulation,
+    run_and_sample,
+    run_to_end,
+    times,
+)
+from scipy.spatial import cKDTree
+
+from granflow.errors import SceneError
+from granflow.particles.generate import initial_particles
+from granflow.plan.plan import plan_for
+
+GRAVITY = 9.81
+
+
+def domain(size, axes):
+    """A box from the origin that is periodic along some axes."""
+    return {"min": [0.0] * 3, "max": list(size), "periodic": list(axes), "on_exit": "error"}
+
+
+@pytest.mark.parametrize("axes", ["xyz", "y"])
+def test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images(taichi_f64, axes):
+    """Compared with a search over all pairs; the grid has eight cells along x, three along y and two along z."""
+    size, skin = np.array([0.15, 0.06, 0.037]), 0.002
+    rng = np.random.default_rng(5)
+    positions, diameter = size * rng.random((500, 3)), rng.uniform(0.004, 0.016, 500)
+    simulation = prepared_simulation(
+        build_scene(
+            {"balls": particle_group(positions, diameter)},
+            domain=domain(size, axes),
+            numerics={"chunk_size": 37, "skin": skin},
+        )
+    )
+    periodic = np.array([axis in axes for axis in "xyz"])
+    tree = cKDTree(positions, boxsize=np.where(periodic, size, 10.0))
+    pairs = tree.query_pairs(0.018, output_type="ndarray")
+    distance = positions[pairs[:, 0]] - positions[pairs[:, 1]]
+    distance -= np.where(periodic, np.round(distance / size) * size, 0.0)
+    is_candidate = np.linalg.norm(distance, axis=1) < 0.5 * diameter[pairs].sum(axis=1) + skin
+    entries = neighbors_of(simulation.engine)
+    within = [tuple(sorted(entry[:2])) for entry in entries if entry[2]]
+    across = [entry[:2] for entry in entries if not entry[2]]
+    assert len(within) == len(set(within)) > 100
+    assert len(across) == len(set(across)) > 100
+    assert {(j, i) for i, j in across} == set(across)
+    assert set(within) | {tuple(sorted(pair)) for pair in across} == {
+        tuple(pair) for pair in pairs[is_candidate].tolist()
+    }
+    simulation.free()
+
+
+def gas(shift, **run):
+    """Rough particles that start on a close lattice, collide and cross every face of a box of 4 cm."""
+    rng = np.random.default_rng(3)
+    positions = 0.01 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+    velocity = rng.normal(0.0, 0.3, positions.shape)
+    group = particle_group((positions + shift) % 0.04, 0.0099, velocity=velocity - velocity.mean(axis=0))
+    return build_scene(
+        {"balls": group}, pair={"friction": 0.4, "restitution": 0.7}, domain=domain([0.04] * 3, "xyz"),
+        run={"duration": 0.02, "velocity_max": 5.0} | run, output={"interval": 0.01, "energy_budget": True},
+        numerics={"skin": 0.001},
+    )  # fmt: skip
+
+
+def test_shifting_all_particles_by_half_a_box_changes_rounding_only(taichi_f64):
+    """A lattice across the boundary and one in the middle agree to rounding, including angular velocities."""
+    (middle, simulation), (shifted, _) = run_to_end(gas(0.0)), run_to_end(gas([0.02, 0.017, 0.0]))
+    assert simulation.engine.timing.rebuild_count > 4
+    assert middle.totals["friction_dissipation"] > 1e-3
+    for name in ("velocity", "angular_velocity", "force"):
+        largest = np.abs(middle.particles[name]).max()
+        np.testing.assert_allclose(middle.particles[name], shifted.particles[name], atol=1e-6 * largest, rtol=0)
+    separation = (shifted.particles["position"] - middle.particles["position"] - [0.02, 0.017, 0.0]) / 0.04
+    np.testing.assert_allclose(separation, np.round(separation), atol=1e-9)
+    assert np.all((shifted.particles["position"] >= 0.0) & (shifted.particles["position"] <= 0.04))
+
+
+def test_gas_conserves_momentum_and_closes_its_energy_budget(taichi_f64):
+    *_, last = run_and_sample(gas(0.013), 0.01, contacts=True)
+    mass = last.particles["mass"][:, None]
+    scale = np.sum(mass * np.abs(last.particles["velocity"]))
+    np.testing.assert_allclose(np.sum(mass * last.particles["velocity"], axis=0), 0.0, atol=1e-13 * scale)
+    np.testing.assert_allclose(last.particles["force"].sum(axis=0), 0.0, atol=1e-9)
+    assert abs(last.totals["energy_error"]) < 1e-3
+    branches = last.contacts["position_i"] - last.contacts["position_j"]
+    np.testing.assert_allclose(np.linalg.norm(branches, axis=1), 0.0099 - last.contacts["overlap"], rtol=1e-9)
+    assert np.any(np.abs(last.contacts["position_j"] - 0.02) > 0.02), "some contacts cross the boundary"
+
+
+def test_particle_that_falls_out_of_the_box_reenters_at_the_top(taichi_f64):
+    """Free fall over s takes t = sqrt(2 s / g); gravity adds m g L per crossing; the meter counts no wrap."""
+    size, drop = 0.1, 0.62
+    duration = float(np.sqrt(2.0 * drop / GRAVITY))
+    scene = build_scene(
+        {"ball": particle_group([[0.05, 0.05, 0.09]])}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([size] * 3, "xyz"),
+        run={"duration": duration, "velocity_max": 5.0, "time_step": 1e-5},
+        output={
+            "interval": 0.01, "energy_budget": True,
+            "flow_meters": {"middle": {"point": [0.05, 0.05, 0.05], "normal": [0, 0, -1]}},
+        },
+    )  # fmt: skip
+    last, simulation = run_to_end(scene)
+    mass = last.particles["mass"][0]
+    assert last.totals["boundary_work"] == pytest.approx(6 * mass * GRAVITY * size, rel=1e-12)
+    assert last.totals["kinetic_energy"] == pytest.approx(mass * GRAVITY * drop, rel=1e-3)
+    assert abs(last.totals["energy_error"]) < 1e-4
+    assert last.particles["position"][0, 2] == pytest.approx(0.09 - drop + 6 * size, abs=1e-4)
+    assert simulation._observers[0].results()["middle"]["flow_count"] == 6
+
+
+def test_floor_that_ends_at_the_boundary_has_no_seam(taichi_f64):
+    """A particle that slides across the boundary keeps the height of one in the middle, to the last bit."""
+    floor = {"shape": "rectangle", "corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
+    group = particle_group([[0.09, 0.02, 0.0049], [0.05, 0.08, 0.0049]], velocity=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    scene = build_scene(
+        {"balls": group}, walls={"floor": floor}, gravity=[0.0, 0.0, -GRAVITY], domain=domain([0.1] * 3, "xy"),
+        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 1e-5}, numerics={"skin": 0.002},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 1e-4)
+    position, time = column(snapshots, "position"), times(snapshots)
+    assert np.ptp(position[:, 1, 2]) > 1e-5, "both particles bounce"
+    np.testing.assert_array_equal(position[:, 0, 2], position[:, 1, 2])
+    np.testing.assert_allclose(position[:, 0, 0], (0.09 + time) % 0.1, atol=1e-12)
+
+
+def test_box_too_narrow_for_minimum_images_is_rejected():
+    """Below two maximum diameters plus twice the skin, 21 mm + 2 mm, a particle can touch two images of another."""
+    group = {"balls": particle_group([[0.01, 0.01, 0.01]], 0.0105)}
+    parts = {"numerics": {"skin": 0.001}, "pair": {}}
+    plan_for(build_scene(group, domain=domain([0.02301] * 3, "xyz"), **parts))
+    with pytest.raises(SceneError, match=r"has y, along which the domain is 0.022 m wide.*at least 0.023 m"):
+        plan_for(build_scene(group, domain=domain([0.1, 0.022, 0.1], "xy"), **parts))
+
+
+@pytest.mark.parametrize(
+    ("wall", "fits"),
+    [
+        (plane([0, 0, 0.02], [0, 0, 1]), True),
+        (plane([0, 0, 0.02], [1, 0, 1]), False),
+        (plane([0, 0, 0.02], [0, 1, 1]), True),
+        ({"shape": "cylinder", "from": [0, 0.05, 0.05], "to": [0.1, 0.05, 0.05], "radius": 0.04}, True),
+        ({"shape": "cylinder", "from": [0, 0.05, 0.05], "to": [0.09, 0.05, 0.05], "radius": 0.04}, False),
+        ({"shape": "cylinder", "from": [0.02, 0.05, 0.05], "to": [0.08, 0.05, 0.05], "radius": 0.04}, True),
+        ({"shape": "disc", "center": [0.001, 0.05, 0.05], "normal": [1, 0, 0], "radius": 0.01}, False),
+    ],
+)
+def test_wall_that_differs_at_the_ends_of_a_periodic_axis_is_rejected(wall, fits):
+    scene = build_scene(
+        {"ball": particle_group([[0.05] * 3])},
+        walls={"wall": {"material": "glass"} | wall},
+        domain=domain([0.1] * 3, "x"),
+    )
+    if fits:
+        assert plan_for(scene).walls
+    else:
+        with pytest.raises(SceneError, match="walls.wall differs between the two ends of the periodic axis x"):
+            plan_for(scene)
+
+
+def test_packing_does_not_overlap_periodic_images():
+    """A particle at a corner of the box has seven images, which the packing must not overlap."""
+    scene = build_scene(
+        {
+            "corner": particle_group([[0.001, 0.099, 0.001]], 0.04),
+            "pack": {
+                "material": "glass", "count": 300, "diameter": 0.01,
+                "insert": {"kind": "pack", "region": {"box": {"min": [0.0] * 3, "max": [0.1] * 3}}},
+            },
+        },
+        domain=domain([0.1] * 3, "xyz"),
+    )  # fmt: skip
+    particles, periodic_box = initial_particles(scene), scene.domain.periodic_box()
+    gaps = (
+        np.linalg.norm(
+            periodic_box.nearest_images(particles.position[1:], particles.position[:1]) - particles.position[0], axis=1
+        )
+        - 0.025
+    )
+    assert gaps.min() >= 0.0
+    assert np.count_nonzero(np.linalg.norm(particles.position[1:] - particles.position[0], axis=1) - gaps > 0.026) > 10
+
+
+def test_unbounded_rotating_wall_is_rejected_in_an_expanding_domain():
+    rotation = [{"kind": "rotation", "point": [0, 0, 0], "axis": [1, 0, 0], "angular_velocity": 1.0}]
+    parts = {"domain": {"min": [0.0] * 3, "max": [0.1] * 3, "on_exit": "expand"}}
+    floor = plane([0, 0, 0], [0, 0, 1], motion=rotation)
+    with pytest.raises(SceneError, match="walls.floor is unbounded and rotates"):
+        plan_for(build_scene({"ball": particle_group([[0.05] * 3])}, walls={"floor": floor}, **parts))

@@ -1,0 +1,197 @@
+"""Force-controlled walls: a free piston against its equation of motion, and a servo wall that holds a pressure."""
+
+import hashlib
+import shutil
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, times
+from scipy.integrate import solve_ivp
+from subprocess_runner import in_subprocess
+
+from granflow.contact import theory
+from granflow.engine import stepper
+from granflow.errors import RunError, SceneError
+from granflow.io.checkpoint import read_checkpoint
+from granflow.plan.plan import plan_for
+from granflow.simulation import Simulation
+
+RADIUS, GRAVITY = 0.005, 9.81
+MASS = 4.0 / 3.0 * np.pi * RADIUS**3 * 2500.0
+MODULUS = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+AT_WALL = theory.hertz_stiffness(MODULUS, RADIUS)
+FLOOR = plane([0, 0, 0], [0, 0, 1])
+
+
+def lid(height, motion, size=0.04):
+    return {
+        "shape": "rectangle", "corner": [-size / 2, -size / 2, height], "sides": [[size, 0, 0], [0, size, 0]],
+        "material": "glass", "motion": motion,
+    }  # fmt: skip
+
+
+def free(mass, **more):
+    return {"kind": "free", "direction": [0, 0, 1], "mass": mass} | more
+
+
+def falling_piston(mass=0.01, damping=0.0, **parts):
+    """A particle that touches the floor without overlap, and a free piston at rest 1 mm above it."""
+    walls = {"floor": FLOOR, "piston": lid(2.0 * RADIUS + 1e-3, free(mass, force=0.02, damping=damping))}
+    defaults = {"run": {"duration": 0.03, "velocity_max": 0.3}, "output": {"interval": 1.0, "energy_budget": True}}
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, RADIUS]])}, walls=walls, pair={"restitution": 1.0}, normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY], numerics={"time_step_fraction": 0.01}, **(defaults | parts),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_free_piston_bounces_on_a_particle(taichi_f64, damping):
+    """Two masses on two Hertz contacts, compared with scipy; work and energy of the piston balance.
+
+    M x'' = k (R - x + z)^1.5 - M g + F - c x',    m z'' = k (R - z)^1.5 - k (R - x + z)^1.5 - m g
+    """
+    mass = 0.01
+    snapshots = run_and_sample(falling_piston(mass, damping), 0.0005)
+
+    def rates(_, now):
+        z, x, w, v = now
+        below, above = (AT_WALL * max(RADIUS - gap, 0.0) ** 1.5 for gap in (z, x - z))
+        return [w, v, (below - above) / MASS - GRAVITY, (above + 0.02 - damping * v) / mass - GRAVITY]
+
+    start = [RADIUS, 2.0 * RADIUS + 1e-3, 0.0, 0.0]
+    exact = solve_ivp(rates, (0.0, 0.031), start, t_eval=times(snapshots), rtol=1e-10, atol=1e-14, max_step=2e-5).y
+    piston_height = np.array([each.walls["piston"].offset[2] for each in snapshots]) + 2.0 * RADIUS + 1e-3
+    piston_velocity = np.array([each.totals["wall_velocity.piston"] for each in snapshots])
+    assert exact[1].min() < 2.0 * RADIUS - 1e-5 and np.diff(np.sign(exact[3])).any(), (
+        "the piston hits the particle and rebounds"
+    )
+    np.testing.assert_allclose(piston_height, exact[1], rtol=0.0, atol=5e-8)
+    np.testing.assert_allclose(piston_velocity, exact[3], rtol=0.0, atol=2e-5)
+    np.testing.assert_allclose(column(snapshots, "position")[:, 0, 2], exact[0], rtol=0.0, atol=5e-7)
+    last = snapshots[-1].totals
+    assert last["free_wall_energy"] == pytest.approx(0.5 * mass * piston_velocity[-1] ** 2)
+    work_done = last["free_wall_work"] - last["wall_work"]
+    assert work_done == pytest.approx(last["free_wall_energy"], rel=1e-9, abs=1e-14)
+    assert abs(last["energy_error"]) < 1e-3
+
+
+def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
+    """One particle between floor and piston, at static overlaps: nothing moves, and the floor carries both weights."""
+    mass = 0.05
+    above, below = mass * GRAVITY, (mass + MASS) * GRAVITY
+    particle_height = RADIUS - (below / AT_WALL) ** (2.0 / 3.0)
+    piston_height = particle_height + RADIUS - (above / AT_WALL) ** (2.0 / 3.0)
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, particle_height]])},
+        walls={"floor": FLOOR, "piston": lid(piston_height, free(mass))},
+        normal="hertz", gravity=[0.0, 0.0, -GRAVITY], run={"duration": 0.01, "velocity_max": 0.5},
+        output={"interval": 1.0, "wall_forces": True},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    result = simulation.run().numbers
+    simulation.free()
+    assert result["wall_force_z.floor"] == pytest.approx(-below, rel=1e-9)
+    assert result["wall_force_z.piston"] == pytest.approx(above, rel=1e-9)
+    assert abs(result["wall_displacement.piston"]) < 1e-12
+
+
+PRESSURE, SIDE = 2e4, 0.041
+
+
+def compression_scene(duration=0.03, **parts):
+    """A loose lattice in a box, with a servo wall as lid and a free wall as one side."""
+    walls = {name: wall for name, wall in box(SIDE).items() if name not in ("high_z", "high_x")}
+    servo = {"kind": "servo", "direction": [0, 0, -1], "pressure": PRESSURE, "velocity_max": 0.5}
+    walls["lid"] = {
+        "shape": "rectangle", "corner": [0, 0, SIDE], "sides": [[SIDE, 0, 0], [0, SIDE, 0]], "material": "glass",
+        "motion": servo,
+    }  # fmt: skip
+    weight = {"kind": "free", "direction": [-1, 0, 0], "mass": 0.05, "force": 10.0, "damping": 30.0}
+    walls["side"] = {
+        "shape": "rectangle", "corner": [SIDE, 0, 0], "sides": [[0, SIDE, 0], [0, 0, SIDE]], "material": "glass",
+        "motion": weight,
+    }  # fmt: skip
+    positions = 0.0102 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
+    defaults = {
+        "pair": {"friction": 0.3, "restitution": 0.3}, "numerics": {"chunk_size": 16},
+        "run": {"velocity_max": 1.0},
+        "output": {"interval": duration, "timeseries_interval": duration / 30.0, "wall_forces": True},
+        "stages": [{"name": "press", "duration": 0.8 * duration}, {"name": "hold", "duration": 0.2 * duration}],
+    }  # fmt: skip
+    return build_scene({"balls": particle_group(positions)}, walls=walls, **(defaults | parts))
+
+
+def wall_results(precision, threads=1, until=None, in_parallel=False):
+    """Mean pressure on the lid and force on the side wall in the last stage, and a digest of the final state."""
+    if in_parallel:
+        stepper.SINGLE_WORKER_PARTICLES = 0
+    simulation = Simulation(compression_scene(), threads=threads, precision=precision)
+    result = simulation.run(until).numbers
+    last = simulation.snapshot()
+    simulation.free()
+    digest = hashlib.sha256(last.particles["position"].tobytes())
+    for name in ("lid", "side"):
+        digest.update(last.walls[name].offset.tobytes() + last.impulses[name].tobytes())
+    return [result["wall_pressure.lid"], result["wall_force_x.side"], digest.hexdigest()]
+
+
+def test_servo_wall_holds_its_pressure_and_free_wall_its_force(taichi_f64):
+    pressure, force, _ = wall_results("f64", 2)
+    assert pressure == pytest.approx(PRESSURE, rel=0.01)
+    assert force == pytest.approx(10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("precision", [pytest.param("f32", marks=pytest.mark.slow), "mixed"])
+def test_servo_wall_holds_its_pressure_in_lower_precision(precision):
+    assert in_subprocess(wall_results, precision)[0] == pytest.approx(PRESSURE, rel=0.01)
+
+
+@pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
+def test_results_are_bit_identical_for_any_thread_count(precision):
+    one, two = (
+        in_subprocess(wall_results, precision, 1, 0.0015),
+        in_subprocess(wall_results, precision, 2, 0.0015, True),
+    )
+    assert one[0] > 1000.0, "the lid touches the particles"
+    assert one == two
+
+
+def test_restart_is_bit_identical(tmp_path, taichi_f64):
+    scene = compression_scene(
+        0.006, output={"interval": 0.006, "wall_forces": True, "energy_budget": True, "checkpoint": {"interval": 0.002}}
+    )
+    snapshots = []
+    for out in ("whole", "again"):
+        saved = None
+        if out == "again":
+            shutil.copytree(tmp_path / "whole", tmp_path / "again")
+            saved = read_checkpoint(sorted((tmp_path / out).glob("checkpoint_*.npz"))[0])
+        simulation = Simulation(scene, out=tmp_path / out, resume=saved)
+        simulation.run()
+        snapshots.append(simulation.snapshot())
+        simulation.free()
+    assert saved is not None and 0.0 < saved.time < 0.006
+    assert np.array_equal(snapshots[0].particles["position"], snapshots[1].particles["position"])
+    assert np.array_equal(snapshots[0].walls["lid"].offset, snapshots[1].walls["lid"].offset)
+    assert snapshots[0].totals == snapshots[1].totals
+    rows = [(tmp_path / out / "timeseries.csv").read_text() for out in ("whole", "again")]
+    assert rows[0] == rows[1] and "wall_displacement.lid [m]" in rows[0]
+
+
+def test_free_wall_too_fast_for_the_step_aborts_the_run(taichi_f64):
+    scene = falling_piston(mass=0.01, run={"duration": 1.0, "velocity_max": 0.01}, output={"interval": 1.0})
+    pulled = scene.walls["piston"].model_copy(update={"motion": (scene.walls["piston"].motion[0].model_copy(
+        update={"force": 1e4}),)})  # fmt: skip
+    scene = scene.model_copy(update={"walls": dict(scene.walls) | {"piston": pulled}})
+    with pytest.raises(
+        RunError, match="wall piston .* in one step of .* above the limit .* Increase its mass or damping"
+    ):
+        Simulation(scene).run()
+
+
+def test_free_mass_and_servo_gain_unstable_for_the_step_are_rejected():
+    with pytest.raises(SceneError, match=r"walls.piston.motion.mass is 1e-09 kg, but .* oscillates too fast"):
+        plan_for(falling_piston(mass=1e-9))
+    motion = {"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": 0.1, "gain": 1e3}
+    with pytest.raises(SceneError, match=r"walls.piston.motion.gain is 1e\+03 m/\(s N\), but from .* on the wall"):
+        plan_for(build_scene({"ball": particle_group([[0, 0, RADIUS]])}, walls={"piston": lid(0.02, motion)}))

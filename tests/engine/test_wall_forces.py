@@ -1,0 +1,134 @@
+"""Wall forces: momentum balance, carried weight, and no influence of the output on the motion."""
+
+import csv
+
+import numpy as np
+import pytest
+from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample
+
+from granflow.contact import theory
+from granflow.simulation import Simulation
+
+MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
+GRAVITY = 9.81
+EPS = np.finfo(float).eps
+
+
+def shaken_box():
+    """Spinning particles in a box with a vibrating floor and a rotating lid; friction and rolling friction."""
+    rng = np.random.default_rng(2)
+    positions = 0.0115 * (np.argwhere(np.ones((5, 5, 5))) + 0.6)
+    walls = box(0.0575)
+    walls["low_z"]["motion"] = {"kind": "vibration", "direction": [1, 0, 1], "amplitude": 1e-4, "frequency": 300.0}
+    walls["high_z"]["motion"] = {
+        "kind": "rotation", "point": [0.03, 0.03, 0.0], "axis": [0, 0, 1], "angular_velocity": 60.0,
+    }  # fmt: skip
+    velocity, angular_velocity = rng.normal(0.0, 0.5, positions.shape), rng.normal(0.0, 50.0, positions.shape)
+    return build_scene(
+        {"balls": particle_group(positions, 0.01, velocity=velocity, angular_velocity=angular_velocity)},
+        walls=walls,
+        rolling="epsd",
+        pair={"friction": 0.4, "rolling_friction": 0.1},
+        run={"duration": 0.004, "velocity_max": 4.0},
+        numerics={"chunk_size": 32, "max_overlap": 0.3},
+        output={"interval": 1.0, "wall_forces": True},
+    )
+
+
+def momenta(particles):
+    """Momentum and angular momentum about the origin (2, 3), their rates (2, 3), and the sum of all |m v_i|."""
+    p = particles
+    inertia = 0.4 * (p["mass"] * p["radius"] ** 2)[:, None]
+    linear = p["mass"][:, None] * p["velocity"]
+    momentum = linear.sum(axis=0), (np.cross(p["position"], linear) + inertia * p["angular_velocity"]).sum(axis=0)
+    rate = p["force"].sum(axis=0), (np.cross(p["position"], p["force"]) + p["torque"]).sum(axis=0)
+    return np.array(momentum), np.array(rate), np.abs(linear).sum()
+
+
+def test_wall_impulses_equal_the_momentum_lost_by_the_particles(taichi_f64):
+    """The leapfrog satisfies P(t) - P(0) + J = dt/2 [F(0) - F(t)] to rounding, for momentum and angular momentum.
+
+    Wall torques refer to the point of the wall's rotation: (x - p) x F integrates to L - p x J.
+    """
+    scene = shaken_box()
+    snapshots = run_and_sample(scene, 0.004)
+    (before, rate_before, scale), (after, rate_after, _) = (momenta(each.particles) for each in snapshots)
+    impulses = np.array([[impulse[:3], impulse[3:6]] for impulse in snapshots[-1].impulses.values()])
+    impulses[-1, 1] += np.cross([0.03, 0.03, 0.0], impulses[-1, 0])
+    residual = (
+        after
+        - before
+        + impulses.sum(axis=0)
+        - 0.5 * snapshots[-1].time / snapshots[-1].step * (rate_before - rate_after)
+    )
+    assert list(snapshots[-1].impulses) == list(scene.walls)
+    assert np.abs(impulses).max() > 0.1 * scale, "the wall impulses are a large part of the momentum"
+    assert np.abs(residual[0]).max() < snapshots[-1].step * EPS * scale
+    assert np.abs(residual[1]).max() < snapshots[-1].step * EPS * scale * 0.06
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.6])
+def test_impulse_of_one_impact(taichi_f64, restitution):
+    """J = m (1 + e) v with the measured e; no tangential impulse; the pressure is over the area of the disc."""
+    disc = {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass"}
+    scene = build_scene(
+        {"ball": particle_group([[0.01, 0.0, 0.0051]], velocity=[0.0, 0.0, -1.0])}, walls={"disc": disc},
+        pair={"restitution": restitution}, run={"duration": 0.002, "velocity_max": 1.0},
+        output={"interval": 1.0, "wall_forces": ["disc"]},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    result = simulation.run().numbers
+    last = simulation.snapshot()
+    simulation.free()
+    rebound = last.particles["velocity"][0, 2]
+    assert rebound == pytest.approx(restitution, rel=0.02)
+    impulse = MASS * (1.0 + rebound)
+    np.testing.assert_allclose(last.impulses["disc"][[2, 4, 6]], [-impulse, 0.01 * impulse, impulse], rtol=1e-12)
+    np.testing.assert_allclose(last.impulses["disc"][[0, 1, 3, 5]], 0.0, atol=1e-12 * impulse)
+    mean = impulse / last.time
+    assert result["wall_force_z.disc"] == pytest.approx(-mean, rel=1e-12)
+    assert result["wall_pressure.disc"] == pytest.approx(mean / (np.pi * 0.03**2), rel=1e-12)
+
+
+def stacked_particles(count=3, **output):
+    """Particles stacked on a floor, each contact at its static overlap."""
+    modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+    heights, below = [], 0.0
+    for index in range(count):
+        k = theory.hertz_stiffness(modulus, 0.005 if index == 0 else 0.0025)
+        below += (0.005 if index == 0 else 0.01) - ((count - index) * MASS * GRAVITY / k) ** (2.0 / 3.0)
+        heights.append([0.0, 0.0, below])
+    return build_scene(
+        {"balls": particle_group(heights)},
+        walls={"floor": plane([0, 0, 0], [0, 0, 1]), "lid": plane([0, 0, 1], [0, 0, -1])},
+        normal="hertz",
+        gravity=[0.0, 0.0, -GRAVITY],
+        run={"duration": 0.004, "velocity_max": 0.5},
+        output={"interval": 0.002, "timeseries_interval": 0.001, "wall_forces": True} | output,
+        expect=[{"quantity": "wall_force_z.floor", "equals": -count * MASS * GRAVITY, "tolerance": 1e-9}],
+    )
+
+
+def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
+    simulation = Simulation(stacked_particles(), out=tmp_path)
+    result = simulation.run()
+    simulation.free()
+    assert [each.met for each in result.expectations] == [True]
+    with open(tmp_path / "timeseries.csv") as file:
+        rows = list(csv.DictReader(file))
+    weight = 3 * MASS * GRAVITY
+    assert [float(row["wall_force_z.floor [N]"]) for row in rows[1:]] == pytest.approx([-weight] * 4, rel=1e-9)
+    assert {float(row["wall_force_z.lid [N]"]) for row in rows} == {0.0}
+    assert "wall_pressure.floor [Pa]" not in rows[0]
+    assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
+
+
+def test_wall_force_output_does_not_change_the_motion(taichi_f64):
+    """Runs with and without wall forces are bit-identical; without them, the field is not allocated."""
+    with_wall_forces = run_and_sample(stacked_particles(), 0.002)
+    simulation = Simulation(stacked_particles(wall_forces=False, interval=0.002).model_copy(update={"expect": ()}))
+    simulation.run()
+    assert simulation.engine.state.control.impulses is None
+    assert simulation.snapshot().impulses == {}
+    assert np.array_equal(simulation.snapshot().particles["velocity"], column(with_wall_forces, "velocity")[-1])
+    simulation.free()

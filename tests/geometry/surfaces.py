@@ -1,0 +1,73 @@
+"""Shapes for tests, random points around them, and evaluation of the device functions over arrays."""
+
+from functools import cache
+
+import numpy as np
+import taichi as ti
+
+from granflow.geometry.plane import half_space, rectangle
+from granflow.geometry.revolved import cone, cylinder, disc
+from granflow.geometry.shape import PARAMETER_COUNT
+
+NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
+
+TILTED = np.array([0.3, -0.5, 0.8])
+
+SHAPES = {
+    "half_space": half_space([0.1, 0.2, -0.1], TILTED),
+    "rectangle": rectangle([-0.5, 0.1, 0.2], [1.0, 0.5, 0.0], [-0.3, 0.6, 0.8]),
+    "cylinder": cylinder([0.1, 0.0, -0.4], [0.1, 0.0, 0.6], 0.5),
+    "tilted_cylinder": cylinder([0.1, 0.0, -0.4], [0.1, 0.9, 0.6], 0.5),
+    "cone": cone([0.0, 0.1, -0.5], [0.2, 0.3, 0.5], 0.1, 0.7),
+    "cone_with_tip": cone([0.0, 0.0, 0.0], [0.7, 0.0, 0.0], 0.0, 0.6),
+    "disc": disc([0.1, -0.1, 0.2], TILTED, 0.8),
+    "disc_with_hole": disc([0.1, -0.1, 0.2], [0.0, 1.0, 0.0], 0.8, 0.3),
+}
+
+
+def on_device(shape, points, dtype=ti.f64, parameter_dtype=ti.f64):
+    """Distances (n,), normals (n, 3) and distances without shared edges (n,) from the device, in the given types."""
+    number, parameter_number = NUMPY_TYPES[dtype], NUMPY_TYPES[parameter_dtype]
+    distance, bare = np.zeros((2, len(points)), dtype=number)
+    normal = np.zeros((len(points), 3), dtype=number)
+    measure = kernel_for(shape.kind, dtype, parameter_dtype)
+    measure(points.astype(number), shape.parameters.astype(parameter_number), distance, normal, bare)
+    return distance, normal, bare
+
+
+@cache
+def kernel_for(kind, dtype, parameter_dtype):
+    """A kernel that evaluates the device functions of a kind over arrays."""
+    closest, bare_distance = kind.closest, kind.surface_distance
+
+    @ti.kernel
+    def measure(
+        points: ti.types.ndarray(dtype, 2),
+        parameters: ti.types.ndarray(parameter_dtype, 1),
+        distance: ti.types.ndarray(dtype, 1),
+        normal: ti.types.ndarray(dtype, 2),
+        bare: ti.types.ndarray(dtype, 1),
+    ):
+        for i in range(points.shape[0]):
+            point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
+            all_parameters = ti.Vector([parameters[k] for k in ti.static(range(PARAMETER_COUNT))])
+            found, direction = closest(point, all_parameters)
+            distance[i] = found
+            bare[i] = bare_distance(point, all_parameters)
+            for k in ti.static(range(3)):
+                normal[i, k] = direction[k]
+
+    return measure
+
+
+def points_around(shape, count, seed=1):
+    """Random points in a cube around the shape; the first points are on its axis, face and edges."""
+    points = np.random.default_rng(seed).uniform(-1.2, 1.2, (count, 3))
+    origin = shape.parameters[0:3]
+    direction = shape.parameters[3:6]
+    on_axis = origin + np.linspace(-1.0, 1.0, 11)[:, None] * direction
+    corners, _ = shape.kind.triangles(shape.parameters, np.zeros(3), 0.5)
+    midpoints = (corners + np.roll(corners, 1, axis=0)) / 2
+    special = np.concatenate([on_axis, corners, midpoints])
+    points[: len(special)] = special
+    return points

@@ -1,0 +1,150 @@
+"""Stationary meshes: owning triangle of each contact, welding of points, no duplicate contacts."""
+
+import numpy as np
+import pytest
+from geometry.meshes import cube, mesh, sheet, tube
+
+from granflow.geometry.mesh.contact import reference_contact, triangle_distances
+from granflow.geometry.mesh.grid import grid_over
+from granflow.geometry.motion import rotation_matrices
+from granflow.geometry.shape import FAR_AWAY
+
+
+def contacts(surface, points):
+    """Gaps (n, t) and normals (n, t, 3) of all points and triangles, and distances without ownership (n, t)."""
+    count = surface.triangle_count
+    triangles, repeated = np.tile(np.arange(count), len(points)), np.repeat(points, count, axis=0)
+    gap, normal = reference_contact(surface.adjacency, triangles, repeated)
+    bare = triangle_distances(surface.adjacency.vertex[triangles], repeated)
+    return gap.reshape(-1, count), normal.reshape(-1, count, 3), bare.reshape(-1, count)
+
+
+def transformed(surface):
+    """The mesh in a pose whose coordinates are not round numbers."""
+    rotation = rotation_matrices(np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.array([0.7]))[0]
+    return surface.placed(0.7, rotation, np.array([0.3, -0.2, 0.9])), rotation
+
+
+FOLD = [[0, 1, 2], [0, 1, 3], [0, 1, 4]]
+
+SURFACES = {
+    "cube": mesh(*cube()),
+    "sheet": mesh(*sheet(5)),
+    "hilly sheet": mesh(*sheet(5, bumps=0.02)),
+    "rough sheet": mesh(*sheet(5, bumps=0.15)),
+    "tube": mesh(*tube(24, rings=2)),
+    "tube of eight facets": mesh(*tube(8)),
+    "three triangles at one edge": mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0.2, 0], [0.3, 1, 0.5]], FOLD),
+    "plate on a plate": mesh([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0.5, 1]], FOLD),
+}
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_smallest_gap_is_the_distance_to_the_mesh(name):
+    """Against the distances to all triangles: the smallest gap equals the smallest distance."""
+    surface, _ = transformed(SURFACES[name])
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    points = np.random.default_rng(2).uniform(low - 0.3, high + 0.3, (300, 3))
+    gap, normal, bare = contacts(surface, points)
+    np.testing.assert_allclose(gap.min(axis=1), bare.min(axis=1), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=2), 1.0, rtol=1e-14)
+    owned = gap < FAR_AWAY
+    np.testing.assert_allclose(gap[owned], bare[owned], rtol=0.0, atol=1e-14)
+
+
+def test_exactly_one_triangle_of_a_flat_mesh_owns_a_contact():
+    """Centers over faces, edges and vertices, exactly or within rounding; the gap is the height to the last bit."""
+    surface = mesh(*sheet(8))
+    rng = np.random.default_rng(3)
+    edges = rng.integers(-4, 5, (400, 2)) / 8.0
+    near_edges = edges + rng.choice([-1e-17, 0.0, 1e-17, 1e-16, 1e-12], (400, 2))
+    diagonal = np.repeat(rng.uniform(-0.5, 0.5, (200, 1)), 2, axis=1)
+    positions = np.concatenate([edges, near_edges, diagonal, rng.uniform(-0.5, 0.5, (200, 2))])
+    positions = np.clip(positions, -0.5, 0.5)
+    points = np.concatenate([positions, rng.choice([-0.3, 0.1, 1e-3], (len(positions), 1))], axis=1)
+    gap, _, _ = contacts(surface, points)
+    np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
+    np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
+    tilted, rotation = transformed(surface)
+    gap, _, _ = contacts(tilted, 0.7 * points @ rotation.T + [0.3, -0.2, 0.9])
+    np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
+
+
+def test_exactly_one_triangle_of_a_convex_body_owns_a_contact():
+    """Each point within 1 of the cube has one contact, with the distance and the direction from the cube."""
+    points = np.random.default_rng(4).uniform(-0.4, 1.4, (400, 3))
+    points = points[np.any((points < 0.0) | (points > 1.0), axis=1)]
+    gap, normal, _ = contacts(SURFACES["cube"], points)
+    offset = points - np.clip(points, 0.0, 1.0)
+    near = gap < 0.9  # a larger particle also touches the opposite side of the cube from inside
+    assert np.all(near.sum(axis=1) == 1)
+    np.testing.assert_allclose(gap[near], np.linalg.norm(offset, axis=1), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(normal[near] * gap[near][:, None], offset, rtol=0.0, atol=1e-15)
+
+
+def test_contact_inside_a_faceted_tube_has_one_owner():
+    """For every particle size the gap is that of the nearest facet, and no second contact doubles the stiffness."""
+    surface = mesh(*tube(24, rings=3))
+    rng = np.random.default_rng(5)
+    angle, r, z = rng.uniform(0.0, 2 * np.pi, 400), rng.uniform(0.05, 0.95, 400), rng.uniform(0.3, 1.7, 400)
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    gap, _, bare = contacts(surface, points)
+    assert np.all(np.sum(gap < 1.0, axis=1) == 1)  # facets beyond the axis are farther
+    np.testing.assert_allclose(gap.min(axis=1), bare.min(axis=1), rtol=0.0, atol=1e-15)
+
+
+def test_concave_corner_has_two_contacts_and_convex_edge_has_one():
+    """Two plates at 90 degrees: two contacts inside the corner, one contact with the edge outside."""
+    points, corners = [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]], [
+        [0, 2, 1], [2, 3, 1], [0, 1, 4], [1, 5, 4],
+    ]  # fmt: skip
+    gap, _, _ = contacts(mesh(points, corners), np.array([[0.2, 0.45, 0.3], [-0.3, 0.45, -0.4]]))
+    assert sorted(gap[0])[:2] == [0.2, 0.3]
+    assert np.sum(gap[0] < FAR_AWAY) == 2
+    np.testing.assert_allclose(np.sort(gap[1])[:2], [0.5, FAR_AWAY], rtol=1e-15)
+
+
+def test_grid_lists_every_triangle_within_reach_once():
+    """Against the distances to all triangles."""
+    surface, reach = SURFACES["rough sheet"], 0.12
+    grid = grid_over(surface.adjacency.vertex, reach)
+    points = np.random.default_rng(6).uniform(-0.7, 0.7, (200, 3))
+    _, _, bare = contacts(surface, points)
+    for point, distance in zip(points, bare, strict=True):
+        index = np.floor((point - grid.low) / grid.side).astype(int)
+        candidates = np.array([], int)
+        if np.all((index >= 0) & (index < grid.shape)):
+            cell = (index[2] * grid.shape[1] + index[1]) * grid.shape[0] + index[0]
+            candidates = grid.triangle[grid.start[cell] : grid.start[cell + 1]]
+        assert len(set(candidates)) == len(candidates)
+        assert set(np.flatnonzero(distance < reach)) <= set(candidates)
+
+
+def test_parts_with_different_meshes_are_joined_at_their_common_edge():
+    """A square of two triangles next to one of 32: one triangle owns each contact, also along the common edge."""
+    coarse, halves = sheet(1)
+    fine, corners = sheet(4)
+    surface = mesh(np.concatenate([coarse, fine + [1.0, 0.0, 0.0]]), np.concatenate([halves, corners + len(coarse)]))
+    assert surface.divided_count == 1
+    assert (surface.triangle_count, surface.adjacency.open_count) == (2 + 3 + 32, 3 + 12)
+    rng = np.random.default_rng(8)
+    positions = np.stack([rng.choice([0.5, 0.5 + 1e-17, 0.499, 0.501, 0.3], 300), rng.uniform(-0.5, 0.5, 300)], axis=1)
+    points = np.concatenate([positions, rng.choice([-0.2, 0.1], (300, 1))], axis=1)
+    points[:10, 1] = np.linspace(-0.5, 0.5, 9)[[0, 1, 2, 3, 4, 5, 6, 7, 8, 4]]
+    gap, _, _ = contacts(surface, points)
+    np.testing.assert_array_equal(np.sum(gap < FAR_AWAY, axis=1), 1)
+    np.testing.assert_array_equal(gap.min(axis=1), np.abs(points[:, 2]))
+
+
+def test_points_are_welded_and_duplicate_and_degenerate_triangles_are_removed():
+    points, corners = sheet(3)
+    unwelded = points[corners].reshape(-1, 3)
+    unwelded[::2] += 2e-7  # an error of the size of single precision
+    unwelded_corners = np.arange(len(unwelded)).reshape(-1, 3)
+    with_extra = np.concatenate([unwelded_corners, unwelded_corners[:2][:, ::-1], [[0, 1, 1], [0, 1, 0]]])
+    found = mesh(unwelded, with_extra)
+    assert len(found.points) == len(points)
+    assert found.triangle_count == len(corners)
+    assert (found.duplicate_count, found.degenerate_count) == (2, 2)
+    assert found.adjacency.open_count == 12
+    assert mesh(*cube()).adjacency.open_count == 0

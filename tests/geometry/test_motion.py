@@ -1,0 +1,130 @@
+"""Poses of moving walls: velocities are derivatives of poses; walls are at rest before the start and after the end."""
+
+from math import inf, pi
+
+import numpy as np
+import pytest
+
+from granflow.geometry.catalog import reach_about
+from granflow.geometry.motion import Rotation, Translation, Vibration, pose, speed_bound
+from granflow.geometry.plane import half_space, rectangle
+from granflow.geometry.revolved import cylinder, disc
+from granflow.scene.jsonschema import json_schema
+
+AXIS = (2 / 3, -1 / 3, 2 / 3)
+MOTIONS = [
+    Vibration((0.6, 0.0, 0.8), 0.01, 2 * pi * 25, phase=0.7, start=0.2, end=0.9),
+    Translation((0.1, 0.2, -0.3), start=0.1, end=0.5),
+    Rotation((0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8),
+]
+
+
+def moved(points, motions, times):
+    """Positions (k, n, 3) at times (k,) of points (n, 3) given in the initial pose."""
+    poses = pose(motions, times)
+    rotated = np.einsum("kij,nj->kni", poses.rotation, points - poses.pivot)
+    return rotated + poses.pivot + poses.offset[:, None, :]
+
+
+def test_vibration_follows_the_formulas_of_the_schema():
+    """The displacement is relative to the position of the wall in the scene."""
+    description = json_schema()["$defs"]["VibrationSpec"]["description"]
+    formulas = dict(line.strip().split(":", 1) for line in description.splitlines() if ": " in line and "*" in line)
+    assert set(formulas) >= {"displacement", "velocity"}
+    amplitude, angular_frequency, start = 2e-3, 90.0, 0.01
+    times = start + np.linspace(0.0, 0.1, 51)
+    for phase in (0.0, 0.7, pi / 2):
+        known = {"amplitude": amplitude, "angular_frequency": angular_frequency, "phase": phase, "t": times - start}
+        expected = {name: eval(formulas[name], {"sin": np.sin, "cos": np.cos, **known}) for name in formulas}
+        found = pose([Vibration((0, 0, 1), amplitude, angular_frequency, phase, start)], times)
+        np.testing.assert_allclose(found.offset[:, 2], expected["displacement"], atol=1e-17)
+        np.testing.assert_allclose(found.velocity[:, 2], expected["velocity"], atol=1e-15)
+        assert found.offset[0, 2] == 0.0
+
+
+def test_velocity_is_the_derivative_of_the_pose():
+    points = np.random.default_rng(3).uniform(-1, 1, (5, 3))
+    step = 1e-6
+    times = np.random.default_rng(4).uniform(-0.1, 1.1, 400)
+    switches = np.array([0.1, 0.2, 0.3, 0.5, 0.8, 0.9])
+    times = times[np.abs(times[:, None] - switches).min(axis=1) > 2 * step]
+    poses = pose(MOTIONS, times)
+    now = moved(points, MOTIONS, times)
+    arms = now - poses.pivot - poses.offset[:, None, :]
+    velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
+    difference = (moved(points, MOTIONS, times + step) - moved(points, MOTIONS, times - step)) / (2 * step)
+    # Third derivative of the vibration: A w^3 = 3.9e4, times step^2 / 6; rounding: eps / step.
+    np.testing.assert_allclose(velocity, difference, atol=3.9e4 * step**2 / 6 + 8e-16 / step)
+
+
+def test_wall_is_at_rest_before_the_start_and_after_the_end():
+    early = pose(MOTIONS, np.array([-5.0, 0.0, 0.1]))
+    np.testing.assert_array_equal(early.offset, 0.0)
+    np.testing.assert_array_equal(early.rotation, np.broadcast_to(np.eye(3), (3, 3, 3)))
+    late = pose(MOTIONS, np.array([0.9, 1.0, 50.0]))
+    for poses in (pose(MOTIONS, np.array([-5.0, 0.05])), late):
+        np.testing.assert_array_equal(poses.velocity, 0.0)
+        np.testing.assert_array_equal(poses.angular_velocity, 0.0)
+    np.testing.assert_array_equal(late.offset, np.broadcast_to(late.offset[0], (3, 3)))
+
+
+def test_poses_are_continuous():
+    points = np.eye(3)
+    for switch in (0.1, 0.2, 0.3, 0.5, 0.8, 0.9):
+        before, after = moved(points, MOTIONS, np.array([switch - 1e-9, switch + 1e-9]))
+        np.testing.assert_allclose(after, before, atol=1e-7)
+
+
+def test_motion_with_infinite_start_does_not_move():
+    """The start of a motion that depends on a stage is infinite until the stage begins."""
+    not_started = [Vibration((0, 0, 1), 0.1, 10.0, start=inf), Rotation((0, 0, 0), (0, 0, 1), 1.0, start=inf)]
+    poses = pose(not_started, np.array([0.0, 1e6]))
+    np.testing.assert_array_equal(poses.offset, 0.0)
+    np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (2, 3, 3)))
+
+
+def test_rotation_follows_the_right_hand_rule():
+    poses = pose([Rotation((1, 0, 0), (0, 0, 1), pi / 2)], np.array([1.0]))
+    np.testing.assert_allclose(poses.rotation[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        moved(np.array([[2.0, 0, 0]]), [Rotation((1, 0, 0), (0, 0, 1), pi / 2)], 1.0)[0, 0], [1, 1, 0]
+    )
+
+
+def test_rotations_stay_orthogonal():
+    rotation = pose([Rotation((0, 0, 0), AXIS, 7.0)], np.linspace(0, 100, 50)).rotation
+    np.testing.assert_allclose(
+        rotation @ rotation.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
+    )
+    np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
+
+
+def test_no_motion_is_rest():
+    poses = pose([], np.zeros(2))
+    np.testing.assert_array_equal(poses.offset, 0.0)
+    np.testing.assert_array_equal(poses.rotation[1], np.eye(3))
+
+
+def test_two_rotations_are_rejected():
+    with pytest.raises(ValueError, match="at most one rotation"):
+        pose([MOTIONS[2], MOTIONS[2]], np.zeros(1))
+
+
+def test_speed_bound_is_the_maximum_speed():
+    assert speed_bound([], 1.0) == 0.0
+    bound = speed_bound(MOTIONS, 0.4)
+    assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
+    vibration = pose([Vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
+    assert np.abs(vibration.velocity).max() == pytest.approx(speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0))
+
+
+def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():
+    origin, along_z, along_x = np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 0, 0])
+    drum = cylinder([0, 0, 0], [0, 0, 2], 0.5)
+    assert reach_about(drum, origin, along_z, 9.0) == 0.0
+    assert reach_about(drum, np.array([1.0, 0, 0]), along_z, 9.0) == pytest.approx(1.5)
+    assert reach_about(drum, origin, along_x, 9.0) >= np.hypot(2, 0.5)
+    assert reach_about(disc([0, 0, 2], [0, 0, -1], 0.5), origin, along_z, 9.0) == 0.0
+    assert reach_about(rectangle([1, 0, 0], [1, 0, 0], [0, 0, 1]), origin, along_z, 9.0) == 2.0
+    assert reach_about(half_space([0, 0, 0], [0, 0, 1]), origin, along_z, 9.0) == 0.0
+    assert reach_about(half_space([0, 0, 0], [0, 0, 1]), origin, along_x, 9.0) == 9.0

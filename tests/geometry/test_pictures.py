@@ -1,0 +1,42 @@
+"""Triangulation of wall shapes for output: points on the surface, total area; fixed codes of the shape kinds."""
+
+import numpy as np
+import pytest
+from geometry.surfaces import SHAPES
+
+from granflow.geometry.catalog import SHAPE_KINDS, kind_code, triangles
+from granflow.geometry.plane import half_space, rectangle
+from granflow.geometry.revolved import cone, cylinder, disc
+
+CENTER = np.array([0.2, 0.1, 0.3])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_triangle_corners_lie_on_the_surface(name):
+    shape = SHAPES[name]
+    points, faces = triangles(shape, CENTER, 0.5)
+    distance, _ = shape.kind.reference_closest(points, shape.parameters)
+    np.testing.assert_allclose(distance, 0.0, atol=1e-14)
+    assert set(faces.ravel()) == set(range(len(points)))
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (half_space([0, 0, 5], [1, 1, 0]), 1.0),
+        (rectangle([0, 0, 0], [2, 0, 0], [0, 3, 0]), 6.0),
+        (cylinder([0, 0, 0], [0, 2, 0], 0.5), 2 * np.pi * 0.5 * 2),
+        (cone([0, 0, 0], [0, 0, 4], 0.0, 3.0), np.pi * 3 * 5),
+        (disc([0, 0, 0], [1, 0, 1], 1.0, 0.5), np.pi * 0.75),
+    ],
+)
+def test_triangles_cover_the_area_of_the_shape(shape, expected):
+    points, faces = triangles(shape, CENTER, 0.5)
+    corner, first, second = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    area = np.linalg.norm(np.cross(first - corner, second - corner), axis=1).sum() / 2
+    assert area == pytest.approx(expected, rel=3e-3)  # 64 facets: 1 - sin(x) / x with x = 2 pi / 64, at most twice
+
+
+def test_codes_of_shape_kinds_are_fixed():
+    assert [kind.name for kind in SHAPE_KINDS] == ["half_space", "rectangle", "revolved"]
+    assert [kind_code(kind) for kind in SHAPE_KINDS] == [0, 1, 2]

@@ -1,0 +1,121 @@
+"""Flow meters count each particle that crosses their plane, in both directions."""
+
+import numpy as np
+import pytest
+from observers.snapshots import snapshot_of
+
+from granflow.observers.flow_meters import FlowMeter, steady_flow
+
+
+def measured(meter, *samples):
+    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and count."""
+    for time, particles in enumerate(samples):
+        ids = sorted(particles)
+        arrays = {
+            "id": np.array(ids, dtype=np.int64),
+            "position": np.array([particles[i] for i in ids], dtype=float).reshape(-1, 3),
+            "mass": np.array([2.0**i for i in ids]),
+        }
+        meter.update(snapshot_of(time=float(time), particles=arrays))
+    return meter.mass, meter.count
+
+
+def down(radius=None):
+    return FlowMeter((0, 0, 1), (0, 0, -3), radius)
+
+
+def test_repeated_crossings_change_the_count_by_their_direction():
+    meter = down()
+    assert measured(meter, {0: (0, 0, 2), 1: (0, 0, 3)}, {0: (0, 0, 0.5), 1: (0, 0, 2)}) == (1.0, 1)
+    assert measured(meter, {0: (0, 0, 1.5), 1: (0, 0, 0)}) == (2.0, 1)
+    assert measured(meter, {0: (0, 0, 0.9), 1: (0, 0, 0)}) == (3.0, 2)
+
+
+def test_particle_deleted_upstream_counts_as_crossed():
+    assert measured(down(), {0: (0, 0, 1.1), 1: (0, 0, 5)}, {1: (0, 0, 5)}) == (1.0, 1)
+
+
+def test_particle_deleted_after_crossing_is_counted_once():
+    assert measured(down(), {0: (0, 0, 1.1)}, {0: (0, 0, 0.5)}, {}) == (1.0, 1)
+
+
+def test_particle_deleted_outside_the_disc_is_not_counted():
+    assert measured(down(radius=1), {0: (5, 0, 1.1)}, {}) == (0.0, 0)
+
+
+def test_particles_first_sampled_beyond_the_plane_are_not_counted():
+    assert measured(down(), {0: (0, 0, 0)}, {0: (0, 0, -1), 3: (0, 0, 0.5)}, {0: (0, 0, -2), 3: (0, 0, 0)}) == (0.0, 0)
+
+
+def test_only_crossings_within_the_radius_count_for_any_end_point():
+    # Straight paths: 0 crosses the plane at x = 0.5, 1 at x = 1.5; both end at x = 1.
+    assert measured(down(radius=1), {0: (0, 0, 2), 1: (2, 0, 2)}, {0: (1, 0, 0), 1: (1, 0, 0)}) == (1.0, 1)
+
+
+def test_meter_without_particles_is_zero():
+    assert measured(down(), {}, {}) == (0.0, 0)
+
+
+def test_mass_flow_is_the_difference_between_samples():
+    meter = down()
+    measured(meter, {0: (0, 0, 2), 2: (0, 0, 2)}, {0: (0, 0, 0), 2: (0, 0, 0)})
+    assert meter.mass_flow() == 5.0
+    assert meter.result()["flow_mass"] == 5.0
+
+
+def test_steady_flow_ignores_start_end_and_other_stages():
+    filling = [(float(t), "fill", 0.0) for t in range(3)]
+    times = np.arange(2.1, 8.0, 0.1)
+    mass = np.interp(times, [2, 3, 5, 7.9], [0.0, 1.0, 9.0, 10.0])
+    flowing = [(float(t), "discharge", float(m)) for t, m in zip(times, mass, strict=True)]
+    resting = [(9.0, "rest", 10.0), (10.0, "rest", 10.0)]
+    assert steady_flow(filling + flowing + resting) == pytest.approx(4.0)
+
+
+def test_steady_flow_of_a_reversed_flow_is_negative():
+    assert steady_flow([(0.0, "run", 0.0), (1.0, "run", -1.0), (2.0, "run", -2.0)]) == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("history", [[], [(0.0, "run", 0.0)], [(0.0, "run", 0.0), (1.0, "run", 0.0)]])
+def test_steady_flow_is_zero_without_flow(history):
+    assert steady_flow(history) == 0.0
+
+
+def test_steady_flow_counts_crossings_between_the_samples_of_two_stages():
+    assert steady_flow([(0.0, "fill", 0.0), (1.0, "open", 1.0)]) == pytest.approx(1.0)
+
+
+def test_rectangle_counts_particles_within_its_sides():
+    meter = FlowMeter((0, 0, 1), (0, 0, -1), sides=((2, 0, 0), (0, 1, 0)))
+    above = {0: (1, 0.5, 2), 1: (1, 1.5, 2), 2: (2.5, 0.5, 2), 3: (-0.1, 0.5, 2), 4: (1.9, 0.1, 1.1)}
+    below = {i: (x, y, 0.5) for i, (x, y, z) in above.items() if i != 4}
+    assert measured(meter, above, below) == (2.0**0 + 2.0**4, 2)
+
+
+def test_group_by_material_counts_each_material():
+    def update(meter, time, heights):
+        ids = np.array(sorted(heights))
+        arrays = {
+            "id": ids, "position": np.array([[0.0, 0.0, heights[i]] for i in ids]), "mass": 2.0**ids,
+            "material": ids % 2,
+        }  # fmt: skip
+        meter.update(snapshot_of(time=time, particles=arrays))
+
+    def meter():
+        return FlowMeter((0, 0, 1), (0, 0, -1), group_by="material", parts=("glass", "steel"))
+
+    uninterrupted, first, resumed = meter(), meter(), meter()
+    samples = ((0.0, {0: 2, 1: 2, 2: 2, 3: 2}), (1.0, {0: 0, 1: 2, 2: 0, 3: 0}), (2.0, {1: 0}))
+    for sample in samples:
+        update(uninterrupted, *sample)
+    for sample in samples[:2]:
+        update(first, *sample)
+    resumed.load_state_dict(first.state_dict())
+    update(resumed, *samples[2])
+    assert uninterrupted.state_dict()["tallies"] == resumed.state_dict()["tallies"], (
+        "a resumed meter has the counts of an uninterrupted one"
+    )
+    assert (uninterrupted.mass, uninterrupted.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
+    assert uninterrupted.parts["glass"].readings() == [5.0, 2, 0.0]
+    assert uninterrupted.parts["steel"].readings() == [10.0, 2, 2.0]
+    assert sum(tally.mass for tally in uninterrupted.parts.values()) == uninterrupted.mass

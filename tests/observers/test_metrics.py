@@ -1,0 +1,195 @@
+"""Metrics of synthetic beds with known values."""
+
+import numpy as np
+import pytest
+from observers.snapshots import contacts_of, particles_of, snapshot_of
+from scene_builders import build_scene, particle_group
+
+from granflow.fields import METRIC_QUANTITIES
+from granflow.observers.coarse_graining.field_grid import CoarseGrid
+from granflow.observers.metrics.build import metric_meters
+from granflow.observers.metrics.meter import MetricMeter
+from granflow.observers.metrics.mixing import lacey_index
+from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
+from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
+
+CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
+
+
+def random_points(count, seed=0):
+    return np.random.default_rng(seed).uniform(0.0, 1.0, (count, 3))
+
+
+def test_a_segregated_bed_has_a_lacey_index_of_zero():
+    """The boundary between the two kinds coincides with a face between cells."""
+    points = random_points(5000)
+    assert lacey_index(points, points[:, 0] < 0.4, CUBE, 10) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.1])
+def test_random_mixture_has_a_lacey_index_of_one(fraction):
+    """K cells of n particles: S^2 / SR^2 has the variance 2 / K, so the index scatters by sqrt(2 / K) / (n - 1)."""
+    points = random_points(5000)
+    of_kind = np.random.default_rng(1).random(5000) < fraction
+    assert lacey_index(points, of_kind, CUBE, 10) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 125.0) / 39.0)
+
+
+def test_lacey_index_of_a_half_mixed_bed_follows_from_the_cell_variance():
+    """A fraction p = 0.4 is of one kind: half of the particles are drawn at random, half are segregated."""
+    random, count = np.random.default_rng(2), 200_000
+    points = random.uniform(0.0, 1.0, (count, 3))
+    left = points[:, 0] < 0.4
+    is_random = random.random(count) < 0.5
+    of_kind = np.where(is_random, random.random(count) < 0.4, left)
+    # p_k is 0.5 * 0.4 + 0.5 on the left and 0.5 * 0.4 on the right, each with binomial scatter of n = 1600.
+    between = 0.4 * 0.6 * 0.5**2
+    within = np.mean([0.7 * 0.3] * 2 + [0.2 * 0.8] * 3) / 1600.0
+    expected = (0.24 - between - within) / (0.24 - 0.24 / 1600.0)
+    assert lacey_index(points, of_kind, CUBE, 10) == pytest.approx(expected, abs=0.01)
+
+
+def test_lacey_index_ignores_cells_with_few_particles():
+    points = np.vstack([random_points(5000), [[0.5, 0.5, 1.5]]])
+    tall = CoarseGrid((0.0,) * 3, (1.0, 1.0, 2.0), (5, 5, 10))
+    of_kind = np.append(points[:5000, 0] < 0.4, True)
+    assert lacey_index(points, of_kind, tall, 2) == lacey_index(points[:5000], of_kind[:5000], tall, 2)
+    assert np.isnan(lacey_index(points, of_kind, tall, 1000))
+    assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
+
+
+def bed(angle, shape, length=0.1, spacing=0.0026):
+    """Particles of 2 mm to 3 mm at displaced lattice points, below a cone about (0.3, -0.2) or a wedge rising in x."""
+    random = np.random.default_rng(0)
+    sides = [np.arange(-length, length, spacing)] * 2 + [np.arange(0.0, length * np.tan(angle), spacing)]
+    points = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
+    points = points + random.uniform(0.0, spacing, points.shape)
+    distance = np.linalg.norm(points[:, :2], axis=1) if shape == "cone" else -points[:, 0]
+    points = points[points[:, 2] < (length - distance) * np.tan(angle)]
+    return points + [0.3, -0.2, 0.5], random.uniform(0.001, 0.0015, len(points))
+
+
+@pytest.mark.parametrize("degrees", [12.0, 24.0, 38.0])
+def test_slope_of_a_cone_of_known_angle(degrees):
+    """Within half a degree and three standard errors of the fit."""
+    points, radius = bed(np.radians(degrees), "cone")
+    slope = slope_of_cone(points, radius, 0.006, np.array([0.3, -0.2]))
+    assert 0.0 < slope.error < np.radians(0.5)
+    assert slope.angle == pytest.approx(np.radians(degrees), abs=np.radians(0.5) + 3.0 * slope.error)
+    about_the_mean = slope_of_cone(points, radius, 0.006)
+    assert about_the_mean.angle == pytest.approx(slope.angle, abs=np.radians(0.5))
+
+
+@pytest.mark.parametrize("degrees", [12.0, 24.0, 38.0])
+def test_slope_of_a_plane_of_known_angle(degrees):
+    points, radius = bed(np.radians(degrees), "wedge")
+    above = points[points[:, 0] < 0.3], radius[points[:, 0] < 0.3]
+    slope = slope_of_plane(*above, 0.006)
+    assert slope.angle == pytest.approx(np.radians(degrees), abs=np.radians(0.5) + 3.0 * slope.error)
+
+
+def test_slope_does_not_depend_on_a_region_that_cuts_columns():
+    """A narrow slice, whose bounds cut columns of 6 mm into thin slices."""
+    points, radius = bed(np.radians(24.0), "wedge")
+    low, high = [0.2517, -0.2163], [0.2943, -0.1977]
+    here = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    slope = slope_of_plane(points[here], radius[here], 0.006)
+    assert slope.angle == pytest.approx(np.radians(24.0), abs=np.radians(0.5) + 3.0 * slope.error)
+    assert slope.error < np.radians(2.0)
+
+
+def test_slope_without_a_heap_is_nan():
+    for slope_of in (slope_of_cone, slope_of_plane):
+        assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
+        assert np.isnan(slope_of(np.zeros((1, 3)), np.ones(1), 0.01).angle)
+
+
+def contacts_along(directions):
+    start = np.zeros_like(directions)
+    return {"position_i": start, "position_j": directions, "wall": np.full(len(start), -1)}
+
+
+def test_fabric_of_known_directions():
+    """Parallel contacts: n n, anisotropy 1. Isotropic contacts: 1/3 on the diagonal, with scatter. Walls excluded."""
+    random = np.random.default_rng(0).normal(size=(20_000, 3))
+    np.testing.assert_allclose(fabric_tensor(contacts_along(random)), np.eye(3) / 3.0, atol=4.0 * 0.3 / np.sqrt(20_000))
+    upright = contacts_along(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.1], [1.0, 0.0, 0.0]]))
+    upright["wall"] = np.array([-1, -1, 0])
+    np.testing.assert_array_equal(fabric_tensor(upright), np.diag([0.0, 0.0, 1.0]))
+    assert anisotropy(np.diag([0.0, 0.0, 1.0])) == pytest.approx(1.0)
+    assert anisotropy(np.eye(3) / 3.0) == pytest.approx(0.0)
+    # Isotropic in a plane (Thornton): F = diag(1/2, 1/2, 0), D:D = 1/6.
+    assert anisotropy(np.diag([0.5, 0.5, 0.0])) == pytest.approx(0.5)
+
+
+def test_mechanical_coordination_number_excludes_rattlers():
+    """Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4."""
+    result = coordination(np.array([0, 1, 4, 4, 5, 6]))
+    assert result == {
+        "coordination_number": pytest.approx(20 / 6), "mechanical_coordination_number": 19 / 4, "rattler_share": 2 / 6
+    }  # fmt: skip
+    assert np.isnan(coordination(np.array([0, 1]))["mechanical_coordination_number"])
+
+
+def scene_with(**metrics):
+    groups = {"red": particle_group([[0.0, 0.0, 0.1]], 0.01), "blue": particle_group([[0.0, 0.0, 0.2]], 0.02, "steel")}
+    return build_scene(groups, gravity=[0.0, -9.81, 0.0], output={"interval": 1.0, "metrics": metrics})
+
+
+def test_scene_metrics_are_reported_by_name():
+    """Each metric returns its documented numbers; here, group, material and size select the same particles."""
+    region = {"min": [0.0] * 3, "max": [1.0] * 3}
+    selections = {"groups": ["red"], "materials": ["glass"], "smaller_than": 0.015}
+    scene = scene_with(
+        **{name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()},
+        heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
+        half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
+    )  # fmt: skip
+    kind = np.arange(5000) % 2
+    particles = particles_of(
+        5000, position=random_points(5000), group=kind, material=kind, radius=np.where(kind, 0.01, 0.005),
+        fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
+    )  # fmt: skip
+    snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
+    for metric, meter in metric_meters(scene).items():
+        meter.update(snapshot)
+        assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[metric].kind]
+        assert set(meter.result()) <= set(METRIC_QUANTITIES)
+        assert meter.wants == {"contacts" if metric == "contacts" else "particles"}
+    meters = metric_meters(scene)
+    for meter in meters.values():
+        meter.update(snapshot)
+    values = [meters[name].readings()["lacey_index"] for name in selections]
+    assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
+    assert meters["particles"].readings()["coordination_number"] == 3.0
+    inside = particles["position"][:, 0] <= 0.5
+    volume = 4.0 / 3.0 * np.pi * (particles["radius"][inside] ** 3).sum()
+    expected = [inside.sum(), particles["mass"][inside].sum(), volume]
+    assert list(meters["half"].readings().values()) == pytest.approx(expected)
+
+
+def test_upward_direction_is_opposite_to_gravity():
+    """A wedge that rises in x, with gravity along -y instead of -z."""
+    points, radius = bed(np.radians(24.0), "wedge")
+    selected = points[:, 0] < 0.3
+    turned = points[selected][:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    scene = scene_with(heap={"kind": "repose", "surface": "plane"})
+    count = int(selected.sum())
+    particles = particles_of(
+        count, position=turned, radius=radius[selected], fixed=np.zeros(count), coordination_number=np.full(count, 4)
+    )
+    meter = metric_meters(scene)["heap"]
+    meter.update(snapshot_of(particles=particles))
+    assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
+
+
+def test_mean_covers_the_last_stage_and_skips_nan():
+    readings = iter([{"x": 9.0}, {"x": 1.0}, {"x": float("nan")}, {"x": 2.0}])
+    meter = MetricMeter(lambda _: next(readings), frozenset())
+    meter.update(snapshot_of(0.0, stage="fill"))
+    for time in (1.0, 2.0):
+        meter.update(snapshot_of(time, stage="run"))
+    other = MetricMeter(lambda _: next(readings), frozenset())
+    other.load_state_dict(meter.state_dict())
+    other.update(snapshot_of(3.0, stage="run"))
+    assert other.result() == {"x": 2.0, "x_mean": 1.5}

@@ -1,0 +1,78 @@
+"""Final report: table, JSON, log and the resolved scene."""
+
+import io
+import json
+import logging
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from granflow.io.log import run_log, write_scene_as_run
+from granflow.runs.expectations import ExpectationResult
+from granflow.runs.result import Result, closing_table, write_result
+
+RESULT = Result(
+    run={"simulated_time": 1.5, "step_count": np.int64(1_234_567)},
+    timings={"neighbor_list": 1.0, "forces": 3.0},
+    totals={"particle_count": 8000, "kinetic_energy": 1e-3, "energy_error": float("nan")},
+    flow_meters={"outlet": {"flow_mass": 0.25, "flow_count": 100, "mass_flow": 0.153}},
+)
+
+
+def test_numbers_have_the_names_of_the_expect_block():
+    numbers = RESULT.numbers
+    assert numbers["mass_flow.outlet"] == 0.153
+    assert numbers["timings.forces"] == 3.0
+    assert numbers["kinetic_energy"] == 1e-3
+    assert numbers["step_count"] == 1_234_567
+
+
+def test_result_is_checked_against_the_expectations():
+    no_bounds = dict.fromkeys(("between", "below", "above", "equals", "tolerance"))
+    expectation = SimpleNamespace(**{**no_bounds, "quantity": "mass_flow.outlet", "above": 0.1})
+    ((sentence, met),) = RESULT.with_expectations([expectation]).expectations
+    assert met
+    assert sentence == "mass_flow.outlet is 0.153 kg/s, as expected above 0.1 kg/s."
+
+
+def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
+    path = write_result(tmp_path, replace(RESULT, expectations=(ExpectationResult("All is well.", True),)))
+
+    def reject(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    content = json.loads(path.read_text(), parse_constant=reject)
+    assert content["run"] == {"simulated_time": 1.5, "step_count": 1_234_567}
+    assert content["totals"]["energy_error"] is None
+    assert content["flow_meters"]["outlet"]["mass_flow"] == 0.153
+    assert content["expect"] == [{"sentence": "All is well.", "met": True}]
+
+
+def test_table_shows_the_timings():
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(closing_table(RESULT))
+    text = console.export_text()
+    for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000"):
+        assert piece in text
+
+
+def test_log_records_the_run_until_an_exception_ends_it(tmp_path):
+    with pytest.raises(RuntimeError), run_log(tmp_path) as log:
+        log.info("stage fill begins")
+        logging.getLogger("granflow.engine").warning("list grown")
+        raise RuntimeError("it broke")
+    logging.getLogger("granflow").error("too late")
+    lines = (tmp_path / "run.log").read_text().splitlines()
+    assert [line.split(" ", 2)[2] for line in lines] == [
+        "INFO granflow: stage fill begins",
+        "WARNING granflow.engine: list grown",
+        "ERROR granflow: ended by RuntimeError: it broke",
+    ]
+
+
+def test_resolved_scene_is_written_as_utf_8(tmp_path):
+    path = write_scene_as_run(tmp_path / "out", SimpleNamespace(text=lambda: "title: Rain ü\n"))
+    assert path.read_text(encoding="utf-8") == "title: Rain ü\n"

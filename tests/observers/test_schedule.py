@@ -1,0 +1,62 @@
+"""Due times neither drift nor repeat."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from observers.snapshots import snapshot_of
+
+from granflow.observers.interval import every
+from granflow.observers.schedule import Schedule
+
+
+@pytest.mark.parametrize("interval", [0.001, 0.01, 1 / 3, 7e-5])
+def test_a_million_intervals_stay_within_one_rounding_of_the_exact_time(interval):
+    schedule = Schedule(interval, start=0.25)
+    for k in range(1_000_000):
+        due = schedule.next_time()
+        if k % 99_991 == 0 or k == 999_999:
+            exact = Fraction(0.25) + k * Fraction(interval)
+            assert abs(Fraction(due) - exact) <= Fraction(np.spacing(due))
+        schedule.mark_done(due)
+
+
+def test_times_skipped_in_one_step_are_due_once():
+    schedule = Schedule(0.1)
+    assert schedule.mark_done(0.55)
+    assert schedule.next_time() == pytest.approx(0.6)
+
+
+def test_the_same_time_is_due_once():
+    schedule = Schedule(0.1)
+    assert schedule.mark_done(0.1)
+    assert not schedule.mark_done(0.1)
+
+
+def test_time_rounded_down_counts_as_the_due_time():
+    schedule = Schedule(0.1)
+    schedule.mark_done(np.nextafter(0.3, 0))
+    assert schedule.next_time() == pytest.approx(0.4)
+
+
+def test_time_before_the_due_time_keeps_the_due_time():
+    schedule = Schedule(0.1)
+    schedule.mark_done(0.05)
+    assert schedule.next_time() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("interval", [0.0, -1.0, float("inf"), float("nan")])
+def test_interval_must_be_positive_and_finite(interval):
+    with pytest.raises(ValueError, match="interval"):
+        Schedule(interval)
+
+
+def test_observer_of_a_function_calls_it_once_per_time():
+    observed_times = []
+    observer = every(0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts"))
+    assert observer.wants == {"totals", "contacts"}
+    for time in (0.0, 0.5, 0.5, 1.0):
+        observer.observe(snapshot_of(time=time))
+    observer.finish()
+    assert observed_times == [0.0, 0.5, 1.0]
+    assert observer.next_time() == 1.5

@@ -1,0 +1,204 @@
+"""Frames contain the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
+
+import errno
+import xml.etree.ElementTree as ElementTree
+from io import FileIO
+
+import meshio
+import numpy as np
+import pytest
+from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
+
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.io.frames import TAIL, FrameSeries, mesh_of_points
+from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
+
+SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+TRIANGLE = (np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([[0, 1, 2]]))
+
+
+def listed(path):
+    rows = ElementTree.parse(path).getroot().iter("DataSet")
+    return [(float(row.get("timestep")), row.get("file")) for row in rows]
+
+
+@pytest.mark.parametrize("count", [1, 7, 5000])
+def test_particles_are_read_back_exactly(tmp_path, count):
+    snapshot = snapshot_of(particles=particles_of(count))
+    ParticleFrames(tmp_path, 0.1).observe(snapshot)
+    mesh = meshio.read(tmp_path / "particles_0000.vtu")
+    particles = dict(snapshot.particles)
+    particles["diameter"] = 2 * particles["radius"]
+    particles["kinetic_energy"] = 0.5 * particles["mass"] * (particles["velocity"] ** 2).sum(axis=1)
+    assert [block.type for block in mesh.cells] == ["vertex"]
+    np.testing.assert_array_equal(mesh.cells[0].data[:, 0], np.arange(count))
+    np.testing.assert_array_equal(mesh.points, particles["position"].astype(np.float32))
+    assert set(mesh.point_data) == {
+        "id", "radius", "diameter", "velocity", "angular_velocity", "force", "material", "group", "coordination_number",
+        "kinetic_energy", "fixed",
+    }  # fmt: skip
+    for name, values in mesh.point_data.items():
+        np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))
+        assert values.dtype == PARTICLE_QUANTITIES[name].file_type
+
+
+@pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
+def test_positions_use_f64_only_if_f32_does_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
+    snapshot = snapshot_of(particles=particles_of(9, radius=np.full(9, radius)))
+    ParticleFrames(tmp_path, 0.1, reach=reach).observe(snapshot)
+    assert meshio.read(tmp_path / "particles_0000.vtu").points.dtype == file_type
+
+
+def test_contacts_are_read_back_exactly_as_lines(tmp_path):
+    contacts = contacts_of(50)
+    ContactFrames(tmp_path, 0.1).observe(snapshot_of(contacts=contacts))
+    mesh = meshio.read(tmp_path / "contacts_0000.vtu")
+    lines = mesh.cells_dict["line"]
+    np.testing.assert_array_equal(mesh.points[lines[:, 0]], contacts["position_i"])
+    np.testing.assert_array_equal(mesh.points[lines[:, 1]], contacts["position_j"])
+    assert set(mesh.cell_data) == set(contacts) - {"position_i", "position_j"}
+    for name, (values,) in mesh.cell_data.items():
+        np.testing.assert_array_equal(values, CONTACT_QUANTITIES[name].for_file(contacts[name]))
+
+
+def test_walls_follow_their_pose_and_absent_walls_are_omitted(tmp_path):
+    triangles = {"floor": SQUARE, "gate": TRIANGLE, "lid": SQUARE}
+    walls = {
+        "floor": turned(0.3, offset=(0, 0, 0.1)),
+        "gate": turned(0, present=False),
+        "lid": turned(0, offset=(0, 0, 2)),
+    }
+    WallFrames(tmp_path, 0.1, triangles).observe(snapshot_of(walls=walls))
+    mesh = meshio.read(tmp_path / "walls_0000.vtu")
+    np.testing.assert_array_equal(mesh.points[:4], walls["floor"].moved(SQUARE[0]))
+    np.testing.assert_array_equal(mesh.points[4:], SQUARE[0] + [0, 0, 2])
+    np.testing.assert_array_equal(mesh.cells_dict["triangle"], [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    np.testing.assert_array_equal(mesh.cell_data["wall"][0], [0, 0, 2, 2])
+
+
+def test_pvd_lists_exactly_the_frames_on_disk_with_their_times(tmp_path):
+    (tmp_path / "particles_0007.vtu").write_text("left by an earlier run")
+    (tmp_path / "particles_mine.vtu").write_text("not a frame of this run")
+    frames = ParticleFrames(tmp_path, 0.1)
+    times = [0.0, 0.1, 0.30000000000000004, 1 / 3]
+    for time in [*times, times[-1]]:
+        frames.observe(snapshot_of(time=time))
+    frames.finish()
+    rows = listed(tmp_path / "particles.pvd")
+    assert [time for time, _ in rows] == times
+    assert [name for _, name in rows] == sorted(path.name for path in tmp_path.glob("particles_[0-9]*.vtu"))
+
+
+def test_frame_that_cannot_be_written_leaves_the_series_unchanged(tmp_path, monkeypatch):
+    frames = ParticleFrames(tmp_path, 0.1)
+    frames.observe(snapshot_of(time=0.0))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def write_half(path, *_, **__):
+        path.write_text("half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(meshio, "write", write_half)
+    with pytest.raises(OSError, match="disk full"):
+        frames.observe(snapshot_of(time=0.1))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+POINT = mesh_of_points(np.zeros((1, 3)), {})
+
+
+def bytes_written_per_frame(directory, monkeypatch, frame_count):
+    """Bytes written to the PVD file per frame, and the series; the frames themselves are not written."""
+    monkeypatch.setattr("granflow.io.frames.write_vtu", lambda path, mesh: path.touch())
+    written, series = [], FrameSeries(directory, "particles")
+
+    class Counted(FileIO):
+        def write(self, data):
+            written.append(len(data))
+            return super().write(data)
+
+    monkeypatch.setattr("granflow.io.frames.FileIO", Counted)
+    for index in range(frame_count):
+        series.write(POINT, 0.1 * index)
+        assert listed(series.listing) == series.frames, "the file is valid after each frame"
+    return written, series
+
+
+def test_frame_adds_one_write_of_constant_size_to_the_pvd_file(tmp_path, monkeypatch):
+    written, series = bytes_written_per_frame(tmp_path, monkeypatch, 300)
+    inode = series.listing.stat().st_ino
+    series.write(POINT, 30.0)
+    assert series.listing.stat().st_ino == inode, "the file is not replaced"
+    assert len(written) == 300 and max(written) < 150, "one write of an entry and the closing tags per frame"
+    assert len(listed(series.listing)) == 301
+
+
+def test_truncated_and_continued_pvd_file_equals_that_of_an_uninterrupted_run(tmp_path):
+    uninterrupted, interrupted = FrameSeries(tmp_path / "whole", "walls"), FrameSeries(tmp_path / "stopped", "walls")
+    for series, times in ((uninterrupted, range(6)), (interrupted, range(5))):
+        for time in times:
+            series.write(POINT, time / 3)
+    resumed = FrameSeries(tmp_path / "stopped", "walls")
+    resumed.frames, resumed.frame_count = interrupted.frames[:3], 3
+    resumed.truncate()
+    assert listed(resumed.listing) == interrupted.frames[:3]
+    for time in range(3, 6):
+        resumed.write(POINT, time / 3)
+    assert resumed.listing.read_bytes() == uninterrupted.listing.read_bytes()
+
+
+@pytest.mark.parametrize("damage", [lambda pvd: pvd.unlink(), lambda pvd: pvd.write_text("edited"), lambda pvd: None])
+def test_modified_pvd_file_is_rewritten(tmp_path, damage):
+    series = FrameSeries(tmp_path, "particles")
+    for time in range(4):
+        series.write(POINT, time)
+        damage(series.listing)
+    series.write(POINT, 4)
+    assert listed(series.listing) == series.frames and len(series.frames) == 5
+
+
+@pytest.mark.parametrize("free_bytes", [0, 1, 40, 80])
+def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
+    """The disk accepts `free_bytes` bytes of an entry and its closing tags; before the next frame, space is freed."""
+    series = FrameSeries(tmp_path, "particles")
+    series.write(POINT, 0.0)
+    before = series.listing.read_bytes()
+
+    class Full(FileIO):
+        left = free_bytes
+
+        def write(self, data):
+            if self.tell() < len(before) - len(TAIL) + Full.left:
+                return super().write(data[: Full.left])
+            if data == TAIL:
+                return super().write(data)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("granflow.io.frames.FileIO", Full)
+    with pytest.raises(OSError, match="No space left"):
+        series.write(POINT, 1e300)
+    assert series.listing.read_bytes() == before
+    monkeypatch.setattr("granflow.io.frames.FileIO", FileIO)
+    series.write(POINT, 2.0)
+    assert [time for time, _ in listed(series.listing)] == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "snapshot"),
+    [
+        (lambda path: ParticleFrames(path, 0.1), snapshot_of(particles=particles_of(0))),
+        (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=contacts_of(0))),
+        (lambda path: ContactFrames(path, 0.1), snapshot_of(contacts=None)),
+        (lambda path: WallFrames(path, 0.1, {"lid": SQUARE}), snapshot_of(walls={"lid": turned(0, present=False)})),
+    ],
+    ids=["particles", "contacts", "no contacts", "walls"],
+)
+def test_empty_frame_is_a_valid_file_without_points_and_cells(tmp_path, make, snapshot):
+    # meshio cannot read a VTU file without cells, not even its output; test_pictures.py opens one in VTK.
+    make(tmp_path).observe(snapshot)
+    (path,) = tmp_path.glob("*.vtu")
+    piece = next(ElementTree.parse(path).getroot().iter("Piece"))
+    assert (piece.get("NumberOfPoints"), piece.get("NumberOfCells")) == ("0", "0")
+    assert {array.get("Name") for array in piece.find("Cells")} == {"connectivity", "offsets", "types"}
+    # A length of 0 in base64: no block of data is declared.
+    assert {array.text.strip() for array in piece.iter("DataArray")} == {"AAAAAA=="}

@@ -1,0 +1,159 @@
+"""Initial particles: exact counts, positions inside the region, no overlap, reproducible."""
+
+import numpy as np
+import pytest
+from particles.scenes import BOX, TUBE, UNIFORM, clearance, scene_with, smallest_gap
+
+from granflow.errors import SceneError
+from granflow.particles.close_pairs import near_pairs
+from granflow.particles.generate import initial_particles
+
+TOUCHING = -1e-12
+"""Smallest gap [m] between touching particles, negative because of rounding."""
+
+
+def group(kind, count, diameter=0.004, region=BOX, **more):
+    """A group of particles in a region."""
+    return {"count": count, "diameter": diameter, "insert": {"kind": kind, "region": region} | more}
+
+
+CASES = {
+    "lattice": group("lattice", 1000),
+    "lattice with jitter": group("lattice", 1000, jitter=1.0),
+    "lattice in a tube": group("lattice", 1000, UNIFORM, TUBE, jitter=1.0),
+    "lattice of many sizes": group("lattice", 3000, UNIFORM, jitter=0.5),
+    "lattice of one": group("lattice", 1, 0.09),
+    "full lattice": group("lattice", 25 * 25 * 50),
+    "pack": group("pack", 1000),
+    "pack in a tube": group("pack", 6000, UNIFORM, TUBE),
+    "dense pack": group("pack", 3500, 0.008, {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.19]}}),
+    "pack of very different sizes": group(
+        "pack",
+        2000,
+        {
+            "distribution": "classes",
+            "by": "mass",
+            "classes": [{"diameter": 0.03, "fraction": 0.7}, {"diameter": 0.003, "fraction": 0.3}],
+        },
+    ),
+    "pack of one": group("pack", 1, 0.1),
+}
+CASES["dense pack"]["count"] = 3500
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_packing_has_the_exact_count_inside_the_region_without_overlap(name):
+    case = CASES[name]
+    particles = initial_particles(scene_with({"beads": case}))
+    assert len(particles) == case["count"]
+    assert smallest_gap(particles.position, particles.radius) >= TOUCHING
+    assert clearance(case["insert"]["region"], particles.position, particles.radius) >= TOUCHING
+    assert (
+        particles.position.shape == particles.velocity.shape == particles.angular_velocity.shape == (case["count"], 3)
+    )
+
+
+def test_packing_is_reproducible_and_depends_on_the_seed():
+    scene = scene_with({"beads": CASES["pack"], "more": group("lattice", 20, 0.003, TUBE, jitter=1.0)})
+    first, again = initial_particles(scene), initial_particles(scene)
+    for name in first.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    other = initial_particles(scene_with({"beads": CASES["pack"]}, seed=2))
+    assert not np.any(first.position[:1000] == other.position)
+
+
+def test_sizes_of_a_group_do_not_depend_on_other_groups():
+    one_group = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM)}))
+    two_groups = initial_particles(scene_with({"beads": group("pack", 100, UNIFORM), "more": group("lattice", 5)}))
+    np.testing.assert_array_equal(one_group.radius, two_groups.radius[:100])
+
+
+def test_groups_do_not_overlap():
+    scene = scene_with(
+        {
+            "loose": group("pack", 2000),
+            "grid": group("lattice", 300, 0.006, jitter=1.0),
+            "one": {"diameter": 0.05, "insert": {"kind": "positions", "positions": [[0.05, 0.05, 0.05]]}},
+            "second": group("pack", 1000, 0.003),
+        }
+    )
+    particles = initial_particles(scene)
+    assert np.bincount(particles.group).tolist() == [2000, 300, 1, 1000]
+    assert smallest_gap(particles.position, particles.radius) >= TOUCHING
+    assert np.all(np.diff(particles.group) >= 0)
+
+
+def test_given_positions_are_used_unchanged():
+    positions = [[0, 0, 0], [0.004, 0, 0]]
+    scene = scene_with(
+        {
+            "rain": group("rain", 5, rate=10),
+            "two": {
+                "material": "other",
+                "diameter": [0.004, 0.005],
+                "velocity": [[1, 0, 0], [-1, 0, 0]],
+                "angular_velocity": [0, 0, 3],
+                "insert": {"kind": "positions", "positions": positions},
+            },
+        }
+    )
+    particles = initial_particles(scene)
+    np.testing.assert_array_equal(particles.position, positions)
+    np.testing.assert_array_equal(particles.radius, [0.002, 0.0025])
+    np.testing.assert_array_equal(particles.velocity, [[1, 0, 0], [-1, 0, 0]])
+    np.testing.assert_array_equal(particles.angular_velocity, [[0, 0, 3], [0, 0, 3]])
+    np.testing.assert_array_equal(particles.material, np.array([0, 0], dtype=np.int32))
+    np.testing.assert_array_equal(particles.group, np.array([1, 1], dtype=np.int32))
+
+
+def test_scene_with_rain_only_has_no_initial_particles():
+    particles = initial_particles(scene_with({"rain": group("rain", 5, rate=10)}))
+    assert len(particles) == 0 and particles.position.shape == (0, 3) and particles.group.dtype == np.int32
+
+
+@pytest.mark.parametrize(
+    ("case", "fit"),
+    [
+        (group("lattice", 40_000), "only 31250 fit"),
+        (group("pack", 1_000_000), "about 34000 fit"),
+        (group("pack", 3, 0.11), "none fits"),
+        (group("lattice", 3, 0.11), "none fits"),
+        (group("pack", 3, 0.06, {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.1]}}), "only 1 fits"),
+    ],
+)
+def test_message_about_too_many_particles_states_how_many_fit(case, fit):
+    with pytest.raises(SceneError, match=rf"particles\.beads\.count is {case['count']}, but {fit} in its region\. "):
+        initial_particles(scene_with({"beads": case}))
+
+
+def test_all_groups_that_do_not_fit_are_reported():
+    scene = scene_with({"a": group("lattice", 40_000), "b": group("pack", 5, 0.2), "c": CASES["pack"]})
+    with pytest.raises(SceneError) as caught:
+        initial_particles(scene)
+    assert len(caught.value.problems) == 2
+
+
+def test_lattice_spreads_over_the_region():
+    particles = initial_particles(scene_with({"beads": group("lattice", 16, region=BOX)}))
+    assert smallest_gap(particles.position, particles.radius) > 0.03
+
+
+def test_pack_is_homogeneous():
+    """Each tenth of the height contains a tenth of the particles, within five binomial standard deviations."""
+    particles = initial_particles(scene_with({"beads": group("pack", 4000, 0.004, TUBE)}))
+    axis = np.array([0.6, 0, 0.8])
+    along = (particles.position - np.array([0, 0, 0.1])) @ axis
+    counts = np.histogram(along, bins=10, range=(0.002, 0.098))[0]
+    assert np.all(np.abs(counts - 400) < 5 * np.sqrt(4000 * 0.1 * 0.9))
+
+
+def test_near_pairs_equal_brute_force():
+    random = np.random.default_rng(8)
+    position = random.uniform(0, 1, (400, 3))
+    radius = np.exp(random.uniform(np.log(0.003), np.log(0.1), 400))
+    first, second = near_pairs(position, radius, 0.01)
+    i, j = np.triu_indices(400, 1)
+    gap = np.linalg.norm(position[i] - position[j], axis=1) - radius[i] - radius[j]
+    expected = {(a, b) for a, b in zip(i[gap < 0.01], j[gap < 0.01], strict=True)}
+    found = [(min(a, b), max(a, b)) for a, b in zip(first, second, strict=True)]
+    assert len(found) == len(set(found)) and set(found) == expected

@@ -1,0 +1,249 @@
+"""Two-particle accuracy study: exact solutions against scipy, orders, recommendation, output files."""
+
+import csv
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from subprocess_runner import in_subprocess
+
+from granflow.cli.main import main
+from granflow.engine import backend
+from granflow.errors import GranflowError
+from granflow.studies.accuracy.axes import INTEGRATORS, PHASES, STUDIED_LAWS, VELOCITIES
+from granflow.studies.accuracy.exact import EXACT, end_overlap_ratio
+from granflow.studies.accuracy.orders import fitted_order
+from granflow.studies.accuracy.points import StudyLine, StudyPoint, measured_line
+from granflow.studies.accuracy.recommend import recommendation, requirement_of, table_heads, table_rows
+from granflow.studies.accuracy.report import TwoBodyStudy, write_two_bodies
+
+FEW_STEPS = (20, 40, 80, 160, 320)
+K, MASS, SPEED = 4e5, 2e-4, 0.7
+"""Hertz stiffness [N/m^1.5], effective mass [kg] and approach velocity [m/s] of the test collision."""
+
+
+# ---------------------------------------------------------------- exact solutions
+
+
+def solved(force, speed, mass):
+    """Restitution, duration, time and value of the maximum overlap of M d'' = -F(d, d') until F = 0, by scipy.
+
+    Scaled by the maximum overlap of a Hertz contact and the time to traverse it.
+    """
+    length = (1.25 * mass * speed**2 / K) ** 0.4
+    time = length / speed
+
+    def slope(_, state):
+        return [state[1], -force(max(state[0], 0.0) * length, state[1] * speed) * time**2 / (mass * length)]
+
+    def contact_ends(t, state):
+        return force(state[0] * length, state[1] * speed) if t > 0.3 else 1.0
+
+    def maximum_overlap_is_reached(_, state):
+        return state[1]
+
+    contact_ends.terminal = True
+    course = solve_ivp(
+        slope, (0.0, 9.0), (0.0, 1.0), events=(contact_ends, maximum_overlap_is_reached), rtol=1e-11, atol=1e-13
+    )
+    top = course.y_events[1][0]
+    return -course.y_events[0][0][1], course.t_events[0][0] * time, course.t_events[1][0] * time, top[0] * length
+
+
+def damping(e):
+    """Damping ratio of an oscillator with restitution e at zero force, from its closed-form solution."""
+
+    def restitution_of(zeta):
+        root = np.sqrt(1.0 - zeta**2)
+        end = np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)
+        return np.exp(-zeta * end / root)
+
+    return brentq(lambda zeta: restitution_of(zeta) - e, 1e-9, 0.999)
+
+
+@pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
+def test_hertz_with_damping_matches_scipy(e):
+    zeta = damping(e)
+
+    def force(d, rate):
+        d = max(d, 0.0)
+        return K * d**1.5 + np.sqrt(5.0) * zeta * np.sqrt(MASS * K) * d**0.25 * rate
+
+    found = EXACT["hertz"](e, K, MASS, SPEED)
+    expected = solved(force, SPEED, MASS)
+    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("e", [0.2, 0.5, 0.9])
+def test_linear_spring_and_dashpot_match_scipy(e):
+    zeta = damping(e)
+    spring = 0.8 * K * np.sqrt((1.25 * MASS * SPEED**2 / K) ** 0.4)  # Eq. 19
+    viscosity = 2.0 * zeta * np.sqrt(spring * MASS)
+    found = EXACT["linear"](e, K, MASS, SPEED)
+    expected = solved(lambda d, rate: spring * d + viscosity * rate, SPEED, MASS)
+    assert (found.restitution, found.duration, found.peak_time, found.overlap_max) == pytest.approx(expected, rel=1e-8)
+
+
+def test_zhou_and_hertz_are_equal_without_dissipation():
+    zhou, hertz = EXACT["zhou"](1.0, K, MASS, SPEED), EXACT["hertz"](1.0, K, MASS, SPEED)
+    assert (zhou.duration, zhou.peak_time, zhou.overlap_max) == pytest.approx(
+        (hertz.duration, hertz.peak_time, hertz.overlap_max), rel=1e-12
+    )
+
+
+def test_residual_overlap_ratio_at_the_end_of_a_contact():
+    y = brentq(lambda y: y - 0.8 * 0.25 - 0.2 * 0.125 * y**2.5, 0.0, 1.0)  # Eq. 8 at e = 1/2
+    assert end_overlap_ratio("zhou", 0.5) == pytest.approx(1.0 - y)
+    assert end_overlap_ratio("hertz", 1.0) == 0.0
+    assert end_overlap_ratio("linear", 0.5) is None
+
+
+# ---------------------------------------------------------------- collisions
+
+
+def law(name):
+    return next(each for each in STUDIED_LAWS if each.name == name)
+
+
+@pytest.fixture(scope="module")
+def lines(taichi_f64):
+    """Zhou and elastic Hertz in double precision."""
+    device = backend.start("cpu", "f64", 2)
+    wanted = [(law(name), integrator) for name in ("zhou", "hertz, elastic") for integrator in INTEGRATORS[:1]]
+    return [measured_line(*each, device, FEW_STEPS, repeats=2)[0] for each in wanted]
+
+
+def test_errors_decrease_with_second_order(lines):
+    """Leapfrog is of second order; the restitution shows only the energy error of the kink at first contact, d^2.5."""
+    for line in lines:
+        for quantity in ("duration", "overlap_max"):
+            order = fitted_order(line.steps, line.error(quantity))
+            assert order.order == pytest.approx(2.0, abs=0.35), (line.law, quantity)
+    zhou, elastic = (fitted_order(line.steps, line.error("restitution")).order for line in lines)
+    assert zhou == pytest.approx(2.0, abs=0.3)
+    assert elastic == pytest.approx(2.5, abs=0.2)
+
+
+def test_double_precision_errors_do_not_depend_on_the_velocity(lines):
+    """Zhou's collision is independent of the velocity in scaled units."""
+    for points in zip(*(kind for kind in lines[0].kinds() if kind[0].restitution == 0.5), strict=True):
+        assert len(points) == len(VELOCITIES)
+        assert [p.restitution_error for p in points] == pytest.approx([points[0].restitution_error] * 3, rel=1e-3)
+
+
+def test_worst_error_is_at_least_the_rms_and_costs_are_ordered(lines):
+    for point in (point for line in lines for point in line.points):
+        assert point.restitution_error <= point.restitution_error_worst <= np.sqrt(PHASES) * point.restitution_error
+        assert 0.0 < point.seconds_min <= point.seconds_median <= point.seconds_max
+
+
+def test_time_step_fraction_refers_to_the_shorter_phase(lines):
+    """Of Zhou's collision at e = 1/2, unloading takes 0.6293 of 2.1010 (Eqs. 13-15, the model's table)."""
+    point = next(point for point in lines[0].points if point.restitution == 0.5 and point.steps == 40)
+    assert point.share == pytest.approx(2.1010 / 0.6293 / 40, rel=1e-3)
+
+
+def single_precision_errors():
+    """Restitution errors of Zhou's law in f32, for the test below."""
+    single = backend.start("cpu", "f32", 1)
+    line, _ = measured_line(law("zhou"), INTEGRATORS[0], single, (80, 320), repeats=1)
+    return line.error("restitution").tolist()
+
+
+def test_single_precision_has_a_floor(lines):
+    coarse, fine = in_subprocess(single_precision_errors)
+    double = dict(zip(lines[0].steps, lines[0].error("restitution"), strict=True))
+    assert fine > 20.0 * double[320]
+    assert fine > coarse / 4.0  # no longer of second order
+
+
+# ---------------------------------------------------------------- orders and recommendation
+
+
+def test_order_is_fitted_above_the_precision_floor_only():
+    steps = np.geomspace(5.0, 5000.0, 16)
+    order = fitted_order(steps, 3.0 * steps**-1.7)
+    assert order.order == pytest.approx(1.7)
+    assert order.first >= steps[np.argmax(3.0 * steps**-1.7 < 0.05)]
+    floored = fitted_order(steps, np.maximum(3.0 * steps**-1.7, 1e-3))
+    assert floored.order == pytest.approx(1.7, rel=0.05)
+    assert floored.last < 200.0
+    assert fitted_order(steps, np.full(16, 0.3)) is None
+
+
+def synthetic_line(law, precision, prefactor, seconds_per_step):
+    """Errors prefactor / steps^2, twice that for a second kind of collision whose shorter phase is half as long."""
+    points = []
+    for steps in (10.0, 20.0, 40.0, 80.0):
+        for kind, (e, phase) in enumerate(((0.5, 0.4), (0.2, 0.2))):
+            numbers = dict.fromkeys((each.name for each in fields(StudyPoint)), 0.0)
+            cost = seconds_per_step * steps
+            numbers |= {"restitution_error": (1 + kind) * prefactor / steps**2, "share": 1.0 / (phase * steps),
+                        "steps": steps, "restitution": e, "velocity": 1.0, "seconds_median": cost,
+                        "seconds_min": 0.9 * cost, "seconds_max": 1.1 * cost}  # fmt: skip
+            points.append(StudyPoint(**numbers | {"law": law, "integrator": "leapfrog", "precision": precision}))
+    return StudyLine(law, "leapfrog", precision, tuple(points))
+
+
+def test_requirement_is_the_fewest_steps_within_the_target():
+    """2 * 7 / 40^2 = 0.9 % is the first error of the worse kind below 1 %; at 20 steps 7/400 = 1.75 %."""
+    requirement = requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 0.01)
+    assert requirement.steps == 40.0
+    assert requirement.share == pytest.approx(min(1.0 / (0.4 * 40.0), 1.0 / (0.2 * 40.0)))
+    assert requirement.seconds == pytest.approx((4e-6, 3.6e-6, 4.4e-6))
+    assert requirement_of(synthetic_line("zhou", "f64", 7.0, 1e-7), 1e-4) is None
+
+
+def test_the_recommendation_is_the_cheapest_row_of_the_table():
+    lines = [synthetic_line("zhou", "f64", 7.0, 2e-7), synthetic_line("zhou", "mixed", 7.0, 1e-7),
+             synthetic_line("zhou", "f32", 30.0, 2e-7), synthetic_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
+    sentence, rows = recommendation(lines, 0.01), table_rows(lines, 0.01)
+    chosen = rows[1]
+    assert f"T/{chosen[5]}," in sentence and f"time_step_fraction {chosen[6]})" in sentence
+    assert "precision mixed" in sentence and f"{chosen[7].split()[0]} s per million" in sentence
+    assert len(chosen) == len(table_heads(0.01))
+    assert rows[2][5:7] == ("80", "0.031")  # 2 * 30 / 80^2 = 0.94 %
+    assert "No time step" in recommendation(lines, 1e-9)
+
+
+# ---------------------------------------------------------------- files and messages
+
+
+def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
+    import sys
+
+    study = TwoBodyStudy(tuple(lines), ("hertz with 5 steps a collision",), 0.01)
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "matplotlib", None)
+        with pytest.raises(GranflowError, match="pip install"):
+            write_two_bodies(tmp_path, study)
+    with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [each.name for each in fields(StudyPoint)]
+    kinds = (3 + 1) * len(VELOCITIES)
+    assert len(rows) == kinds * len(FEW_STEPS)
+    page = (tmp_path / "accuracy.html").read_text(encoding="utf-8")
+    assert study.recommendation in page and "hertz with 5 steps" in page and "<img" not in page
+
+
+@pytest.mark.slow
+def test_page_contains_two_figures(lines, tmp_path):
+    pytest.importorskip("matplotlib")
+    write_two_bodies(tmp_path, TwoBodyStudy(tuple(lines), (), 0.01))
+    assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--target", "2"], "--target is 2, but must be between 0 and 1"),
+        (["--set", "seed=2"], "--set requires a SCENE"),
+        (["--all-particles"], "--all-particles requires a SCENE"),
+        (["nowhere.yaml"], "nowhere.yaml: there is no such file"),
+    ],
+)
+def test_invalid_arguments_are_rejected(arguments, message, capsys):
+    assert main(["accuracy", *arguments]) == 2
+    assert message in capsys.readouterr().err

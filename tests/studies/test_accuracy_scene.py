@@ -1,0 +1,174 @@
+"""Accuracy study of a scene: reduction, errors and their noise, recommendation."""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from granflow.errors import GranflowError, SceneError
+from granflow.load import load
+from granflow.particles.generate import initial_particles
+from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, _Runs, _study, measure_scene
+from granflow.studies.accuracy.scene_report import (
+    noise_sentence,
+    scene_heads,
+    scene_recommendation,
+    scene_rows,
+    write_scene,
+)
+from granflow.studies.accuracy.scene_runs import (
+    SAMPLES,
+    STEP_FAMILIES,
+    RunOutcome,
+    SceneTask,
+    phase_of,
+    reduced_counts,
+    restitution_error,
+    run_task,
+)
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+
+DROP = """
+title: A few beads fall on a floor
+gravity: [0, 0, -9.81]
+materials:
+  glass: {young_modulus: 50 MPa, poisson_ratio: 0.2, density: 2500}
+pairs:
+  glass-glass: {restitution: 0.5, friction: 0.3}
+contact: {normal: zhou, tangential: mindlin, rolling: none}
+walls:
+  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
+particles:
+  beads:
+    material: glass
+    count: 12
+    diameter: 10 mm
+    insert: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
+domain: {min: [-50 mm, -50 mm, -10 mm], max: [50 mm, 50 mm, 200 mm], on_exit: error}
+run: {duration: 0.25 s}
+output: {interval: 50 ms}
+"""
+
+
+@pytest.fixture
+def drop(tmp_path):
+    """Path of a file with the scene DROP."""
+    path = tmp_path / "drop.yaml"
+    path.write_text(DROP, encoding="utf-8")
+    return path
+
+
+def test_reduction_applies_to_groups_with_a_count(drop):
+    scene = load(drop)
+    assert reduced_counts(scene, most=12) == []
+    assert reduced_counts(scene, most=6) == ["particles.beads.count=6"]
+    assert reduced_counts(load(SCENES / "two_spheres.yaml"), most=1) == []
+
+
+def test_the_share_is_time_step_fraction(drop):
+    scene = load(drop, ["numerics.time_step_fraction=0.07"])
+    phase, own = phase_of(scene)
+    assert own == pytest.approx(0.07)
+    (override,) = STEP_FAMILIES[0].overrides(0.2, phase)
+    assert phase_of(load(drop, [override]))[1] == pytest.approx(0.2)
+
+
+def test_center_of_mass_of_free_fall_matches_theory(taichi_f64, drop):
+    """Before the impact the particles have no contacts; the mean height of the center of mass is g T^2 / 6 lower.
+
+    Over n + 1 samples at equal intervals the mean of t^2 is T^2 (2 n + 1) / (6 n).
+    """
+    until = 0.1  # a fall of 49 mm, from 100 mm
+    task = SceneTask(drop, ("output.energy_budget=true", "run.time_step=2e-5"), until)
+    fallen = run_task(task)
+    start = initial_particles(task.scene()).position[:, 2].mean() + 0.01  # above the bottom of the domain
+    fall = 0.5 * 9.81 * until**2 * (2 * SAMPLES + 1) / (6 * SAMPLES)
+    assert fallen.values["center_height"] == pytest.approx(start - fall, abs=2e-6)
+    assert fallen.values["coordination_number"] == 0.0
+    assert abs(fallen.values[ENERGY_ERROR]) < 1e-9
+    assert fallen.simulated == pytest.approx(until, abs=2e-5)
+    assert fallen.seconds > 0.0
+
+
+def test_an_unstable_step_is_reported(taichi_f64, drop):
+    assert "run.time_step" in run_task(SceneTask(drop, ("output.energy_budget=true", "run.time_step=1"), None)).stopped
+
+
+def outcome(energy_budget, height, seconds=2.0):
+    return RunOutcome({ENERGY_ERROR: energy_budget, "center_height": height}, seconds, 100.0, 0.5)
+
+
+def synthetic_study(target=0.01):
+    """A fine reference, an error within the noise, a wrong restitution, a wrong bed height, and an abort."""
+    reference = _Runs("fixed", "f64", 0.05, 5e-6, 0.001, [outcome(1e-5, h) for h in (1.00, 1.02, 0.98)])
+    noisy = _Runs("fixed", "f64", 0.1, 1e-5, 0.008, [outcome(2e-5, h, 1.0) for h in (1.03, 1.00, 0.97)])
+    wrong = _Runs("fixed", "f64", 0.4, 4e-5, 0.009, [outcome(-2e-5, h + 0.5, 0.2) for h in (1.00, 1.02, 0.98)])
+    bouncy = _Runs("fixed", "f64", 0.2, 2e-5, 0.03, [outcome(2e-5, h, 0.5) for h in (1.00, 1.02, 0.98)])
+    stopped = _Runs("fixed", "f64", 0.9, 9e-5, np.inf, [RunOutcome(stopped="not stable")] * 3)
+    return _study([stopped, wrong, bouncy, noisy, reference], 0.05, "made up", (0.1, 1e-5), 12, 3, target)
+
+
+def test_errors_are_separated_from_noise():
+    study = synthetic_study()
+    # differences from the reference: .03, -.02, -.01 (variance 7e-4), and twice a constant, 0 or .5 (variance 0)
+    assert study.noise["center_height"] == pytest.approx(SIGMAS * np.sqrt(7e-4 / 3.0 / 3.0))
+    assert study.spread["center_height"] == pytest.approx(0.02)
+    stopped, wrong, bouncy, noisy, reference = study.points
+    assert wrong.errors["center_height"] == pytest.approx(0.5)
+    assert [study.within_target(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [
+        True
+    ] * 2
+    assert study.best is noisy
+
+
+def test_the_recommendation_is_a_row_of_the_table():
+    study = synthetic_study()
+    sentence, rows = scene_recommendation(study), scene_rows(study)
+    chosen = rows[3]
+    assert f"time_step_fraction {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
+    assert f"{chosen[-2].split()[0]} s per simulated second" in sentence  # 1.0 s for 0.5 s
+    assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
+    assert all(len(row) == len(scene_heads(study)) for row in rows)
+    assert "2 standard errors: 1 of 4;" in noise_sentence(study)
+    assert "No time step" in scene_recommendation(synthetic_study(target=1e-6))
+
+
+def test_files_without_matplotlib(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    study = synthetic_study()
+    with pytest.raises(GranflowError, match="pip install"):
+        write_scene(tmp_path, study)
+    with (tmp_path / "accuracy.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {"family", "precision", "share", "time_step", "restitution_error", "energy_error", "center_height_error",
+            "center_height_noise", "seconds_median", "seconds_min", "seconds_max"} <= set(rows[0])  # fmt: skip
+    assert [float(row["share"]) for row in rows] == [0.9, 0.4, 0.2, 0.1, 0.05]
+    assert rows[0]["stopped"] == "not stable"
+    assert scene_recommendation(study) in (tmp_path / "accuracy.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
+    study = measure_scene(SceneTask(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
+    reference, coarse, fine = study.points
+    assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
+    assert study.best is not None and len(coarse.seconds) == 3
+    pytest.importorskip("matplotlib")
+    write_scene(tmp_path / "out", study)
+    assert (tmp_path / "out" / "accuracy.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_hopper_scene_is_accurate_to_one_percent(taichi_f64):
+    """Four times its time step is less accurate than one percent or unstable: the time step is not too fine."""
+    task = SceneTask(SCENES / "hopper.yaml", (), None)
+    phase, own = phase_of(task.scene())
+    assert restitution_error(task) <= 0.01
+    coarse = task.with_overrides(*STEP_FAMILIES[0].overrides(4.0 * own, phase))
+    try:
+        assert restitution_error(coarse) > 0.01
+    except SceneError as error:
+        assert "above the stable" in str(error)

@@ -1,0 +1,130 @@
+"""Statistics of the comparison on synthetic snapshots: contact durations, force distribution, heights."""
+
+import numpy as np
+import pytest
+
+from granflow.snapshot import Snapshot
+from granflow.studies.compare.bed_statistics import FORCE_EDGES, BedHeights, ContactBursts, ForceHistogram
+from granflow.studies.compare.contact_durations import ContactFollower, FollowedContacts, bursts, median_of, survival
+
+
+def snapshot(time, pairs=(), forces=None, stage="run", particles=None):
+    """Snapshot with contacts (id_i, id_j, wall)."""
+    rows = np.array(pairs, dtype=np.int64).reshape(-1, 3)
+    force = np.ones(len(rows)) if forces is None else np.asarray(forces, dtype=float)
+    contacts = {"id_i": rows[:, 0], "id_j": rows[:, 1], "wall": rows[:, 2], "normal_force": force}
+    return Snapshot(time, 0, stage, particles or {}, contacts, {}, {})
+
+
+A, A_SWAPPED, WALL, OTHER_WALL = (3, 7, -1), (7, 3, -1), (3, -1, 0), (3, -1, 1)
+
+
+def followed(*moments):
+    record = FollowedContacts()
+    follower = ContactFollower(record)
+    for time, pairs in moments:
+        follower.update(snapshot(time, pairs))
+    follower.close()
+    seen, ended = record.arrays()
+    order = np.lexsort((seen, ended))
+    return seen[order].tolist(), ended[order].tolist()
+
+
+def test_contacts_begin_and_end_midway_between_samples():
+    seen, ended = followed((0.0, []), (1.0, [A]), (2.0, [A_SWAPPED]), (4.0, []))
+    assert seen == [2.5] and ended == [True]
+
+
+def test_contacts_of_the_first_sample_are_ignored_and_of_the_last_censored():
+    seen, ended = followed((0.0, [WALL]), (1.0, [WALL, OTHER_WALL]), (2.0, [OTHER_WALL]), (3.0, [OTHER_WALL]))
+    assert seen == [2.5] and ended == [False]
+
+
+def test_contacts_without_force_are_ignored():
+    record = FollowedContacts()
+    follower = ContactFollower(record)
+    for time, force in ((0.0, 0.0), (1.0, 2.0), (2.0, 0.0)):
+        follower.update(snapshot(time, [A], [force]))
+    assert [values.tolist() for values in record.arrays()] == [[1.0], [True]]
+
+
+def test_survival_matches_kaplan_and_meier():
+    """Five contacts: an end at 1 (share 4/5), one censored at 2, an end at 3 (4/5 2/3), an end at 4 (half of it)."""
+    times, share = survival(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([True, False, True, True, False]))
+    np.testing.assert_array_equal(times, [1.0, 3.0, 4.0])
+    np.testing.assert_allclose(share, [4 / 5, 8 / 15, 4 / 15])
+    assert median_of(times, share) == 4.0
+    assert np.isnan(median_of(*survival(np.ones(3), np.zeros(3, dtype=bool))))
+
+
+def test_median_of_exponential_lifetimes_is_unbiased_by_censoring():
+    """Lifetimes of mean 1 have the median ln 2 for any random censoring."""
+    random = np.random.default_rng(1)
+    life, cut = random.exponential(1.0, 4000), random.uniform(0.0, 3.0, 4000)
+    assert median_of(*survival(np.minimum(life, cut), life <= cut)) == pytest.approx(np.log(2.0), rel=0.05)
+
+
+def test_bursts_sample_only_when_due():
+    times = list(bursts(1.0, 2, 3, 0.01))
+    np.testing.assert_allclose(times, [[0.25, 0.26, 0.27], [0.75, 0.76, 0.77]])
+    monitor = ContactBursts(times, 0.01)
+    assert monitor.next_time() == 0.25
+    for time, pairs in (
+        (0.0, [A]),
+        (0.25, []),
+        (0.26, [A]),
+        (0.27, [A]),
+        (0.75, []),
+        (0.76, [A]),
+        (0.77, []),
+        (1.0, [A]),
+    ):
+        monitor.observe(snapshot(time, pairs))
+    monitor.finish()
+    assert monitor.next_time() == np.inf
+    seen, ended = monitor.followed.arrays()
+    np.testing.assert_allclose(seen, [0.015, 0.01])
+    assert ended.tolist() == [False, True] or ended.tolist() == [True, False]
+
+
+def test_a_step_longer_than_the_sampling_interval_skips_samples():
+    monitor = ContactBursts([[0.0, 0.1, 0.2, 0.3]], 0.1)
+    monitor.observe(snapshot(0.0))
+    monitor.observe(snapshot(0.22))
+    assert monitor.next_time() == pytest.approx(0.3)
+
+
+def test_forces_of_an_exponential_distribution():
+    """P = exp(-f/<f>): in a class from a to b the density is (exp(-a) - exp(-b)) / (b - a)."""
+    force = np.random.default_rng(2).exponential(5.0, 200_000)
+    pairs = np.stack([np.zeros(len(force)), np.ones(len(force)), -np.ones(len(force))], axis=1)
+    forces = ForceHistogram()
+    forces.update(snapshot(0.0, pairs, force))
+    low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
+    expected = (np.exp(-low) - np.exp(-high)) / (high - low)
+    sigma = np.sqrt(expected / (len(force) * (high - low)))
+    assert np.all(np.abs(forces.density("run") - expected) < 5.0 * sigma)
+    assert forces.share_above("run", 2.0) == pytest.approx(np.exp(-2.0), rel=0.02)
+    assert np.isnan(forces.share_above("nowhere", 2.0))
+
+
+def test_contacts_with_walls_and_too_few_contacts_are_left_out():
+    forces = ForceHistogram()
+    forces.update(snapshot(0.0, [WALL] * 50))
+    forces.update(snapshot(0.0, [A] * 9))
+    assert not forces.counts
+
+
+class Sideways:
+    gravity = (-2.0, 0.0, 0.0)
+
+
+def test_heights_are_opposite_to_gravity():
+    particles = {
+        "position": np.array([[1.0, 9.0, 9.0], [3.0, 0.0, 0.0]]), "mass": np.array([3.0, 1.0]),
+        "radius": np.array([0.5, 0.5]), "velocity": np.array([[3.0, 4.0, 0.0]] * 2),
+    }  # fmt: skip
+    heights = BedHeights.of(Sideways())
+    heights.update(snapshot(0.5, particles=particles))
+    assert heights.rows == [(0.5, 1.5, pytest.approx(1.5 + 0.95 * 2.0))]
+    assert heights.typical_speed == 5.0

@@ -1,0 +1,78 @@
+"""Collisions over three decades of velocity with both linear springs: closed forms and assessment."""
+
+import numpy as np
+import pytest
+from studies.test_compare import MASS_EFF, SPEED, duration, head_on, overlap_max, spring
+
+from granflow.engine import backend as backends
+from granflow.studies.compare.collisions import subject_of, sweep_columns, sweeps_of
+from granflow.studies.compare.spring_assessment import assess_collisions
+from granflow.studies.compare.variants import variants_of
+
+REFERENCE = 0.1 * SPEED
+FLOOR = 0.01 * SPEED
+"""Eq. 19 per contact uses at least the spring of a hundredth of the largest impact velocity."""
+
+
+@pytest.fixture(scope="module")
+def columns(taichi_f64):
+    scene = head_on()
+    subject = subject_of(scene, REFERENCE)
+    backend = backends.start("cpu", "f64", 2)
+    return sweep_columns(
+        subject, sweeps_of(scene, subject, variants_of(scene, ["linear"], REFERENCE), backend, ["fine"])
+    )
+
+
+def of_law(columns, law, name):
+    return columns[name][columns["law"] == law]
+
+
+def test_exact_columns_match_hertz(columns):
+    velocity = columns["velocity"]
+    np.testing.assert_allclose(columns["duration_exact"], duration(velocity), rtol=1e-9)
+    np.testing.assert_allclose(columns["overlap_max_exact"], overlap_max(velocity), rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["linear_onset", "linear_reference"])
+def test_springs_collide_as_harmonic_oscillators(columns, law):
+    """Half a period pi sqrt(M/alpha) and a maximum overlap v sqrt(M/alpha), at least 100 steps each."""
+    velocity = of_law(columns, law, "velocity")
+    alpha = spring(np.maximum(velocity, FLOOR)) if law == "linear_onset" else np.full(len(velocity), spring(REFERENCE))
+    np.testing.assert_allclose(of_law(columns, law, "duration"), np.pi * np.sqrt(MASS_EFF / alpha), rtol=1e-3)
+    np.testing.assert_allclose(of_law(columns, law, "overlap_max"), velocity * np.sqrt(MASS_EFF / alpha), rtol=1e-3)
+    np.testing.assert_allclose(of_law(columns, law, "restitution"), 1.0, atol=1e-3)
+
+
+def test_the_assessment_follows_from_the_columns(columns):
+    """The one spring deviates by 10^0.2 at ten times its velocity; Eq. 19 per contact does not."""
+    wrong, corrected, unstable = assess_collisions(columns)
+    assert wrong.holds and f"+{100.0 * (10.0**0.2 - 1.0):.1f} %" in wrong.why
+    assert corrected.holds and f"+{100.0 * (np.pi / 2.9432751838 - 1.0):.1f} %" in corrected.why
+    assert unstable.holds is None
+
+
+def test_collisions_are_drawn(columns, tmp_path):
+    pytest.importorskip("matplotlib")
+    from granflow.studies.compare.drawing import draw_collisions
+    from granflow.studies.figures import draw_to
+
+    subject = subject_of(head_on(), REFERENCE)
+    draw_to(tmp_path / "a.png", lambda figure: draw_collisions(figure, subject, columns, []), 5.0)
+    assert (tmp_path / "a.png").stat().st_size > 20_000
+
+
+def synthetic_columns(restitution):
+    """Columns of one spring at ten times its velocity: `restitution` by step, target 0.8."""
+    rows = [{"law": "linear_reference", "step": step, "velocity_over_reference": 10.0, "restitution": reached}
+            for step, reached in restitution.items()]  # fmt: skip
+    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    ones = {name: np.ones(len(rows)) for name in ("duration", "duration_exact", "overlap_max", "overlap_max_exact")}
+    return found | ones | {"restitution_exact": np.full(len(rows), 0.8)}
+
+
+def test_stability_is_assessed_against_the_fine_step():
+    """A wrong restitution with the fine step is not an instability; a gain with the coarse step is."""
+    assert assess_collisions(synthetic_columns({"fine": 1.0, "coarse": 1.05}))[2].holds is False
+    gained = assess_collisions(synthetic_columns({"fine": 0.8, "coarse": 1.0}))[2]
+    assert gained.holds and "+25.0 %" in gained.why

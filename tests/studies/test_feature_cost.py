@@ -1,0 +1,164 @@
+"""Feature costs: features, start state and memory of every variant."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from subprocess_runner import in_subprocess
+
+from granflow.cli.main import main
+from granflow.load import load
+from granflow.plan.memory_estimate import estimate_memory
+from granflow.plan.plan import plan_for
+from granflow.studies.feature_cost.variants import variants_of
+
+TEXT = """\
+title: Beads on a floor
+gravity: [0, 0, -9.81]
+materials:
+  glass: {young_modulus: 10 MPa, poisson_ratio: 0.23, density: 2500}
+  steel: {young_modulus: 10 MPa, poisson_ratio: 0.3, density: 7850}
+pairs:
+  glass-glass: {restitution: 0.7, friction: 0.4, rolling_friction: 0.02}
+  glass-steel: {restitution: 0.7, friction: 0.4, rolling_friction: 0.02}
+  steel-steel: {restitution: 0.7, friction: 0.4, rolling_friction: 0.02}
+contact: {normal: zhou, tangential: mindlin, rolling: epsd}
+walls:
+  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: steel}
+particles:
+  beads: {material: glass, count: 60, diameter: 4 mm,
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 2 cm]}}}}
+domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
+run: {duration: 30 ms, velocity_max: 1 m/s}
+output: {interval: 10 ms, energy_budget: true}
+"""
+IN_CONTACT_NEIGHBORS = ("contact.rolling=none", "contact.normal=hertz", "output.energy_budget=false", "walls={}")
+SMOOTH = tuple(
+    f"pairs.{pair}={{restitution: 0.7, friction: 0}}" for pair in ("glass-glass", "glass-steel", "steel-steel")
+)
+MIXED = "particles.more={material: steel, diameter: 4 mm, insert: {kind: positions, positions: [[0, 0, 25 mm]]}}"
+
+
+def plans(directory, *overrides):
+    """Plans of all variants by name."""
+    path = directory / "beads.yaml"
+    path.write_text(TEXT)
+    base = plan_for(load(path, overrides))
+    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(base)}
+
+
+@pytest.mark.parametrize(
+    ("name", "saved", "changed"),
+    [
+        ("without friction", {"rotation": True, "rolling": "epsd"}, {"friction": False}),
+        ("without rolling friction", {"rotation": True, "friction": True}, {"rolling": "none"}),
+        ("without rotation", {"walls": True}, {"rotation": False, "friction": False, "rolling": "none"}),
+        ("without walls", {"friction": True}, {"walls": False}),
+        ("without energy budget", {"friction": True}, {"energy_budget": False}),
+        ("with several materials", {"friction": True}, {"one_material": False}),
+        ("with moving walls", {"walls": True}, {"moving_walls": True}),
+        ("without any history", {"rotation": True}, {"friction": False, "rolling": "none"}),
+        (
+            "without all of these",
+            {"one_material": True},
+            {"friction": False, "rotation": False, "walls": False, "energy_budget": False, "rate_dependent": False},
+        ),
+    ],
+)
+def test_a_variant_changes_its_feature_only(tmp_path, name, saved, changed):
+    found = plans(tmp_path)
+    baseline, other = found["baseline"].features, found[name].features
+    for feature, value in saved.items():
+        assert getattr(other, feature) == getattr(baseline, feature) == value, feature
+    for feature, value in changed.items():
+        assert getattr(other, feature) == value, feature
+        if name != "without all of these" or feature != "rate_dependent":
+            assert getattr(baseline, feature) != value, feature
+
+
+def test_variants_without_history_have_no_history_fields(tmp_path):
+    found = plans(tmp_path)
+    assert set(found["baseline"].history) == {"normal", "tangential", "rolling"}
+    assert set(found["without normal history"].history) == {"tangential", "rolling"}
+    assert found["without any history"].history == {}
+
+
+def test_variants_add_missing_features(tmp_path):
+    found = plans(tmp_path, *IN_CONTACT_NEIGHBORS, *SMOOTH)
+    assert found["with friction"].features.friction and found["with rolling friction"].features.rolling == "epsd"
+    assert found["with energy budget"].features.energy_budget
+    assert "without damping" in found and not {"without walls", "without friction"} & set(found)
+
+
+def test_one_material_is_the_most_frequent_one(tmp_path):
+    found = plans(tmp_path, MIXED)
+    assert not found["baseline"].features.one_material
+    assert found["with one material"].features.one_material
+    assert found["with one material"].materials[0] == "glass"
+
+
+def test_all_variants_have_equal_time_step_skin_and_capacity(tmp_path):
+    found = plans(tmp_path)
+    assert len({(plan.time_step, plan.skin, plan.particle_capacity) for plan in found.values()}) == 1
+
+
+def test_memory_decreases_by_the_omitted_fields(tmp_path):
+    """A vector of 3 float64 is 24 bytes; a neighbor-list entry holds the contact history and a 4-byte flag."""
+    found = {name: estimate_memory(plan, "f64") for name, plan in plans(tmp_path).items()}
+    whole = found["baseline"]
+    angular_velocity_and_torque, material, rolling_history = 2 * 24, 4, 24
+    assert whole.per_particle - found["without rotation"].per_particle == angular_velocity_and_torque
+    assert found["with several materials"].per_particle - whole.per_particle == material
+    assert whole.per_neighbor - found["without rolling friction"].per_neighbor >= rolling_history
+    assert all(memory.total <= whole.total for name, memory in found.items() if name.startswith("without"))
+
+
+def test_particle_size_is_no_feature(tmp_path):
+    one = plans(tmp_path)["baseline"]
+    spread = plans(tmp_path, "particles.beads.diameter={distribution: uniform, min: 3 mm, max: 4 mm}")["baseline"]
+    assert spread.features == one.features
+    assert estimate_memory(spread, "f64").per_particle == estimate_memory(one, "f64").per_particle
+
+
+def measured(directory):
+    """Result of a short run of the study, and the initial particle positions of every variant."""
+    from granflow.studies.feature_cost import measure
+    from granflow.studies.feature_cost.report import cost_rows, write_feature_costs
+
+    path = Path(directory) / "beads.yaml"
+    path.write_text(TEXT)
+    positions, restore = [], measure.restore
+
+    def restore_and_sample(engine, *others):
+        restore(engine, *others)
+        copied = engine.host_copy.copy_to_host(("id", "position"))
+        positions.append(copied["position"][np.argsort(copied["id"])].tolist())
+
+    measure.restore = restore_and_sample
+    scene = load(path)
+    found = measure.feature_costs(scene, until=0.02, rounds=2, only=("baseline", "without walls"))
+    write_feature_costs(Path(directory) / "out", found, scene.title)
+    written = {each.name: each.read_text() for each in (Path(directory) / "out").iterdir()}
+    return {"rows": cost_rows(found), "positions": positions, "written": written}
+
+
+def test_every_timing_starts_from_the_same_particles(tmp_path):
+    found = in_subprocess(measured, str(tmp_path))
+    assert [row[0] for row in found["rows"]] == ["baseline", "without walls"]
+    assert found["rows"][0][2] == "1.00 (1.00-1.00)"
+    assert len(found["positions"]) == 2 * (1 + 2), "two variants, one warm-up round and two counted rounds"
+    fallen = np.array(found["positions"][0])
+    assert len(fallen) == 60 and fallen[:, 2].min() < 0.004, "some particles reach the floor within 20 ms"
+    for positions in found["positions"]:
+        np.testing.assert_array_equal(positions, fallen)
+    table = found["written"]["feature_cost.md"]
+    for row in found["rows"]:
+        assert " | ".join(row) in table
+    assert len(found["written"]["feature_cost.csv"].splitlines()) == 1 + len(found["rows"])
+
+
+def test_until_requires_measure(tmp_path, capsys):
+    path = tmp_path / "beads.yaml"
+    path.write_text(TEXT)
+    assert main(["explain", str(path), "--until", "1s"]) == 2
+    assert "requires --measure" in capsys.readouterr().err

@@ -1,0 +1,252 @@
+"""Fit of Eq. 12: comparison with scipy, recovery of known parameters, and invalid input files."""
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+from scipy.stats import t as student
+
+from granflow.cli.main import main
+from granflow.contact.material import VelocityRestitution
+from granflow.errors import FileError, GranflowError
+from granflow.load import load
+from granflow.studies.fit import fit, limit_from_materials
+from granflow.studies.measurements import Measurements, read_measurements
+
+STEEL = VelocityRestitution(3.0432, 0.540, 340.3)
+SOFT = VelocityRestitution(1.2, 0.8, 12.0)
+"""Curve with visible curvature in the measured range, so that its limit velocity can be fitted."""
+
+
+def synthetic_measurements(curve, fastest, count=20, noise=0.0, seed=0):
+    velocity = np.geomspace(0.01, 1.0, count) * fastest
+    e = curve(velocity) + np.random.default_rng(seed).normal(0.0, noise, count) if noise else curve(velocity)
+    return Measurements(velocity, e, np.ones(count), False)
+
+
+@pytest.mark.parametrize("limit", [SOFT.limit_velocity, None])
+def test_fit_to_exact_data_recovers_the_curve(limit):
+    found = fit(synthetic_measurements(SOFT, 8.0), limit)
+    for name in ("sigma", "psi", "limit_velocity"):
+        assert getattr(found.curve, name) == pytest.approx(getattr(SOFT, name), rel=1e-7)
+    assert found.correlation == pytest.approx(1.0, abs=1e-12)
+    assert found.r_squared == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("fitted_limit", [False, True])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_values_and_errors_match_scipy(fitted_limit, absolute):
+    data = synthetic_measurements(SOFT, 8.0, noise=0.01, seed=5)
+    spread = np.random.default_rng(6).uniform(0.005, 0.02, len(data))
+    data = Measurements(data.velocity, data.restitution, spread, absolute)
+    found = fit(data, None if fitted_limit else SOFT.limit_velocity)
+
+    def curve(velocity, sigma, psi, limit=SOFT.limit_velocity):
+        return np.exp(-sigma * (velocity / (limit - velocity)) ** psi)
+
+    start = (1.0, 0.6, 10.0)[: 2 + fitted_limit]
+    values, covariance = curve_fit(
+        curve, data.velocity, data.restitution, start, spread, absolute_sigma=absolute, xtol=1e-12, ftol=1e-12
+    )
+    names = ("sigma", "psi", "limit_velocity")[: len(values)]
+    np.testing.assert_allclose([getattr(found.curve, name) for name in names], values, rtol=1e-5)
+    np.testing.assert_allclose([getattr(found.errors, name) for name in names], np.sqrt(np.diag(covariance)), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("truth", "fastest", "fitted_limit"), [(STEEL, 30.0, False), (SOFT, 6.0, False), (SOFT, 9.0, True)]
+)
+def test_coverage_of_one_standard_error_matches_student_t(truth, fastest, fitted_limit):
+    """About two thirds of the fits: Student's t with (rows - parameters) degrees of freedom."""
+    sample_count, rows = 400, 20
+    names = ("sigma", "psi", "limit_velocity")[: 2 + fitted_limit]
+    inside = np.zeros(len(names))
+    for seed in range(sample_count):
+        found = fit(
+            synthetic_measurements(truth, fastest, rows, 0.004, seed), None if fitted_limit else truth.limit_velocity
+        )
+        deviations = [abs(getattr(found.curve, name) - getattr(truth, name)) for name in names]
+        inside += np.array(deviations) < [getattr(found.errors, name) for name in names]
+    expected = 1.0 - 2.0 * student.cdf(-1.0, rows - len(names))
+    scatter = np.sqrt(expected * (1.0 - expected) / sample_count)
+    np.testing.assert_allclose(inside / sample_count, expected, atol=3.5 * scatter)
+
+
+def test_correlation_matches_numpy():
+    data = synthetic_measurements(SOFT, 8.0, noise=0.03, seed=2)
+    found = fit(data, SOFT.limit_velocity)
+    predicted = found.curve(data.velocity)
+    assert found.correlation == pytest.approx(np.corrcoef(data.restitution, predicted)[0, 1], rel=1e-12)
+    scatter = data.restitution - data.restitution.mean()
+    expected = 1.0 - np.sum((data.restitution - predicted) ** 2) / np.sum(scatter**2)
+    assert found.r_squared == pytest.approx(expected, rel=1e-12)
+
+
+def test_weight_of_two_equals_a_repeated_row():
+    data = synthetic_measurements(SOFT, 8.0, noise=0.01, seed=4)
+    twice = np.r_[np.arange(len(data)), 3]
+    doubled = Measurements(data.velocity[twice], data.restitution[twice], np.ones(len(twice)), False)
+    spread = np.where(np.arange(len(data)) == 3, np.sqrt(0.5), 1.0)
+    weighted = Measurements(data.velocity, data.restitution, spread, False)
+    fitted_to_weights, fitted_to_rows = (fit(each, SOFT.limit_velocity).curve for each in (weighted, doubled))
+    assert (fitted_to_weights.sigma, fitted_to_weights.psi) == pytest.approx(
+        (fitted_to_rows.sigma, fitted_to_rows.psi), rel=1e-8
+    )
+
+
+def test_limit_velocity_from_materials_is_equation_11():
+    assert limit_from_materials("stainless_316") == pytest.approx(np.sqrt(3.0 * 0.310e9 / 8030.0), rel=1e-12)
+    # the smaller yield strength, of 316, determines the limit
+    assert limit_from_materials("chrome_52100", "stainless_316") == limit_from_materials("stainless_316")
+
+
+@pytest.mark.parametrize(
+    ("make_data", "limit", "expected"),
+    [
+        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "2 rows are too few"),
+        (lambda: synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
+        (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0, "at 1 different velocities"),
+        (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),
+    ],
+    ids=["few", "above the limit", "one velocity", "far below"],
+)
+def test_insufficient_data_are_rejected(make_data, limit, expected):
+    with pytest.raises(GranflowError, match=expected):
+        fit(make_data(), limit)
+
+
+# ---------------------------------------------------------------- files
+
+
+def written(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "data.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "velocity,restitution\n1,0.8\n2,0.7\n",
+        "\ufeffv,e\r\n1,0.8\r\n2,0.7\r\n",
+        "# Smith 1999\n\nV ; E ; remark\n1;0.8;first\n# a comment\n2;0.7;\n",
+        "e\tvelocity [m/s]\n0.8\t1\n0.7\t2\n",
+        'velocity (m/s), restitution coefficient\n"1 m/s", 80 %\n2000 mm/s, 0.7\n',
+    ],
+    ids=["plain", "BOM", "semicolons", "tabs", "units"],
+)
+def test_equivalent_table_formats_give_equal_data(tmp_path, text):
+    data = read_measurements(written(tmp_path, text))
+    np.testing.assert_allclose(data.velocity, [1.0, 2.0], rtol=1e-15)
+    np.testing.assert_allclose(data.restitution, [0.8, 0.7], rtol=1e-15)
+    np.testing.assert_array_equal(data.uncertainty, [1.0, 1.0])
+
+
+def test_deviations_and_weights_are_converted_to_uncertainties(tmp_path):
+    deviations = read_measurements(written(tmp_path, "v,e,std\n1,0.8,0.1\n2,0.7,0.2\n"))
+    np.testing.assert_array_equal(deviations.uncertainty, [0.1, 0.2])
+    weights = read_measurements(written(tmp_path, "v,e,weight\n1,0.8,4\n2,0.7,1\n"))
+    np.testing.assert_array_equal(weights.uncertainty, [0.5, 1.0])
+    assert (deviations.absolute, weights.absolute) == (True, False)
+
+
+BAD = """v;e;std
+1;0,5;0.1
+x;1.2;0.1
+-3;nan;0.1
+;0.4;0.1
+2;;0
+0;-0.1;0.1
+5;.4;.1;7
+6;.4;.1
+"""
+
+
+def test_each_invalid_row_is_reported_with_the_expected_value(tmp_path):
+    path = written(tmp_path, BAD)
+    with pytest.raises(FileError) as error:
+        read_measurements(path)
+    expected = [
+        ":2: restitution is 0,5, but a decimal point is expected, not a comma: 0.5.",
+        ":3: velocity is x, but a velocity is expected, such as 3 m/s.",
+        ":3: restitution is 1.2, but a restitution coefficient must be in [0, 1].",
+        ":4: velocity is -3, but it must be above 0.",
+        ":4: restitution is nan, but a number is required; remove the row if nothing was measured.",
+        ":5: velocity is empty, but a number is required; remove the row if nothing was measured.",
+        ":6: restitution is empty, but a number is required; remove the row if nothing was measured.",
+        ":6: deviation is 0, but it must be above 0.",
+        ":7: velocity is 0, but it must be above 0.",
+        ":7: restitution is -0.1, but a restitution coefficient must be in [0, 1].",
+        ":8: the row has 4 values, but the header has 3 columns; use a point as decimal separator.",
+    ]
+    assert list(error.value.problems) == [f"{path}{each}" for each in expected]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "the file has no rows"),
+        ("# only this\n", "the file has no rows"),
+        ("v,e\n", "no measurements below the header"),
+        ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
+        ("v,x\n1,0.8\n", ":1: the header is v, x, which does not name restitution"),
+        ("v,e,e\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
+        ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
+        ("v [mm/s],e\n1,0.8\n", "the velocities are in mm/s, but must be in m/s"),
+        ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns"),
+    ],
+)
+def test_unusable_tables_are_rejected(tmp_path, text, expected):
+    with pytest.raises(FileError) as error:
+        read_measurements(written(tmp_path, text))
+    assert expected in error.value.problems[0]
+
+
+def test_file_that_is_not_utf8_is_rejected(tmp_path):
+    path = written(tmp_path, "v,e\n1,0.8 Größe\n", "latin-1")
+    with pytest.raises(GranflowError, match="is not UTF-8 text"):
+        read_measurements(path)
+
+
+# ---------------------------------------------------------------- command line
+
+SCENE = """
+title: Pasted
+gravity: [0, 0, 0]
+materials: {{steel: {{young_modulus: 193 GPa, poisson_ratio: 0.35, density: 8030}}}}
+pairs:
+  steel-steel: {{{snippet}, friction: 0}}
+contact: {{normal: zhou, tangential: none, rolling: none}}
+particles: {{balls: {{material: steel, diameter: 1 cm, insert: {{kind: positions, positions: [[0, 0, 0]]}}}}}}
+domain: {{min: [-1, -1, -1], max: [1, 1, 1], on_exit: error}}
+run: {{duration: 1 ms}}
+output: {{interval: 1 ms}}
+"""
+
+
+def test_printed_snippet_is_valid_in_a_scene(tmp_path, capsys):
+    data = synthetic_measurements(STEEL, 30.0)
+    table = "\n".join(f"{v!r},{e!r}" for v, e in zip(data.velocity.tolist(), data.restitution.tolist(), strict=True))
+    path = written(tmp_path, f"velocity,restitution\n{table}\n")
+    out = tmp_path / "out"
+    assert main(["fit", str(path), "--limit-velocity", "340.3 m/s", "--out", str(out)]) == 0
+    message = capsys.readouterr().out
+    snippet = next(line.strip() for line in message.splitlines() if line.strip().startswith("restitution: {"))
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(SCENE.format(snippet=snippet), encoding="utf-8")
+    pasted = load(scene).pairs["steel-steel"].restitution
+    assert (pasted.sigma, pasted.psi, pasted.limit_velocity) == pytest.approx((3.0432, 0.540, 340.3), rel=1e-5)
+    assert (out / "fit.csv").read_text(encoding="utf-8").startswith("velocity,measured,fitted,residual\n")
+
+
+def test_command_rejects_invalid_input(tmp_path, capsys):
+    path = written(tmp_path, "v,e\n1,1.8\n2,0.7\n")
+    assert main(["fit", str(path), "--fit-limit"]) == 2
+    assert "restitution is 1.8" in capsys.readouterr().err
+    assert main(["fit", str(path), "--material", "glass"]) == 2
+    good = written(tmp_path, "v,e\n1,0.8\n2,0.7\n3,0.6\n")
+    assert main(["fit", str(good), "--material", "glass"]) == 2
+    assert (
+        "glass has no yield strength, which the limit velocity requires (Zhou 2011, Eq. 11)" in capsys.readouterr().err
+    )
+    assert main(["fit", str(good), "--material", "stainles_316"]) == 2
+    assert "Did you mean stainless_316?" in capsys.readouterr().err

@@ -1,0 +1,177 @@
+"""Figures of the paper in reduced form: simulated collisions against theory solved by scipy without granflow."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp, trapezoid
+from scipy.optimize import brentq
+
+from granflow.engine import backend
+from granflow.studies.paper import accuracy, comparison, loops, residual, velocity
+from granflow.studies.paper.cases import PAPER_CASES, small_soft_case
+from granflow.studies.paper.head_on_collisions import collide_all
+from granflow.studies.paper.thornton import thornton_restitution
+
+RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
+SPEEDS = np.array([0.01, 0.3, 10.0])
+
+
+@pytest.fixture(scope="module")
+def device(taichi_f64):
+    return backend.start("cpu", "f64", 2)
+
+
+def root_of_equation_8(e):
+    """y = 1 - x of Zhou 2011, Eq. 8."""
+    return brentq(lambda y: y - 0.8 * e**2 - 0.2 * e**3 * y**2.5, 0.0, 1.0 + 1e-9, xtol=1e-15)
+
+
+def solved(e, k, mass, speed):
+    """Duration and maximum overlap of M d'' = -F with F of Eq. 4, by scipy; integrated in units of Ts = dmax / v."""
+    largest = (1.25 * mass * speed**2 / k) ** 0.4
+    y = root_of_equation_8(e)
+    slope = (1.0 - e**3 * y**1.5) / y
+
+    def loading(_, state):
+        return [state[1], -1.25 * max(state[0], 0.0) ** 1.5]
+
+    def unloading(_, state):
+        above = max(state[0] - 1.0 + y, 0.0)
+        return [state[1], -1.25 * (slope * above + e**3 * above**1.5)]
+
+    def at_rest(_, state):
+        return state[1]
+
+    def contact_ends(_, state):
+        return state[0] - 1.0 + y
+
+    at_rest.terminal = contact_ends.terminal = True
+    exact = {"rtol": 1e-11, "atol": 1e-13}
+    up = solve_ivp(loading, (0.0, 5.0), (0.0, 1.0), events=at_rest, **exact)
+    down = solve_ivp(unloading, (0.0, 5.0), (1.0, 0.0), events=contact_ends, **exact)
+    return (up.t[-1] + down.t[-1]) * largest / speed, largest
+
+
+def hertz_numbers(case):
+    """Hertz stiffness k and effective mass M of two equal spheres, from the material properties."""
+    solid, radius = case.solid, 0.5 * case.diameter
+    modulus = solid.young_modulus / (2.0 * (1.0 - solid.poisson_ratio**2))
+    mass = solid.density * 4.0 / 3.0 * np.pi * radius**3
+    return 4.0 / 3.0 * modulus * np.sqrt(0.5 * radius), 0.5 * mass
+
+
+def test_residual_overlap_and_duration_match_figure_1_and_the_table(device):
+    outcomes = residual.residual_run(device, RESTITUTIONS)
+    exact = np.array([1.0 - root_of_equation_8(e) for e in RESTITUTIONS])
+    assert outcomes.overlap_residual / outcomes.overlap_max == pytest.approx(exact, abs=2e-5)
+    assert outcomes.restitution == pytest.approx(RESTITUTIONS, rel=1e-3)
+    scales = [solved(e, 1.0, 1.0, 1.0)[0] / 1.25**0.4 for e in RESTITUTIONS]
+    k, mass = hertz_numbers(residual.CASE)
+    time_scale = (1.25 * mass / k) ** 0.4
+    diameters = residual.CASE.durations(np.ones(1), np.ones(1))[0] / (np.array(scales) * time_scale)
+    assert outcomes.duration == pytest.approx(diameters * scales * time_scale, rel=5e-3)
+    figure_data = residual.residual_figure(outcomes, RESTITUTIONS)
+    assert figure_data.columns["duration_over_ts_theory"] == pytest.approx(scales, rel=1e-6)
+    assert all(deviation.is_within_target for deviation in figure_data.deviations)
+
+
+def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
+    figure_data = residual.error_figure(np.linspace(0.0, 0.999, 300))
+    exact = np.array([1.0 - root_of_equation_8(e) for e in figure_data.columns["restitution"]])
+    e, c = figure_data.columns["restitution"], 0.8**2.5
+    closed = 1.0 - 0.8 * e**2 - c / 5.0 * e**8 / (1.0 - (1.0 - c) * e) + e**16 * (1.0 - e)
+    assert figure_data.columns["error"] == pytest.approx(closed / exact - 1.0, abs=1e-9)
+    assert 0.009 < figure_data.deviations[0].largest < 0.0108
+
+
+def test_restitution_duration_and_spring_match_figures_3_to_5(device):
+    """e(v), T(v) and the spring of Eq. 19 on both steels, at 200 steps for the shortest collision."""
+    columns = velocity.velocity_columns(velocity.velocity_run(device, SPEEDS), SPEEDS)
+    constants = (3.0432, 0.540, 0.310e9, 8030.0), (0.1418, 0.3114, 2.03e9, 7830.0)
+    for case, (sigma, psi, strength, density) in zip(PAPER_CASES, constants, strict=True):
+        of_case = columns["material"] == case.name
+        limit = np.sqrt(3.0 * strength / density)
+        requested = np.exp(-sigma * (SPEEDS / (limit - SPEEDS)) ** psi)
+        assert columns["restitution_simulated"][of_case] == pytest.approx(requested, rel=1e-3)
+        k, mass = hertz_numbers(case)
+        found = [solved(e, k, mass, v) for e, v in zip(requested, SPEEDS, strict=True)]
+        durations, largest = np.array(found).T
+        assert columns["duration_simulated"][of_case] == pytest.approx(durations, rel=5e-3)
+        assert columns["duration_theory"][of_case] == pytest.approx(durations, rel=1e-7)
+        springs = mass * SPEEDS**2 / largest**2  # the whole kinetic energy is stored at dmax
+        assert columns["spring_simulated"][of_case] == pytest.approx(springs, rel=1e-3)
+    figures = velocity.restitution_figure(columns), velocity.duration_figure(columns)
+    assert all(deviation.is_within_target for figure_data in figures for deviation in figure_data.deviations)
+
+
+def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(device):
+    """R 1e-4 m, E 1e8 Pa, 1e3 kg/m3, 1 to 10 m/s: of the order of 1e3 N/m."""
+    speeds = np.array([1.0, 10.0])
+    outcomes = velocity.estimate_run(device, speeds)
+    k, mass = hertz_numbers(small_soft_case())
+    largest = (1.25 * mass * speeds**2 / k) ** 0.4
+    assert velocity.spring_of(outcomes) == pytest.approx(mass * speeds**2 / largest**2, rel=1e-3)
+    assert np.all(np.abs(np.log10(velocity.spring_of(outcomes)) - 3.0) < 0.5)
+
+
+def test_force_overlap_loops_match_equation_4(device):
+    outcomes = loops.loop_run(device)
+    figure_data = loops.loop_figure(outcomes)
+    for index, e in enumerate(loops.RESTITUTIONS):
+        of_case = figure_data.columns["restitution"] == e
+        share, force = figure_data.columns["overlap_over_max"][of_case], figure_data.columns["force_over_max"][of_case]
+        rising = np.arange(len(share)) <= np.argmax(share)
+        assert force[rising] == pytest.approx(share[rising] ** 1.5, rel=1e-9)
+        if e > 0.0:
+            y = root_of_equation_8(e)
+            above = np.maximum(share[~rising] - 1.0 + y, 0.0)  # the mean over the last step may be negative
+            slope = (1.0 - e**3 * y**1.5) / y
+            assert force[~rising] == pytest.approx(slope * above + e**3 * above**1.5, abs=2e-3)
+            dissipated = 1.0 - outcomes.restitution[index] ** 2
+            assert trapezoid(force, share) == pytest.approx(0.4 * dissipated, abs=1e-3)
+    assert 0.0 < outcomes.restitution[0] < 0.03
+
+
+def test_accuracy_at_200_steps_is_within_its_target(device, monkeypatch):
+    monkeypatch.setattr(accuracy, "RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
+    monkeypatch.setattr(accuracy, "PHASES", 4)
+    figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run(device))
+    assert all(deviation.is_within_target for deviation in figure_data.deviations)
+    at_steps = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
+          for steps in (50, 400)}  # fmt: skip
+    assert np.all(at_steps[400] < at_steps[50] / 8.0**1.5)
+
+
+def test_contact_end_is_interpolated_within_a_step(device):
+    """Duration and residual overlap do not depend on the position of the first contact within a step."""
+    case = PAPER_CASES[0]
+    pairs = [case.head_on(0.6, 1.0)] * 12
+    outcomes = collide_all("zhou", pairs, case.duration(0.6, 1.0) / 100.0, device)
+    assert np.ptp(outcomes.duration) < 0.02 * outcomes.time_step
+    assert np.ptp(outcomes.overlap_residual / outcomes.overlap_max) < 2e-4
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 30.0])
+def test_thornton_restitution_follows_from_the_energies(ratio):
+    """Hertz up to yield, then linear with the slope at yield; unloading by Hertz on the flattened sphere.
+
+    In units of the yield overlap and force: F = d^1.5, then 1 + 1.5 (d - 1); unloading returns (2/5) F (d - dp)
+    with R_p F = F_hertz(dmax) R, so that its stiffness is sqrt(R_p / R).
+    """
+    energy = 0.4 * ratio**2  # kinetic energy; the yield energy is 0.4
+    largest = brentq(lambda d: 0.4 + (d - 1.0) + 0.75 * (d - 1.0) ** 2 - energy, 1.0, 1e4)
+    force = 1.0 + 1.5 * (largest - 1.0)
+    flattened = largest**1.5 / force
+    rebound = (force / np.sqrt(flattened)) ** (2.0 / 3.0)
+    expected = np.sqrt(0.4 * force * rebound / energy)
+    assert thornton_restitution(np.array([ratio]), 1.0)[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_every_contact_model_reaches_the_restitution_of_equation_12(device):
+    """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both steels."""
+    found = comparison.compare(device, np.array([comparison.REFERENCE_VELOCITY]))
+    assert not found.refused
+    wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),
+              np.exp(-0.1418 / (np.sqrt(6.09e9 / 7830.0) - 1.0) ** 0.3114)]  # fmt: skip
+    for name, (_, outcomes) in found.ran.items():
+        assert outcomes.restitution == pytest.approx(wanted, rel=1e-3), name

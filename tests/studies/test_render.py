@@ -1,0 +1,289 @@
+"""Pictures of a run: frame selection, colors, camera. Tests that draw with VTK are slow."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
+
+from granflow.cli.main import main
+from granflow.cli.render import FITS
+from granflow.errors import GranflowError
+from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.studies.render.bounding_points import bounding_points, corners_of, outermost_points
+from granflow.studies.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
+from granflow.studies.render.colors import prefixed, scale_for, values_of
+from granflow.studies.render.frames import (
+    FrameParticles,
+    frames_of,
+    read_force_chains,
+    read_particles,
+    read_walls,
+    selected_frames,
+)
+from granflow.studies.render.render import decimals_of
+
+FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+INTERVAL, COUNT = 0.25, 30
+needs_plot = pytest.mark.skipif(find_spec("pyvista") is None, reason="needs the plot extra")
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A directory with four frames; the first one has no particles."""
+    writers = (
+        ParticleFrames(tmp_path, INTERVAL),
+        WallFrames(tmp_path, INTERVAL, {"floor": FLOOR}),
+        contact_frames(tmp_path),
+    )
+    for k in range(4):
+        snapshot = snapshot_of(
+            time=INTERVAL * k,
+            particles=particles_of(COUNT if k else 0, seed=k),
+            contacts=contacts_of(7),
+            walls={"floor": turned(0)},
+        )
+        for writer in writers:
+            writer.observe(snapshot)
+    return tmp_path
+
+
+def contact_frames(path):
+    return ContactFrames(path, INTERVAL)
+
+
+def test_each_frame_has_its_walls_and_contacts(run):
+    frames = frames_of(run)
+    assert [frame.time for frame in frames] == [0, 0.25, 0.5, 0.75]
+    assert frames[2].walls.name == "walls_0002.vtu" and frames[2].contacts.name == "contacts_0002.vtu"
+    assert len(read_particles(frames[0]).radius) == 0
+    expected = particles_of(COUNT, seed=2)
+    np.testing.assert_allclose(read_particles(frames[2]).position, expected["position"], rtol=1e-6)
+    np.testing.assert_array_equal(read_walls(frames[2]).polygons[0], FLOOR[1])
+    chains, contacts = read_force_chains(frames[2]), contacts_of(7)
+    np.testing.assert_allclose(chains.ends[:, 1], contacts["position_j"], rtol=1e-6)
+    np.testing.assert_allclose(chains.normal_force, contacts["normal_force"], rtol=1e-6)
+
+
+def test_bounding_points_depend_on_the_fit(run):
+    """`all` adds the walls to the points of `particles`; `domain` returns the corners of the box."""
+    box = np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]])
+    points = {fit: bounding_points(fit, None, frames_of(run), box) for fit in FITS}
+    np.testing.assert_array_equal(points["domain"], corners_of(box))
+    assert len(points["all"]) > len(points["particles"]) > 0
+
+
+def test_missing_files_are_skipped(run):
+    (run / "particles_0001.vtu").unlink()
+    (run / "walls_0002.vtu").unlink()
+    assert [(frame.number, frame.walls is None) for frame in frames_of(run)] == [(0, False), (2, True), (3, False)]
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("last", [3]),
+        ("first", [0]),
+        ("2", [2]),
+        ("0.45s", [2]),
+        ("240 ms", [1]),
+        ("0.6", [2]),
+        ("all", [0, 1, 2, 3]),
+        ("1,last", [1, 3]),
+    ],
+)
+def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
+    assert [frame.number for frame in selected_frames(frames_of(run), text)] == numbers
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"), ("3 mm", "give last, first, all")],
+)
+def test_absent_frames_are_rejected(run, text, message):
+    with pytest.raises(GranflowError, match=message):
+        selected_frames(frames_of(run), text)
+
+
+def test_directories_without_frames_are_rejected(tmp_path, capsys):
+    assert main(["render", str(tmp_path / "none")]) == 2
+    assert "there is no such directory" in capsys.readouterr().err
+    assert main(["render", str(tmp_path)]) == 2
+    assert "contains no particle frames" in capsys.readouterr().err
+
+
+def test_truncated_frame_is_rejected(run):
+    path = run / "particles_0003.vtu"
+    path.write_bytes(path.read_bytes()[:700])
+    with pytest.raises(GranflowError, match=r"particles_0003.vtu cannot be read"):
+        read_particles(frames_of(run)[-1])
+
+
+def test_one_output_file_requires_one_frame(run, capsys):
+    assert main(["render", str(run), "--frame", "all", "--out", "a.png"]) == 2
+    assert "--frame all selects 4 images" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--size", "1600"], ["--size", "9x9"], ["--range", "2,1"], ["--range", "fast"], ["--zoom", "0"], ["--fps", "-1"]],
+)
+def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, capsys):
+    with pytest.raises(SystemExit):
+        main(["render", str(run), *arguments])
+    assert "is not a " in capsys.readouterr().err
+
+
+def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    assert main(["render", str(run)]) == 2
+    assert "pip install granflow[plot]" in capsys.readouterr().err
+
+
+def test_vectors_are_colored_by_magnitude_or_component():
+    arrays = {"velocity": np.array([[3.0, 4.0, 12.0]]), "radius": np.array([0.5])}
+    assert values_of(arrays, "velocity")[0] == 13.0 and values_of(arrays, "velocity.z")[0] == 12.0
+    for color, hint in (("velocty", "Did you mean velocity"), ("radius.x", "no such array"), ("velocity.w", "no such")):
+        with pytest.raises(GranflowError, match=hint):
+            values_of(arrays, color)
+
+
+def test_range_contains_98_percent_of_the_values_and_zero_if_near():
+    values = np.arange(101.0)
+    scale = scale_for("force", [values[:50], values[50:]], is_vector=True)
+    assert scale.limits == (0.0, 99.0) and scale.out_of_range == (False, True)
+    assert (scale.title, scale.unit) == ("force\nmagnitude", "N")
+    narrow = scale_for("radius", [2e-3 + 1e-5 * values])
+    assert narrow.limits == pytest.approx((2.01e-3, 2.99e-3)) and (narrow.unit, narrow.factor) == ("mm", 1e-3)
+    signed = scale_for("velocity.z", [values - 10.0])
+    assert signed.limits == (-89.0, 89.0)
+    assert scale_for("radius", [values], limits=(1.0, 2.0)).limits == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("values", [[], [0.0], [0.4], [-0.4], [np.nan]])
+def test_range_is_never_empty(values):
+    low, high = scale_for("velocity", [np.array(values)]).limits
+    assert low < high
+
+
+def test_materials_are_labeled_by_name():
+    scale = scale_for("material", [np.array([1, 1, 3])], names={"material": ("glass", "steel")})
+    assert scale.names == {1: "steel", 3: "material 3"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "factor", "shown"),
+    [("m", 2.8e-3, 1e-3, "mm"), ("N", 999.0, 1.0, "N"), ("N", 1000.0, 1e3, "kN"), ("kg", 0.5e-3, 1e-6, "mg"),
+     ("kg", 2.0, 1.0, "kg"), ("m^2", 1e-6, 1.0, "m^2"), ("", 5.0, 1.0, ""), ("J", 0.0, 1.0, "J")],
+)  # fmt: skip
+def test_unit_prefix_follows_the_largest_value(unit, largest, factor, shown):
+    assert prefixed(unit, largest) == (pytest.approx(factor), shown)
+
+
+@pytest.mark.parametrize("text", [*VIEWS, "1,-2,0.8", "0,0,1", "0,0,-3"])
+@pytest.mark.parametrize("aspect", [0.6, 1.8])
+def test_all_points_are_visible_and_fill_the_picture(text, aspect):
+    """Every point projects into the picture (pinhole formula); the outermost lies within 10 % of the edge."""
+    points = corners_of(np.array([[-1.0, 2.0, 0.0], [1.0, 2.5, 4.0]]))
+    view = view_of(text)
+    camera = camera_for(view, points, aspect)
+    projected = view.projected(points - camera.eye)
+    half = -np.tan(0.5 * OPENING) * projected[:, 2:] if view.perspective else camera.half_height
+    distances = np.abs(projected[:, :2] / half / [aspect, 1.0])
+    assert 0.9 < distances.max() < 1.0
+    assert np.all(projected[:, 2] < 0.0), "a point is behind the viewer"
+
+
+def test_view_directions_match_their_names():
+    assert view_of("front").toward.tolist() == [0, -1, 0] and view_of("front").right.tolist() == [1, 0, 0]
+    assert view_of("side").toward.tolist() == [1, 0, 0] and view_of("side").right.tolist() == [0, 1, 0]
+    assert view_of("top").toward.tolist() == [0, 0, 1] and view_of("top").right.tolist() == [1, 0, 0]
+    sideways = view_of("front", gravity=np.array([0.1, -9.8, 0.0]))
+    assert sideways.up.tolist() == [0, 1, 0] and sideways.right.tolist() == [1, 0, 0]
+    assert aspect_of(view_of("front"), corners_of(np.array([[0.0, 0, 0], [3, 9, 1]]))) == 3.0
+
+
+@pytest.mark.parametrize("text", ["behind", "1,2", "0,0,0", "1,nan,2"])
+def test_invalid_views_are_rejected(text):
+    with pytest.raises(GranflowError, match="--view"):
+        view_of(text)
+
+
+def test_outermost_points_include_the_radius():
+    particles = FrameParticles(np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]), np.array([1.0, 0.5, 0.2]), {})
+    points = outermost_points(particles)
+    np.testing.assert_allclose(points.max(axis=0), [2.5, 1, 1])
+    np.testing.assert_allclose(points.min(axis=0), [-1, -1, -1])
+
+
+def test_time_label_has_enough_digits_to_distinguish_frames():
+    assert [decimals_of(times) for times in ([0, 0.02, 0.04], [0, 1e-4, 2e-4, 3.1e-4], [5.0], [0.0], [0, 60, 120])] == [
+        2,
+        4,
+        0,
+        1,
+        0,
+    ]
+
+
+# Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.
+AREAS = """
+import sys
+import numpy as np
+from granflow.studies.render.camera import camera_for, view_of
+from granflow.studies.render.frames import FrameParticles
+from granflow.studies.render.renderer import Renderer
+for name in ("front", "iso"):
+    for radius in (0.07, 0.4):
+        view = view_of(name)
+        camera = camera_for(view, np.array([[-1.0, -1, -1], [1, 1, 1]]) * 0.7, 1.0)
+        renderer = Renderer((600, 600), camera)
+        particles = FrameParticles(np.zeros((1, 3)), np.array([radius]), {})
+        renderer.set_particles(particles, np.array([[0, 0, 0]], np.uint8))
+        share = np.mean(renderer.draw().min(axis=2) < 128)
+        distance = np.linalg.norm(camera.eye)
+        seen = np.tan(np.arcsin(radius / distance)) / np.tan(np.radians(12))
+        slope = seen if view.perspective else radius / camera.half_height
+        print(share / (np.pi / 4 * slope**2))
+"""
+
+
+@pytest.mark.slow
+@needs_plot
+def test_spheres_cover_their_projected_area():
+    """A sphere covers a disc of half angle asin(R / distance) in perspective, of radius R in a parallel projection."""
+    run = subprocess.run([sys.executable, "-c", AREAS], capture_output=True, text=True, timeout=250)
+    assert run.returncode == 0, run.stderr[-2000:]
+    np.testing.assert_allclose([float(line) for line in run.stdout.split()], 1.0, atol=0.02)
+
+
+@pytest.mark.slow
+@needs_plot
+@pytest.mark.parametrize(
+    "arguments", [("--color", "group"), ("--chains",), ("--view", "top", "--cut", "--color", "velocity.z")]
+)
+def test_pictures_are_written(run, arguments):
+    from PIL import Image
+
+    out = run / "a.png"
+    command = [sys.executable, "-m", "granflow", "render", str(run), "--out", str(out), "--size", "640x480", *arguments]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=250)
+    assert process.returncode == 0, process.stderr[-2000:]
+    picture = np.asarray(Image.open(out))
+    assert picture.shape == (480, 640, 3)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100, "the picture is blank"
+
+
+@pytest.mark.slow
+@needs_plot
+@pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="needs the plot extra")
+def test_film_contains_every_frame(run):
+    import imageio_ffmpeg
+
+    command = [sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480", "--fps", "4"]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=250)
+    assert process.returncode == 0, process.stderr[-2000:]
+    film = run / "pictures" / "film_velocity_iso.mp4"
+    assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))

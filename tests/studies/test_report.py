@@ -1,0 +1,230 @@
+"""Report of one run: complete, interrupted and resumed runs, and the grouping of columns into plots."""
+
+import json
+import re
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from studies.test_page import BalanceParser
+
+from granflow.cli.main import main
+from granflow.studies.page import Page, Plot, Section, html_of
+from granflow.studies.report.log import explanation, read_log, sessions, warnings_and_errors
+from granflow.studies.report.pictures import _caption
+from granflow.studies.report.plots import plot_of
+from granflow.studies.report.record import read_record
+from granflow.studies.report.report import page_of
+from granflow.studies.report.series import MOST_POINTS, SeriesColumn, TimeSeriesTable, groups_of, read_series, thinned
+
+HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
+HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
+ROWS = [
+    "0.0,fill,1,2e-6,0,0,0,0,0,0,1,2,300\n",
+    "0.1,fill,2,,1e-6,0.1,0.2,0,0,0,1,3,301\n",
+    "0.2,pour,2,1e-6,0,0,0.5,0,3,4,1,2,302\n",
+]
+LOG = """\
+2026-01-02 03:04:05,678 INFO granflow: granflow 0.1.0, taichi 1.7.4, Python 3.11
+2026-01-02 03:04:05,678 INFO granflow: cpu with f64, compiled in 1.5 s
+2026-01-02 03:04:05,678 INFO granflow: Two <beads> (two.yaml)
+2026-01-02 03:04:05,678 INFO granflow:   friction  off  every pair has friction 0
+2026-01-02 03:04:06,000 WARNING granflow: too fast
+2026-01-02 03:04:06,000 INFO granflow: stage fill begins at 0 s
+2026-01-02 03:04:07,000 WARNING granflow: too fast
+2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst
+at the seams
+"""
+RESUMED_LOG = """\
+2026-01-02 04:00:00,000 INFO granflow: granflow 0.2.0, taichi 1.7.4, Python 3.11
+2026-01-02 04:00:00,000 INFO granflow: cuda with f32, compiled in 2.5 s
+2026-01-02 04:00:00,000 INFO granflow: resumed from checkpoint_1.npz at 0.1 s
+"""
+RESULT = {
+    "run": {"simulated_time": 0.2, "step_count": 12345, "wall_clock": 10.0},
+    "timings": {"forces": 6.0, "compile": 3.0},
+    "totals": {"particle_count": 2, "energy_error": 1e-4},
+    "flow_meters": {"a": {"flow_mass": 3.0, "mass_flow": 4.0}},
+    "expect": [{"sentence": "it is 1, as expected.", "met": True}, {"sentence": "it is <2>.", "met": False}],
+    "wall_forces": {"lid": {"wall_force": 7.5}},
+    "packing": {"solid_fraction": 0.62, "not_known": None},
+    "insertion": {"beads": {"inserted_count": 40321, "not_inserted_count": 0}},
+}
+
+
+@pytest.fixture
+def run(tmp_path):
+    (tmp_path / "timeseries.csv").write_text(HEAD + "".join(ROWS))
+    (tmp_path / "run.log").write_text(LOG)
+    (tmp_path / "result.json").write_text(json.dumps(RESULT))
+    (tmp_path / "scene_as_run.yaml").write_text("title: A & B\nnot a scene: at all\n")
+    return tmp_path
+
+
+def text_of(directory, script="/* plotly */"):
+    """Text of the page; asserts that its HTML is balanced."""
+    html = html_of(page_of(read_record(directory), script, None))
+    parser = BalanceParser()
+    parser.feed(re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL))
+    assert not parser.open
+    return "".join(parser.text)
+
+
+def columns(*names):
+    return [SeriesColumn(name, unit, np.ones(1)) for name, _, unit in (each.partition(" ") for each in names)]
+
+
+def test_page_of_a_complete_run_contains_all_results(run):
+    text = text_of(run)
+    for fragment in (
+        *("The run is complete.", "1 of 2 expectations", "it is <2>.", "too fast (2 times)", "12 345"),
+        *(
+            "Two <beads> (two.yaml)",
+            "every pair has friction 0",
+            "granflow 0.1.0, taichi 1.7.4",
+            "solid fraction",
+            "40 321",
+            "wall force (N)",
+            "7.5",
+        ),
+        *("not a scene: at all", "This version cannot read the scene", "Always zero: idle", "it burst\nat the seams"),
+    ):
+        assert fragment in text, fragment
+
+
+def test_timings_add_up_to_the_wall_clock(run):
+    section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Timings")
+    assert [row[:3] for row in section.parts[0].rows] == [
+        ("forces", "6.00", "60%"),
+        ("compile", "3.00", "30%"),
+        ("other", "1.00", "10%"),
+    ]
+
+
+def test_page_of_an_interrupted_run_states_reason_and_time(run):
+    (run / "result.json").unlink()
+    with (run / "timeseries.csv").open("a") as file:
+        file.write("0.3,pour,2,1e-")
+    text = text_of(run)
+    assert "The run did not finish (ended by RunError: see the warnings). granflow resume" in text
+    assert re.search(r"simulated time\s*0.2\s*s", text)
+    assert re.search(r"last row.*mass flow \(kg/s\)\s*a\s*3\s*4", text, re.DOTALL), "the last row replaces the result"
+
+
+def test_page_of_a_resumed_run_lists_its_sessions(run):
+    (run / "run.log").write_text(LOG + RESUMED_LOG)
+    text = text_of(run)
+    assert "resumed (2 sessions)" in text and "cuda" in text and "resumed from checkpoint_1.npz" in text
+
+
+@pytest.mark.parametrize("kept_file", ["timeseries.csv", "run.log", "result.json", "scene_as_run.yaml"])
+def test_one_file_suffices_for_a_page(run, kept_file):
+    for path in list(run.iterdir()):
+        if path.name != kept_file:
+            path.unlink()
+    assert "Summary" in text_of(run)
+
+
+@pytest.mark.parametrize("text", ["", "time [s],stage,a\n", "a,b\n1,2\n", "time [s],stage,a\n0.0,fi"])
+def test_time_series_without_rows_reads_as_none(tmp_path, text):
+    (tmp_path / "timeseries.csv").write_text(text)
+    assert read_series(tmp_path / "timeseries.csv") is None
+
+
+def test_directories_without_a_run_are_rejected(tmp_path, capsys):
+    assert main(["report", str(tmp_path)]) == 2
+    assert "is not the directory of a run" in capsys.readouterr().err
+    assert main(["report", str(tmp_path / "none")]) == 2
+    assert "there is no such directory" in capsys.readouterr().err
+    (tmp_path / "result.json").write_text("{")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "result.json cannot be read" in capsys.readouterr().err
+
+
+def test_page_without_plotly_states_the_missing_package(run, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    assert main(["report", str(run)]) == 0
+    assert "pip install granflow[plot]" in capsys.readouterr().out
+    html = (run / "report.html").read_text(encoding="utf-8")
+    assert "Plots require plotly" in html and "run has no frames" in html
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html), "the page loads external content"
+
+
+def test_columns_are_read_with_units_and_stages(run):
+    series = read_series(run / "timeseries.csv")
+    energy = series.columns[1]
+    assert (energy.name, energy.unit, series.stages) == ("kinetic_energy", "J", ((0.0, "fill"), (0.2, "pour")))
+    np.testing.assert_array_equal(energy.values, [2e-6, np.nan, 1e-6])
+
+
+def test_columns_of_one_quantity_and_unit_share_a_plot():
+    """Also for column names that the report does not list."""
+    found = groups_of(
+        columns(
+            *("kinetic_energy J", "elastic_energy J", "wall_work J", "overlap_mean", "overlap_largest", "count"),
+            *("force_z.floor N", "force_z.lid N", "force_x.lid N", "pressure.lid Pa", "mean_count", "temperature K"),
+        )
+    )
+    assert [(group.title, group.unit, [column.name for column in group.columns]) for group in found] == [
+        ("energy", "J", ["kinetic_energy", "elastic_energy"]),
+        ("wall work", "J", ["wall_work"]),
+        ("overlap", "", ["overlap_mean", "overlap_largest"]),
+        ("count", "", ["count", "mean_count"]),
+        ("force", "N", ["force_z.floor", "force_z.lid", "force_x.lid"]),
+        ("pressure, lid", "Pa", ["pressure.lid"]),
+        ("temperature", "K", ["temperature"]),
+    ]
+
+
+def test_thinned_curve_keeps_peaks_and_ends():
+    time, values = np.arange(1e5), np.zeros(100_000)
+    values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
+    values[50_000] = np.nan
+    x, y = thinned(time, values)
+    assert len(x) <= MOST_POINTS and np.all(np.diff(x) > 0)
+    assert {(0, 1.0), (777, 9.0), (5_001, -4.0), (99_999, 2.0)} <= set(zip(x, y, strict=True))
+    np.testing.assert_array_equal(thinned(time[:9], values[:9])[1], values[:9])
+
+
+def test_plot_json_cannot_close_its_script_element():
+    group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
+    plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
+    assert isinstance(plot, Plot) and plot.figure["data"][0]["x"] == [0.0, 2.0]
+    assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
+    html = html_of(Page("t", "l", [Section("s", [plot])]))
+    assert html.count("</script>") == 1
+    assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
+        "the button would upload data"
+    )
+    shifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
+    assert shifts[0] != shifts[1], "names of stages that begin soon after each other overlap"
+
+
+def test_log_yields_sessions_warnings_and_explanations(run):
+    (run / "run.log").write_text("a line without time and level\n" + LOG + RESUMED_LOG)
+    entries = read_log(run / "run.log")
+    first, second = sessions(entries)
+    assert (first.started, first.arch, first.precision, first.compiled) == ("2026-01-02 03:04:05", "cpu", "f64", "1.5")
+    assert (second.arch, second.resumed_from) == ("cuda", "resumed from checkpoint_1.npz at 0.1 s")
+    assert [(time[-2:], level) for time, level, _ in warnings_and_errors(entries)] == [
+        ("06", "warning"),
+        ("08", "error"),
+    ]
+    assert explanation(entries) == "", "the second session has no explanation"
+    assert explanation(read_log(run / "run.log")[: len(entries) - 3]).splitlines()[1].startswith("  friction")
+
+
+def test_captions_follow_from_file_names(tmp_path):
+    assert _caption(tmp_path / "picture_normal_force_iso_cut_0023.png", []) == "normal force, iso, cut."
+    assert _caption(tmp_path / "film_velocity_z_from_1_-2_0.8.mp4", []) == "velocity z, from 1 -2 0.8."
+    assert _caption(tmp_path / "mine.png", []) == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("plotly") is None, reason="needs the plot extra")
+def test_page_with_plots_is_smaller_than_6_mb(run):
+    assert main(["report", str(run)]) == 0
+    page = run / "report.html"
+    assert 1e6 < page.stat().st_size < 6e6
+    assert "Plotly.newPlot" in page.read_text(encoding="utf-8")

@@ -1,0 +1,165 @@
+"""Given and simulated restitution: results of `granflow restitution` and warnings of `granflow run`."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane, run_to_end
+from subprocess_runner import in_subprocess
+
+from granflow.cli.main import main
+from granflow.load import load
+from granflow.plan.plan import plan_for
+from granflow.studies.restitution import measure, pairings, warnings
+
+SCENES = Path(__file__).parents[2] / "scenes"
+STEEL = {"preset": "stainless_316"}
+FIT = {"sigma": 3.0432, "psi": 0.54, "limit_velocity": 340.3}
+
+
+def two_materials(fraction=0.02, **parts):
+    """Steel particles of two sizes, glass particles, and a steel floor."""
+    groups = {
+        "fine": particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]], 0.004, "steel"),
+        "coarse": particle_group([[0.1, 0.0, 0.2]], 0.01, "steel"),
+        "beads": particle_group([[0.2, 0.0, 0.2]], 0.006, "glass"),
+    }
+    defaults = {
+        "walls": {"floor": plane([0, 0, 0], [0, 0, 1], "steel")},
+        "materials": {"steel": STEEL, "glass": {"preset": "glass"}},
+        "pairs": {
+            "steel-steel": {"restitution": FIT, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
+        },
+        "run": {"duration": 1.0, "velocity_max": 5.0},
+        "numerics": {"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
+    }  # fmt: skip
+    return build_scene(groups, **(defaults | parts))
+
+
+def coarse_hertz(step="auto"):
+    """A damped Hertz contact resolved by few steps: the rebound velocity is too small."""
+    groups = {"beads": particle_group([[0.0, 0.0, 0.1]], 0.01, "steel")}
+    return build_scene(
+        groups, walls={"floor": plane([0, 0, 0], [0, 0, 1], "steel")}, materials={"steel": STEEL}, normal="hertz",
+        pair={"restitution": 0.3}, run={"duration": 1.0, "velocity_max": 2.0, "time_step": step},
+        numerics={"time_step_fraction": 0.15, "rayleigh_fraction": 1.0},
+    )  # fmt: skip
+
+
+def test_pairings_contain_each_possible_material_pair_with_its_smallest_radii():
+    found = {(each.name, each.radius, each.other_radius) for each in pairings(two_materials())}
+    assert found == {
+        ("steel-steel", 0.002, 0.002),
+        ("steel-glass", 0.002, 0.003),
+        ("glass-glass", 0.003, 0.003),
+        ("steel-steel wall", 0.002, None),
+        ("glass-steel wall", 0.003, None),
+    }
+
+
+def test_small_time_steps_reach_the_given_restitution(taichi_f64):
+    """Eq. 12 from sigma and psi, or the constant of a pair; within 0.1 % over three decades of velocity."""
+    rows, _ = measure(two_materials(fraction=0.01))
+    velocity = np.array([row.velocity for row in rows])
+    fit = np.exp(-FIT["sigma"] * (velocity / (FIT["limit_velocity"] - velocity)) ** FIT["psi"])
+    numbers = np.array([0.6 if "glass-steel" in row.pair or "steel-glass" in row.pair else 0.8 for row in rows])
+    requested = np.where(["steel-steel" in row.pair for row in rows], fit, numbers)
+    np.testing.assert_allclose([row.requested for row in rows], requested, rtol=1e-14)
+    np.testing.assert_allclose([row.reached for row in rows], requested, rtol=1e-3)
+    assert (velocity.min(), velocity.max()) == pytest.approx((0.005, 5.0), rel=1e-12)
+    assert len({row.pair for row in rows}) == 5
+
+
+def test_reached_restitution_equals_that_of_a_run(taichi_f64):
+    """A particle of the scene falls on the floor of the scene with the time step of the scene."""
+    scene = coarse_hertz()
+    rows, step = measure(scene)
+    fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
+    group = scene.particles["beads"].model_copy(
+        update={
+            "velocity": (0.0, 0.0, -2.0),
+            "insert": scene.particles["beads"].insert.model_copy(update={"positions": ((0.0, 0.0, 0.005 + step),)}),
+        }
+    )
+    last, simulation = run_to_end(scene.model_copy(update={"particles": {"beads": group}}), until=2e-4)
+    assert simulation.plan.time_step == step
+    reached = last.particles["velocity"][0, 2] / 2.0
+    assert abs(fastest.difference) > 0.02
+    assert fastest.min_reached - 2e-4 <= reached <= fastest.max_reached + 2e-4
+
+
+def max_difference_at_low_velocity(precision):
+    scene = two_materials(run={"duration": 1.0, "velocity_max": 5.0, "precision": precision})
+    rows, _ = measure(scene)
+    return max(abs(row.difference) for row in rows if row.velocity < 0.01)
+
+
+@pytest.mark.slow
+def test_single_precision_is_inaccurate_at_low_velocities(taichi_f64):
+    """The spacing of f32 coordinates up to 1 m is 6e-8 m; overlaps at 5 mm/s are of that order."""
+    assert in_subprocess(max_difference_at_low_velocity, "f32") > 0.05
+    assert max_difference_at_low_velocity("f64") < 0.01
+
+
+# ---------------------------------------------------------------- the warning
+
+
+def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
+    scene = coarse_hertz()
+    sentences = {each.split(":")[0]: each for each in warnings(plan_for(scene))}
+    assert list(sentences) == ["steel-steel wall"]  # one particle: no collision between particles
+    numbers = re.search(
+        r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+)\. "
+        r"Use run\.time_step: (\S+) s\.",
+        sentences["steel-steel wall"],
+    )
+    requested, velocity, step, reached, remedy = map(float, numbers.groups())
+    assert (requested, velocity) == (0.3, 2.0)
+    assert step == pytest.approx(plan_for(scene).time_step, rel=5e-3)
+    rows, _ = measure(scene)
+    fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
+    assert fastest.min_reached * 0.99 <= reached <= fastest.max_reached * 1.01
+    assert warnings(plan_for(coarse_hertz(remedy))) == []
+
+
+def test_each_material_pair_has_at_most_one_warning():
+    scene = coarse_hertz()
+    three_groups = scene.model_copy(update={"particles": {
+        name: scene.particles["beads"].model_copy(update={"count": 2}) for name in ("one", "two", "three")
+    }})  # fmt: skip
+    fixed = scene.particles["beads"].model_copy(update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)})
+    assert len(warnings(plan_for(three_groups))) == 1
+    assert warnings(plan_for(scene.model_copy(update={"particles": {"beads": fixed}}))) == []
+
+
+def test_shipped_scenes_have_no_warnings():
+    for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
+        assert warnings(plan_for(load(path))) == [], path
+
+
+def test_warnings_of_the_plan_are_not_repeated():
+    """Restitution 0.02 requires an unloading stiffness that is unstable with the time step."""
+    scene = two_materials(fraction=0.1, pairs={
+        "steel-steel": {"restitution": 0.02, "friction": 0.3}, "steel-glass": {"restitution": 0.6, "friction": 0.3}
+    })  # fmt: skip
+    plan = plan_for(scene)
+    assert any("0.02" in sentence for sentence in plan.step.warnings)
+    assert not any("steel-steel" in sentence for sentence in warnings(plan))
+
+
+def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
+    path = tmp_path / "coarse.yaml"
+    path.write_text(coarse_hertz().text(), encoding="utf-8")
+    assert main(["restitution", str(path), "--out", str(tmp_path / "out")]) == 0
+    row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.30000 +([\d.]+) +([+-][\d.]+)( \*)?")
+    shown = [found.groups() for line in capsys.readouterr().out.splitlines() if (found := row.match(line))]
+    lines = (tmp_path / "out" / "restitution.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "pair,velocity,requested,min_reached,max_reached,difference"
+    assert len(lines) - 1 == len(shown) == 2 * 13
+    for line, (velocity, reached, percent, flag) in zip(lines[1:], shown, strict=True):
+        numbers = [float(cell) for cell in line.split(",")[1:]]
+        assert float(velocity) == pytest.approx(numbers[0], rel=1e-3)
+        assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.3)), abs=1e-5)
+        assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.3 - 1.0), abs=5e-3)
+        assert bool(flag) == (abs(float(percent)) > 1.0)
