@@ -38,7 +38,8 @@ from granflow.runs.result import Result, write_result
 from granflow.runs.resume import Change, CheckpointWriter, accepted_change, plan_fingerprint
 from granflow.runs.stage_progress import REST_CHECKS, StageProgress
 from granflow.runs.timings import Readings, WallClock, collect_result, log_plan
-from granflow.scene.schema.scene import Scene, Stage
+from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.stages import Stage
 from granflow.snapshot import Snapshot
 
 CHUNK_SECONDS = 0.2

@@ -18,9 +18,9 @@ from granflow.particles.particle_data import random_for
 from granflow.particles.sizes import count_for_volume
 from granflow.particles.table import ParticleTable
 from granflow.scene.schema.fields import Model
-from granflow.scene.schema.groups import Group
 from granflow.scene.schema.insertion import FileInsertion, FileSummary, InletInsertion, RainInsertion
 from granflow.scene.schema.numbers import LARGEST_COUNT, Number
+from granflow.scene.schema.particles import Group
 from granflow.scene.schema.scene import Scene
 
 ROUNDING_SHARE = 1e-9

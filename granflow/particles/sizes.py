@@ -9,7 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from granflow.scene.schema.groups import ClassSizes, LogNormalSizes, NormalSizes, SizeSpec, UniformSizes
+from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeSpec, UniformSizes
 
 MAX_COUNTED = 10_000_000
 """Largest count that is derived from a mass by summation; larger counts follow from the mean of a sample."""

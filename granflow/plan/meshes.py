@@ -14,8 +14,9 @@ from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
 from granflow.io.regular_files import resolved
 from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.fields import Vector3
-from granflow.scene.schema.scene import MeshWall, Scene, Wall
+from granflow.scene.schema.quantities import Vector3
+from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.walls import MeshWall, Wall
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of length."""

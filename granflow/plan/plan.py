@@ -41,7 +41,9 @@ from granflow.plan.travel import (
 )
 from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
-from granflow.scene.schema.scene import Group, RestitutionFit, Scene
+from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.particles import Group
+from granflow.scene.schema.scene import Scene
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""

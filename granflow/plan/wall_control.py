@@ -13,7 +13,7 @@ from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import unit
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
-from granflow.scene.schema import scene as scene_schema
+from granflow.scene.schema.motions import FreeWallSpec, ServoSpec
 from granflow.scene.schema.scene import Scene
 
 GAIN_SHARE = 0.2
@@ -69,9 +69,9 @@ def controlled_motions_of(
     controlled_motions = []
     for index, wall in enumerate(walls):
         for number, given in enumerate(scene.walls[wall.name].motion):
-            if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
+            if isinstance(given, ServoSpec | FreeWallSpec):
                 stiffness = _stiffness(scene, wall, given, law, pair_cases, velocity)
-                build = _servo if isinstance(given, scene_schema.ServoSpec) else _free
+                build = _servo if isinstance(given, ServoSpec) else _free
                 controlled_motions.append(build(scene, index, wall, number, given, stiffness, step))
     return tuple(controlled_motions)
 

@@ -12,8 +12,9 @@ from granflow.geometry.catalog import Surface, area_of, reach_about
 from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
 from granflow.plan.meshes import meshes_of
-from granflow.scene.schema import scene as scene_schema
+from granflow.scene.schema.motions import FreeWallSpec, RotationSpec, ServoSpec, TranslationSpec
 from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of each stage that has begun; the end is infinite during the stage."""
@@ -46,20 +47,20 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     return tuple(PlannedWall(name, surfaces[name], material_numbers[wall.material]) for name, wall in walls.items())
 
 
-def shape_of(wall: scene_schema.AnyWall) -> Shape:
+def shape_of(wall: AnyWall) -> Shape:
     """Shape at rest of a wall of the scene that is not a mesh: half space, rectangle, cylinder, cone or disc.
 
     Lengths [m]; cylinders and cones have no end faces.
     """
-    if isinstance(wall, scene_schema.Plane):
+    if isinstance(wall, Plane):
         return plane.half_space(wall.point, wall.normal)
-    if isinstance(wall, scene_schema.Rectangle):
+    if isinstance(wall, Rectangle):
         return plane.rectangle(wall.corner, *wall.sides)
-    if isinstance(wall, scene_schema.Cylinder):
+    if isinstance(wall, Cylinder):
         return revolved.cylinder(wall.from_, wall.to, wall.radius)
-    if isinstance(wall, scene_schema.Cone):
+    if isinstance(wall, Cone):
         return revolved.cone(wall.from_, wall.to, wall.radius_from, wall.radius_to)
-    assert isinstance(wall, scene_schema.Disc)
+    assert isinstance(wall, Disc)
     return revolved.disc(wall.center, wall.normal, wall.radius, wall.hole_radius)
 
 
@@ -71,19 +72,19 @@ def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Mo
     return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
 
 
-def is_force_controlled(wall: scene_schema.AnyWall) -> bool:
+def is_force_controlled(wall: AnyWall) -> bool:
     """True if the forces of the particles move this wall."""
-    return any(isinstance(each, scene_schema.ServoSpec | scene_schema.FreeWallSpec) for each in wall.motion)
+    return any(isinstance(each, ServoSpec | FreeWallSpec) for each in wall.motion)
 
 
 def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
     """One motion in numeric form: unit vectors, SI units, start and end [s]."""
     start, end = _span(given, stage_times)
-    if isinstance(given, scene_schema.ServoSpec | scene_schema.FreeWallSpec):
+    if isinstance(given, ServoSpec | FreeWallSpec):
         return motion.ForceControlled(start, end)
-    if isinstance(given, scene_schema.TranslationSpec):
+    if isinstance(given, TranslationSpec):
         return motion.Translation(given.velocity, start, end)
-    if isinstance(given, scene_schema.RotationSpec):
+    if isinstance(given, RotationSpec):
         return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
     amplitude, omega = given.amplitude_and_angular_frequency(scene.gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
@@ -166,9 +167,9 @@ def surface_speed(scene: Scene) -> float:
 
 def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:
     """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free wall."""
-    if isinstance(given, scene_schema.ServoSpec):
+    if isinstance(given, ServoSpec):
         return given.velocity_max
-    if isinstance(given, scene_schema.FreeWallSpec):
+    if isinstance(given, FreeWallSpec):
         acceleration = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
         return float(np.sqrt(2.0 * acceleration * distance))
     return 0.0

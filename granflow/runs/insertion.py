@@ -9,7 +9,8 @@ import numpy as np
 
 from granflow.engine.engine import Engine
 from granflow.particles.generate import inserters
-from granflow.scene.schema.scene import ClassSizes, Scene
+from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.sizes import ClassSizes
 
 
 class ParticleInsertion:

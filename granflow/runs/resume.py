@@ -20,7 +20,8 @@ from granflow.plan.plan import Plan
 from granflow.plan.walls import StageTimes, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
-from granflow.scene.schema.scene import Checkpoints, Scene
+from granflow.scene.schema.output import Checkpoints
+from granflow.scene.schema.scene import Scene
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""

@@ -4,25 +4,27 @@ A message has the form `file:line:column: key.path is VALUE, but REASON.`
 """
 
 import re
-from collections.abc import Iterable, Iterator
-from types import UnionType
+from collections.abc import Iterable, Sequence
+from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, Tag, ValidationError
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
 
 from granflow.scene.document import Document, KeyPath, Node, Problem
-from granflow.scene.schema.fields import Fault
+from granflow.scene.schema.fields import Fault, missing, tag_of, whole
 from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import nearest, suggestion_or_list
 
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
 _MAX_ERRORS = 1000  # more errors take too long to report
-_TYPE_REASONS = {
+_REASONS = {
     "dict_type": "at least one entry of the form name: {...} is expected",
     "tuple_type": "a list is expected, [ ... ]",
     "list_type": "a list is expected, [ ... ]",
     "string_type": "text is expected; put it in quotes",
 }
+"""Reasons of errors by the type that pydantic gives them; other errors have the reason as their message."""
 
 
 def dotted(path: Iterable[str | int]) -> str:
@@ -30,19 +32,21 @@ def dotted(path: Iterable[str | int]) -> str:
     return ".".join(str(key) for key in path)
 
 
-def problem_at(document: Document, path: KeyPath, fault: Fault) -> Problem:
-    """Error message for a fault at a path, with the position of the value if it is shown, else of the key.
+def problem_at(document: Document, fault: Fault) -> Problem:
+    """Error message for a fault, with the position of the value if it is shown, else of the key.
 
-    The path may contain union tags; `fault.path` is not used. The sentence ends with a period or a question mark.
+    The path may contain union tags. The sentence ends with a period or a question mark.
     """
-    written = path_in_file(document, path)
+    written = path_in_file(document, fault.path)
     name = dotted(written) or "the scene"
-    if fault.whole:
-        return Problem(document.key_position(written), _end(f"{name} {fault.reason}"))
     node = document.find(written)
     shown = node.shown() if node is not None else None
-    sentence = f"{name} is {shown}, but {fault.reason}" if shown else f"{name}: {fault.reason}"
-    return Problem(document.value_position(written), _end(sentence))
+    if fault.whole:
+        sentence = f"{name} {fault.reason}"
+    else:
+        sentence = f"{name} is {shown}, but {fault.reason}" if shown else f"{name}: {fault.reason}"
+    position = document.key_position(written) if fault.whole else document.value_position(written)
+    return Problem(position, sentence if sentence.endswith((".", "?")) else sentence + ".")
 
 
 def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
@@ -59,115 +63,95 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
     return tuple(written)
 
 
-def problems_of(document: Document, error: ValidationError) -> list[Problem]:
+def problems_of(document: Document, errors: Sequence[ErrorDetails]) -> list[Problem]:
     """The errors of the schema as problems, without consequences of other errors; at most 1000.
 
     Omitted: copied defaults of invalid values, and a missing key if an unknown key is probably a misspelling of it.
     """
-    details = error.errors(include_url=False, include_input=False)[:_MAX_ERRORS]
-    schema_errors = [
-        _SchemaError(document, each["type"], each["loc"], each["msg"], each.get("ctx")) for each in details
-    ]
-    suggested = {path for schema_error in schema_errors for path in schema_error.suggested()}
+    found = [_SchemaError(document, each) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE]
+    suggested = {error.suggested() for error in found if error.type == "extra_forbidden"}
     return [
-        schema_error.problem()
-        for schema_error in schema_errors
-        if schema_error.type != _CONSEQUENCE and not (schema_error.type == "missing" and schema_error.path in suggested)
+        problem_at(document, error.fault())
+        for error in found
+        if not (error.type == "missing" and error.path in suggested)
     ]
 
 
 class _SchemaError:
     """One pydantic error, with the part of the schema at its location.
 
-    `type`, `loc`, `msg`, `ctx`: as in pydantic; `path`: key path in the file.
+    `loc`: as in pydantic, without the mark of keys; `path`: key path in the file.
     """
 
-    def __init__(self, document: Document, type: str, loc: KeyPath, msg: str, ctx: Any = None) -> None:
+    def __init__(self, document: Document, details: ErrorDetails) -> None:
         self.document = document
-        self.type = type
-        self.message = msg
-        self.context: dict[str, Any] = ctx or {}
+        self.type: str = details["type"]
+        self.message: str = details["msg"]
+        self.context: dict[str, Any] = details.get("ctx", {})
+        loc = details["loc"]
         self.of_key = bool(loc) and loc[-1] == "[key]"
-        self.loc = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
+        self.loc: KeyPath = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
         self.path = path_in_file(document, self.loc)
 
-    def suggested(self) -> Iterator[KeyPath]:
-        """Path of the suggested key for an unknown key."""
-        if self.type == "extra_forbidden":
-            near = nearest(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])))
-            if near:
-                yield (*self.path[:-1], near)
+    def keys(self) -> list[str]:
+        """The keys of the model that contains the location."""
+        return _keys(model_at(Scene, self.loc[:-1]))
 
-    def problem(self) -> Problem:
-        """The error as one sentence with its source position; the kind of error determines the sentence."""
+    def suggested(self) -> KeyPath:
+        """Path of the key that an unknown key probably means; the path of the unknown key if none is similar."""
+        return (*self.path[:-1], nearest(str(self.path[-1]), self.keys()) or self.path[-1])
+
+    def fault(self) -> Fault:
+        """The error with the path in the file; the kind of error determines the sentence."""
         if self.type == "missing":
-            return self._whole(f"is missing: {self._description()}")
+            return missing(self.path, self._description())
         if self.type == "extra_forbidden":
-            return self._unknown()
+            remedy = suggestion_or_list(str(self.path[-1]), self.keys(), "known keys")
+            return whole(self.path, f"is not a known key. {remedy}")
         if self.type == "choice":
             return self._choice()
         if self.type == "literal_error":
             return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
         if self.type in ("model_type", "model_attributes_type"):
             keys = ", ".join(_keys(model_at(Scene, self.loc)))
-            return self._but(self.path, f"a mapping with the keys {keys} is expected")
+            return Fault(self.path, f"a mapping with the keys {keys} is expected")
         if self.of_key:
-            return self._whole(f"is not valid here: {self.message}")
-        if self.type == "whole":
-            return self._whole(self.message)
-        return self._but(self.path, _TYPE_REASONS.get(self.type, self.message))
-
-    def _but(self, path: KeyPath, reason: str) -> Problem:
-        return problem_at(self.document, path, Fault((), reason))
-
-    def _whole(self, reason: str) -> Problem:
-        return problem_at(self.document, self.path, Fault((), reason, whole=True))
-
-    def _unknown(self) -> Problem:
-        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "known keys")
-        return self._whole(f"is not a known key. {remedy}")
+            return whole(self.path, f"is not valid here: {self.message}")
+        return Fault(self.path, _REASONS.get(self.type, self.message), whole=self.type == "whole")
 
     def _description(self) -> str:
         """Description of the missing key from the schema."""
         model = model_at(Scene, self.loc[:-1])
-        fields = model.model_fields.values() if model else ()
-        texts = {field.alias: field.description for field in fields if field.alias}
-        texts |= {name: field.description for name, field in model.model_fields.items()} if model else {}
-        return texts.get(str(self.loc[-1])) or "it is required"
+        fields = model.model_fields.items() if model else ()
+        found = [field.description for name, field in fields if self.loc[-1] in (name, field.alias)]
+        return (found and found[0]) or "it is required"
 
-    def _choice(self) -> Problem:
+    def _choice(self) -> Fault:
         """A union whose member is undetermined: the key is missing or has an unknown value.
 
         The message lists the values of the key, or the reason that the union gives.
         """
-        key = self.context.get("key", "")
-        tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
-        tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]
         node = self.document.find(self.path)
         if node is None or "reason" in self.context:
-            return self._but(self.path, self.context.get("reason", "it cannot be read"))
-        if node.entries is None:
-            return self._no_mapping(key, tags)
-        path = (*self.path, key)
-        if key not in node.entries:
-            fault = Fault((), f"is missing: one of {', '.join(tags)}", whole=True)
-            return problem_at(self.document, path, fault)
-        return self._one_of(path, tags)
-
-    def _no_mapping(self, key: str, tags: list[str]) -> Problem:
-        """A value in place of a mapping: the message gives an example with one of the possible kinds."""
+            return Fault(self.path, self.context.get("reason", "it cannot be read"))
+        key = self.context["key"]
+        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(Scene, self.loc))]
+        names = [name for name in names if name not in ("number", "list", "none")]
+        if node.entries is not None and key in node.entries:
+            return self._one_of((*self.path, key), names)
+        if node.entries is not None:
+            return missing((*self.path, key), f"one of {', '.join(names)}")
         if key == "law":
-            return self._one_of(self.path, tags)
-        example = "{" + f"{key}: {tags[0]}, ..." + "}"
-        return self._but(self.path, f"a mapping is expected, {example}, with {key} one of {', '.join(tags)}")
+            return self._one_of(self.path, names)
+        example = "{" + f"{key}: {names[0]}, ..." + "}"
+        return Fault(self.path, f"a mapping is expected, {example}, with {key} one of {', '.join(names)}")
 
-    def _one_of(self, path: KeyPath, allowed: list[str]) -> Problem:
+    def _one_of(self, path: KeyPath, allowed: list[str]) -> Fault:
         """A word that is not one of `allowed`: the message lists them and suggests the closest."""
         node = self.document.find(path)
         near = nearest(node.text, allowed) if node is not None else None
         hint = f". Did you mean {near}?" if near else ""
-        must = f"it must be one of {', '.join(allowed)}" if len(allowed) > 1 else f"it must be {allowed[0]}"
-        return self._but(path, must + hint)
+        return Fault(path, f"it must be {'one of ' * (len(allowed) > 1)}{', '.join(allowed)}{hint}")
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
@@ -179,24 +163,21 @@ def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None
 
 
-def tags_at(annotation: Any, loc: KeyPath) -> list[str]:
-    """The tags of the union at the location of an error, with angle brackets; empty for another type."""
-    members = get_args(_annotation_at(annotation, loc))
-    return [meta.tag for member in members for meta in get_args(member)[1:] if isinstance(meta, Tag)]
-
-
 def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
     """The type at a location below a type; None if the location does not exist in the schema."""
-    origin = get_origin(annotation)
+    origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _annotation_at(get_args(annotation)[0], loc)
+        return _annotation_at(arguments[0], loc)
     if origin in (Union, UnionType):
-        return _in_union(annotation, loc)
+        members = [member for member in arguments if member is not NoneType]
+        tagged = [member for member in members if loc and tag_of(member) == loc[0]]
+        if tagged or len(members) == 1:
+            return _annotation_at(tagged[0], loc[1:]) if tagged else _annotation_at(members[0], loc)
+        return None if loc else annotation
     if not loc:
         return annotation
     if origin in (dict, tuple):
-        item = get_args(annotation)[1 if origin is dict else 0]
-        return _annotation_at(item, loc[1:])
+        return _annotation_at(arguments[1 if origin is dict else 0], loc[1:])
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         for name, field in annotation.model_fields.items():
             if loc[0] in (name, field.alias):
@@ -204,20 +185,6 @@ def _annotation_at(annotation: Any, loc: KeyPath) -> Any:
     return None
 
 
-def _in_union(annotation: Any, loc: KeyPath) -> Any:
-    """The type at a location in a union: that of the member with the tag, or of the only member."""
-    members = [member for member in get_args(annotation) if member is not type(None)]
-    if loc:
-        for member in members:
-            if any(isinstance(meta, Tag) and meta.tag == loc[0] for meta in get_args(member)[1:]):
-                return _annotation_at(member, loc[1:])
-    return _annotation_at(members[0], loc) if len(members) == 1 else (None if loc else annotation)
-
-
 def _keys(model: type[BaseModel] | None) -> list[str]:
     """The keys of a model as written in scenes; empty without a model."""
     return [field.alias or name for name, field in model.model_fields.items()] if model else []
-
-
-def _end(sentence: str) -> str:
-    return sentence if sentence.endswith((".", "?")) else sentence + "."

@@ -7,13 +7,13 @@ from pydantic import ValidationError
 
 from granflow.errors import SceneError
 from granflow.scene import overrides as overriding
-from granflow.scene.check import checked
 from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.messages import problems_of
+from granflow.scene.partial import PartialScene, partial_scene_of
 from granflow.scene.schema.materials import RestitutionFit
 from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import nearest
-from granflow.scene.validation import PartialScene, partial_scene_of
+from granflow.scene.validation import consistency_problems
 from granflow.scene.yaml12 import parse
 
 _MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
@@ -111,8 +111,10 @@ def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
     try:
         scene = _resolved_law(Scene.model_validate(data))
     except ValidationError as error:
-        return None, problems_of(document, error) + checked(partial_scene_of(document, data))
-    return scene, checked(PartialScene.of(document, scene))
+        details = error.errors(include_url=False, include_input=False)
+        parts = partial_scene_of(document, data, [each["loc"] for each in details])
+        return None, problems_of(document, details) + consistency_problems(parts)
+    return scene, consistency_problems(PartialScene(document, scene))
 
 
 def _resolved_law(scene: Scene) -> Scene:

@@ -1,122 +1,62 @@
-"""Partial scenes: the valid parts of a scene with errors, for consistency checks between these parts."""
+"""Consistency checks within and between the parts of a scene.
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache
-from typing import Annotated, Any, get_args, get_origin
+Each check is a function from a `PartialScene` to faults. `_CHECKS` lists the sections that must be complete before a
+check runs, so that one mistake does not cause consequential messages.
+"""
 
-from pydantic import TypeAdapter, ValidationError
+from collections.abc import Callable, Iterator
 
-from granflow.scene.document import Document, KeyPath
-from granflow.scene.schema.fields import Fault, Model
-from granflow.scene.schema.scene import Scene
+from granflow.scene.checks import output, pairs, regions, stages
+from granflow.scene.document import Problem
+from granflow.scene.messages import problem_at
+from granflow.scene.partial import PartialScene
+from granflow.scene.schema.fields import Fault, whole
+
+_MAX_ENTRIES = {
+    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
+}  # fmt: skip
+"""Largest number of entries of each section: the cost of some checks grows with its square."""
+
+_CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]], ...] = (
+    ((), pairs.materials_exist),
+    ((), pairs.names),
+    (("particles",), pairs.possible_contacts_have_a_pair),
+    (("contact",), pairs.friction),
+    (("contact",), pairs.cohesion),
+    (("contact",), pairs.restitution),
+    (("stages",), stages.names),
+    (("stages", "run"), stages.duration),
+    (("gravity",), stages.gamma_requires_gravity),
+    (("run",), stages.force_controlled_walls),
+    ((), regions.some_particles),
+    (("domain",), regions.inside_domain),
+    (("domain", "particles", "output"), regions.lees_edwards),
+    (("output", "stages", "domain"), output.field_grids),
+    (("output", "gravity", "domain"), output.metrics),
+    (("output", "expect"), output.expected_parts),
+    (("output", "expect"), output.expected_metrics),
+    (("output", "expect"), output.wall_forces),
+)
+"""Sections that must be complete, and the check that needs them."""
 
 
-@dataclass(frozen=True)
-class PartialScene:
-    """A scene that may lack parts.
+def consistency_problems(parts: PartialScene) -> list[Problem]:
+    """All problems within and between the parts of a scene that may be incomplete, in no particular order.
 
-    `scene` has the sections in `complete`, and the valid entries of sections with named entries. `parts`: key path ->
-    valid part, for checks within each part. The instance of Scene may lack required fields and must not be used for a
-    run.
+    If a section has too many entries, checks between parts are omitted, because the time of some of them grows with the
+    square of the number of entries.
     """
-
-    document: Document
-    scene: Scene
-    complete: frozenset[str]
-    parts: Mapping[KeyPath, Any]
-
-    @classmethod
-    def of(cls, document: Document, scene: Scene) -> "PartialScene":
-        """The partial scene of a scene that satisfies the schema: all sections are complete."""
-        sections: dict[KeyPath, Any] = {(name,): getattr(scene, name) for name in Scene.model_fields}
-        return cls(document, scene, frozenset(Scene.model_fields), sections)
-
-    def names(self, section: str) -> tuple[str, ...]:
-        """All names in a section of the file, including invalid entries, and names in lowercase.
-
-        Checks of references use them, so that an invalid entry does not cause an error wherever it is named.
-        """
-        node = self.document.root.child(section)
-        names = tuple(node.entries) if node is not None and node.entries else ()
-        return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
-
-    def faults(self) -> Iterator[tuple[KeyPath, Fault]]:
-        """Inconsistencies between the fields of each valid part, with the full key path of the fault."""
-        for path, part in self.parts.items():
-            yield from _faults(part, path)
+    faults, overfull = list(parts.faults()), list(_overfull_sections(parts))
+    for needed, check in _CHECKS if not overfull else ():
+        if parts.complete.issuperset(needed):
+            faults += check(parts)
+    return [problem_at(parts.document, fault) for fault in (*faults, *overfull)]
 
 
-def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScene:
-    """Validate each section, or each entry of a section, separately and keep the valid parts.
-
-    `data`: plain data of the document. Never raises ValidationError; the invalid parts are reported elsewhere.
-    """
-    parts: dict[KeyPath, Any] = {}
-    sections: dict[str, Any] = {}
-    complete = set()
-    for name, field in Scene.model_fields.items():
-        if name not in data:
-            if not field.is_required():
-                sections[name] = field.get_default(call_default_factory=True)
-                complete.add(name)
-            elif get_origin(field.annotation) is dict:
-                sections[name] = {}
-            continue
-        valid, is_complete = _section(name, data[name])
-        parts |= {(name, *key): part for key, part in valid.items()}
-        if is_complete:
-            complete.add(name)
-        if get_origin(field.annotation) is dict:
-            sections[name] = {key[0]: part for key, part in valid.items()}
-        elif is_complete:
-            sections[name] = valid[()] if () in valid else tuple(valid.values())
-    return PartialScene(document, Scene.model_construct(**sections), frozenset(complete), parts)
-
-
-def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
-    """The valid parts of a section by key, and whether the section is complete.
-
-    The key is () for a section that is one part, (name,) or (index,) for an entry of a mapping or list.
-    """
-    origin = get_origin(Scene.model_fields[name].annotation)
-    entries: list[tuple[KeyPath, Any]] = [((), value)]
-    if origin is dict:
-        entries = [((key,), each) for key, each in value.items()] if isinstance(value, dict) else []
-    if origin is tuple and name != "gravity":
-        entries = [((index,), each) for index, each in enumerate(value)] if isinstance(value, list) else []
-    valid: dict[KeyPath, Any] = {}
-    for key, each in entries:
-        try:
-            valid[key] = _adapter(name, bool(key)).validate_python(each)
-        except ValidationError:
-            continue
-    return valid, len(valid) == len(entries) and isinstance(value, list | dict)
-
-
-@cache
-def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
-    """The pydantic validator of a section, or of one entry of it."""
-    field = Scene.model_fields[section]
-    if not is_entry:
-        kind: Any = field.annotation
-        for meta in field.metadata:
-            kind = Annotated[kind, meta]
-        return TypeAdapter(kind)
-    arguments = get_args(field.annotation)
-    return TypeAdapter(arguments[1] if get_origin(field.annotation) is dict else arguments[0])
-
-
-def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
-    """Faults of a value and of all models in it, depth first, with key paths from the root."""
-    if isinstance(value, Model):
-        for fault in value.faults():
-            yield (*path, *fault.path), fault
-        for name, field in type(value).model_fields.items():
-            yield from _faults(getattr(value, name), (*path, field.alias or name))
-    elif isinstance(value, dict):
-        for key, each in value.items():
-            yield from _faults(each, (*path, key))
-    elif isinstance(value, tuple):
-        for index, each in enumerate(value):
-            yield from _faults(each, (*path, index))
+def _overfull_sections(parts: PartialScene) -> Iterator[Fault]:
+    """Faults of sections with more entries than _MAX_ENTRIES."""
+    for section, limit in _MAX_ENTRIES.items():
+        node = parts.document.root.child(section)
+        count = len(node.entries or node.items or ()) if node is not None else 0
+        if count > limit:
+            yield whole((section,), f"has {count} entries, but the limit is {limit}")

@@ -18,7 +18,8 @@ from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, build_law, pair_material, plan_for
 from granflow.scene.reader import scene_in
 from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.run import LARGEST_OVERLAP
+from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse

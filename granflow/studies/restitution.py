@@ -18,7 +18,8 @@ from granflow.engine.engine import Engine
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, pair_material, plan_for
 from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.run import LARGEST_OVERLAP
+from granflow.scene.schema.scene import Scene
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4

@@ -19,7 +19,7 @@ from granflow.runs.expectations import ExpectationResult
 from granflow.runs.previous import RESULT_FILES
 from granflow.runs.result import Result
 from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.scene import MeshWall
+from granflow.scene.schema.walls import MeshWall
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from granflow.io.checkpoint import (
 )
 from granflow.io.lock import locked
 from granflow.runs.resume import CheckpointWriter
-from granflow.scene.schema.scene import Checkpoints
+from granflow.scene.schema.output import Checkpoints
 
 STATE = {
     "step": 7, "look": float("inf"), "fraction": 0.1 + 0.2,

@@ -13,7 +13,8 @@ from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
 from granflow.plan.max_impact_velocity import max_impact_velocity
 from granflow.plan.plan import plan_for
-from granflow.scene.schema.scene import MeshWall, VibrationSpec
+from granflow.scene.schema.motions import VibrationSpec
+from granflow.scene.schema.walls import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of the scene."""

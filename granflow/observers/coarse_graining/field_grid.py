@@ -10,7 +10,7 @@ from granflow.geometry.periodic_box import AXES
 from granflow.io.frames import mesh_of_cells
 from granflow.observers.coarse_graining.kernel import GaussianKernel
 from granflow.scene.schema.analysis import GridSpec
-from granflow.scene.schema.scene import Domain
+from granflow.scene.schema.domain import Domain
 
 CHUNK_POINTS = 2**17
 """Points processed at a time, which limits the temporary memory."""

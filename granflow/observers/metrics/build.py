@@ -13,15 +13,9 @@ from granflow.observers.metrics.structure import anisotropy, coordination, fabri
 from granflow.observers.particle_selection import mobile_particles, selected
 from granflow.particles.regions import frame_along
 from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.analysis import (
-    ContentMetric,
-    CoordinationMetric,
-    FabricMetric,
-    LaceyMetric,
-    ReposeMetric,
-)
-from granflow.scene.schema.insertion import Box
+from granflow.scene.schema.analysis import ContentMetric, CoordinationMetric, FabricMetric, LaceyMetric, ReposeMetric
 from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.shapes import Box
 from granflow.snapshot import Snapshot
 
 MIN_HEAP_CONTACTS = 2

@@ -3,30 +3,14 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field
 
 from granflow.fields import FIELD_QUANTITIES
-from granflow.scene.schema.fields import (
-    Auto,
-    Count,
-    Counts,
-    Fault,
-    Model,
-    Names,
-    Number,
-    Point,
-    PositiveLength,
-    PositiveTime,
-    Text,
-    UnscaledLength,
-    choose_by_key,
-    list_of,
-)
-from granflow.scene.schema.insertion import Box
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, ListOf, Model, Names, Text, choose_by_key, whole
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.shapes import Box
 from granflow.scene.suggest import suggestion_or_list
-
-Width = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
-"""Kernel width [m], or auto: the largest radius of the scene."""
 
 Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
 """Cutoff of the kernel, in kernel widths: 1 to 10."""
@@ -39,16 +23,16 @@ class GridSpec(Model):
     """
 
     region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
-    cell: PositiveLength | None = Field(
+    cell: q.PositiveLength | None = Field(
         None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
     )
-    cells: Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
+    cells: q.Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of edge length and number of cells is given."""
         if (self.cell is None) == (self.cells is None):
             given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
-            yield Fault((), f"{given}; give the edge length of a cell, or the number along x, y and z", whole=True)
+            yield whole((), f"{given}; give the edge length of a cell, or the number along x, y and z")
 
     def cell_counts(self, domain: Box) -> tuple[int, int, int]:
         """Number of cells along x, y and z, each at least 1; without a region the grid covers `domain`.
@@ -69,11 +53,11 @@ class FieldGrid(GridSpec):
     Fields of contacts (stress, pressure, fabric) require the contacts of each frame. Formulas: docs/coarse_graining.md.
     """
 
-    width: Width = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
+    width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
     cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
-    interval: PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
+    interval: q.PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
     stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
-    quantities: Annotated[tuple[Text, ...], list_of(some="[density, velocity]")] = Field(
+    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = Field(
         tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
     )
 
@@ -95,10 +79,10 @@ class LaceyMetric(GridSpec):
     kind: Literal["lacey"] = Field(description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles form the first component")
     materials: Names | None = Field(None, description="materials whose particles form the first component")
-    smaller_than: UnscaledLength | None = Field(
+    smaller_than: q.UnscaledLength | None = Field(
         None, description="diameter below which particles belong to the first component [m]"
     )
-    at_least: Count = Field(10, description="smallest number of particles in a cell that is evaluated")
+    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one definition of the first component is given."""
@@ -106,7 +90,7 @@ class LaceyMetric(GridSpec):
         given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
         if len(given) != 1:
             found = f"has {' and '.join(given)}" if given else "does not define the first component"
-            yield Fault((), f"{found}; give exactly one of groups, materials and smaller_than", whole=True)
+            yield whole((), f"{found}; give exactly one of groups, materials and smaller_than")
 
 
 class ReposeMetric(Model):
@@ -120,7 +104,7 @@ class ReposeMetric(Model):
         description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
     )
     region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
-    axis: Point | None = Field(
+    axis: q.Point | None = Field(
         None, description="with surface: cone, a point on its axis [m]; default: mean position of the particles"
     )
 
@@ -158,15 +142,9 @@ class ContentMetric(Model):
 
 
 AnyMetric = Annotated[
-    Annotated[LaceyMetric, Tag("<lacey>")]
-    | Annotated[ReposeMetric, Tag("<repose>")]
-    | Annotated[FabricMetric, Tag("<fabric>")]
-    | Annotated[CoordinationMetric, Tag("<coordination>")]
-    | Annotated[ContentMetric, Tag("<content>")],
-    choose_by_key("kind"),
+    LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric, choose_by_key("kind")
 ]
 """Any kind of metric; the key `kind` selects it."""
-
 
 METRIC_QUANTITIES_BY_KIND = {
     "content": ("content_count", "content_mass", "content_volume"),

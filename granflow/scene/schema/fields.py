@@ -1,41 +1,27 @@
-"""Building blocks of the schema: the immutable base model, numbers with units, vectors, names, unions."""
+"""Building blocks of the schema: the immutable base model, faults, texts, names, lists and unions."""
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    WithJsonSchema,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Tag, WithJsonSchema
+from pydantic_core import CoreSchema, core_schema
 
 from granflow.scene.document import KeyPath
-from granflow.scene.schema.numbers import Number, value_error
+from granflow.scene.schema.numbers import value_error
 from granflow.visible_text import visible
 
 _NAME = r"[a-z][a-z0-9_]*"
 
 
-class Model(BaseModel):
-    """A part of a scene: immutable; unknown keys are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-    def faults(self) -> Iterator["Fault"]:
-        """Yield inconsistencies between the fields of this part; each field by itself is valid."""
-        yield from ()
-
-
 @dataclass(frozen=True)
 class Fault:
-    """An invalid value at `path` (relative to the model); the message is "X is Y, but {reason}".
+    """An invalid value at `path`; the message is "X is Y, but {reason}".
 
-    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period.
+    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The path of a
+    fault from `Model.faults` is relative to the model.
     """
 
     path: KeyPath
@@ -43,69 +29,104 @@ class Fault:
     whole: bool = False
 
 
-def _check_vector(value: Any) -> Any:
-    """Require a list of three values. Raises PydanticCustomError."""
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise value_error("a vector of three numbers is expected, [x, y, z]")
-    return value
+class Model(BaseModel):
+    """A part of a scene: immutable; unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield inconsistencies between the fields of this part; each field by itself is valid."""
+        yield from ()
 
 
-def _check_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Require a vector that is not zero. Raises PydanticCustomError."""
-    if not any(value):
-        raise value_error("a direction must not be the zero vector; give one such as [0, 0, 1]")
-    return value
+def whole(path: KeyPath, reason: str) -> Fault:
+    """The fault with the message "X {reason}"."""
+    return Fault(path, reason, whole=True)
 
 
-def _check_text(value: Any) -> Any:
-    """Require text; numbers and flags without quotes are errors. Raises PydanticCustomError."""
-    if not isinstance(value, str):
-        raise value_error("text is expected; put it in quotes")
-    return value
+def redundant(key: str, other: str, keep: str = "one of them") -> Fault:
+    """The fault of a key that excludes another key."""
+    return Fault((key,), f"{other} is given too: keep {keep}")
 
 
-def _file_name(value: Any) -> Any:
-    """Require text without invisible characters, which would make a message ambiguous. Raises PydanticCustomError."""
-    text = _check_text(value)
-    if "\n" in text or "\t" in text or visible(text) != text:
-        raise value_error(
-            "a file name must not contain control, zero-width or bidirectional characters; rename the file"
-        )
-    return text
+def missing(path: KeyPath, description: str) -> Fault:
+    """The fault of a missing key; `description` states its meaning or the reason why it is required."""
+    return whole(path, f"is missing: {description}")
 
 
-def _check_flag(value: Any) -> Any:
-    """Require true or false. Raises PydanticCustomError."""
-    if not isinstance(value, bool):
-        raise value_error("true or false is expected")
-    return value
+def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]:
+    """Validator that returns a value unchanged, or raises PydanticCustomError with the reason if it is not valid."""
+
+    def validate(value: Any) -> Any:
+        if not is_valid(value):
+            raise value_error(reason)
+        return value
+
+    return validate
 
 
-def _check_name(value: Any) -> Any:
-    """Require a name of lowercase letters, digits and _. Raises PydanticCustomError."""
-    if not re.fullmatch(_NAME, str(value)):
-        raise value_error("a name begins with a lowercase letter and contains only lowercase letters, digits and _")
-    return value
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
 
 
-def _check_pair_name(value: Any) -> Any:
-    """Require two names joined by a hyphen. Raises PydanticCustomError."""
-    if not re.fullmatch(f"{_NAME}-{_NAME}", str(value)):
-        raise value_error("a pair is two material names joined by a hyphen, such as glass-steel")
-    return value
+def _is_visible(value: str) -> bool:
+    return "\n" not in value and "\t" not in value and visible(value) == value
+
+
+def _is_flag_or_names(value: Any) -> bool:
+    names = isinstance(value, list | tuple) and bool(value) and all(map(_is_text, value))
+    return isinstance(value, bool) or names
+
+
+def list_of_length(length: int, reason: str) -> BeforeValidator:
+    """Require a list with a number of items."""
+    return BeforeValidator(require(lambda value: isinstance(value, list | tuple) and len(value) == length, reason))
+
+
+def pair_list(meaning: str) -> BeforeValidator:
+    """Require a list of exactly two items; `meaning` describes them in the message."""
+    return list_of_length(2, f"a list of two is expected, {meaning}")
+
+
+@dataclass(frozen=True)
+class ListOf:
+    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list.
+
+    `some`: example for the message.
+    """
+
+    one: bool = False
+    some: str = ""
+
+    def read(self, value: Any) -> Any:
+        """The list. Raises PydanticCustomError."""
+        if not isinstance(value, list | tuple):
+            if self.one:
+                return [value]
+            raise value_error(f"a list is expected, {self.some or '[ ... ]'}")
+        if self.some and not value:
+            raise value_error(f"at least one item is required, such as {self.some}")
+        return value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Validation by `read`, then by the type of the list."""
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Schema of the list, or of one item in its place."""
+        full = handler(schema) | ({"minItems": 1} if self.some else {})
+        return {"anyOf": [full["items"], full]} if self.one else full
 
 
 @dataclass(frozen=True)
 class ShortForm:
-    """Adds a short form of a value to its JSON Schema: words, or one item in place of a list."""
+    """Adds words to the JSON Schema of a value: short forms of it."""
 
-    words: tuple[str, ...] = ()
+    words: tuple[str, ...]
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Schema with the short form first; descriptions remain outside of both forms."""
-        full = handler(schema)
-        short = {"enum": list(self.words)} if self.words else full["items"]
-        return {"anyOf": [short, full]}
+        """Schema with the words first; descriptions remain outside of both forms."""
+        return {"anyOf": [{"enum": list(self.words)}, handler(schema)]}
 
 
 def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
@@ -119,181 +140,122 @@ def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-def not_required(*keys: str) -> Callable[[dict[str, Any]], None]:
-    """Modifier of a JSON Schema: these keys are optional."""
+def tag_of(member: Any) -> str:
+    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from keys.
 
-    def change(schema: dict[str, Any]) -> None:
-        schema["required"] = [name for name in schema["required"] if name not in keys]
+    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for plain
+    values none, list or number.
+    """
+    if get_origin(member) is Annotated:
+        explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
+        return explicit[0] if explicit else tag_of(get_args(member)[0])
+    if isinstance(member, type) and issubclass(member, BaseModel):
+        literals = [get_args(each.annotation) for each in member.model_fields.values() if _is_literal(each.annotation)]
+        words = [words[0] for words in literals if len(words) == 1]
+        return f"<{words[0] if words else next(iter(member.model_fields))}>"
+    return "<none>" if member is NoneType else "<list>" if get_origin(member) is tuple else "<number>"
 
-    return change
+
+def _is_literal(annotation: Any) -> bool:
+    return get_origin(annotation) is Literal
 
 
-Tagger = Callable[[Any], str | None]
-"""Function that returns the tag of a union member for a raw value, or None if no member fits."""
+Tagger = Callable[[Any, Collection[str]], str | None]
+"""Function of a raw value and the tags of a union that returns the tag of the value, or None if no member fits."""
 
 
-def choose_by_key(key: str, *, number_tag: str = "", list_tag: str = "", none_tag: str = "") -> Discriminator:
-    """Choose a member of a union by the value of `key`: the member's tag is that value in angle brackets.
+@dataclass(frozen=True)
+class Choice:
+    """Chooses the member of a union by a tag; a tag that is None or unknown is an error of type `choice`.
 
-    Values other than mappings get the tag `list_tag` (lists), `none_tag` (empty values) or `number_tag` (others).
-    The angle brackets distinguish tags from keys in error locations.
+    `context`: contents of the message.
     """
 
-    def tag(value: Any) -> str | None:
+    tag_of_value: Tagger
+    context: dict[str, str] = field(hash=False)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Validation by the member with the tag."""
+        members = {tag_of(member): handler.generate_schema(member) for member in get_args(source)}
+        return core_schema.tagged_union_schema(
+            members,
+            lambda value: self.tag_of_value(value, members),
+            custom_error_type="choice",
+            custom_error_message="choice",
+            custom_error_context=dict(self.context),
+        )
+
+
+def choose_by_key(key: str) -> Choice:
+    """Choose a model by the value of `key`, or another member by the type of the value: none, list or number."""
+
+    def tag(value: Any, tags: Collection[str]) -> str | None:
         if isinstance(value, dict):
             return f"<{value[key]}>" if key in value else None
         if isinstance(value, BaseModel):
             return f"<{getattr(value, key)}>"
-        kind = (
-            none_tag
-            if value is None and none_tag
-            else list_tag
-            if isinstance(value, list | tuple) and list_tag
-            else number_tag
-        )
-        return f"<{kind}>" if kind else None
+        return "<none>" if value is None else "<list>" if isinstance(value, list | tuple) else "<number>"
 
-    return _discriminator(tag, key=key)
+    return Choice(tag, {"key": key})
 
 
-def choose_by(tag_of: Tagger, reason: str) -> Discriminator:
-    """Choose a member of a union by the tag from `tag_of`; None is the error "X is Y, but REASON.".
-
-    The tag is a name in angle brackets.
-    """
-    return _discriminator(tag_of, reason=reason)
+def choose_by(tag_of_value: Callable[[Any], str | None], reason: str) -> Choice:
+    """Choose a member of a union by the tag from a function; None is the error "X is Y, but REASON."."""
+    return Choice(lambda value, tags: tag_of_value(value), {"reason": reason})
 
 
-def _discriminator(tag_of: Tagger, **context: str) -> Discriminator:
-    return Discriminator(
-        tag_of, custom_error_type="choice", custom_error_message="choice", custom_error_context={**context}
-    )
+def choose_by_first_key(reason: str) -> Choice:
+    """Choose a model by its first key, such as `box` of `{box: {...}}`; no match is the error "X is Y, but REASON."."""
+
+    def tag(value: Any, tags: Collection[str]) -> str | None:
+        if isinstance(value, BaseModel):
+            return tag_of(type(value))
+        return next((each for each in tags if isinstance(value, dict) and each.strip("<>") in value), None)
+
+    return Choice(tag, {"reason": reason})
 
 
 def shorthand(key: str) -> BeforeValidator:
     """Accept plain text as the short form of a mapping with only `key`: `zhou` for `{law: zhou}`."""
-
-    def expand(value: Any) -> Any:
-        return {key: value} if isinstance(value, str) else value
-
-    return BeforeValidator(expand)
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
 
 
-def list_of(*, one: bool = False, some: str = "") -> BeforeValidator:
-    """Require a list; with `one`, accept a single item as a list of one; with `some`, reject an empty list.
-
-    `some`: example for the message. The validator raises PydanticCustomError.
-    """
-
-    def read(value: Any) -> Any:
-        if not isinstance(value, list | tuple):
-            if one:
-                return [value]
-            raise value_error(f"a list is expected, {some or '[ ... ]'}")
-        if some and not value:
-            raise value_error(f"at least one item is required, such as {some}")
-        return value
-
-    return BeforeValidator(read)
-
-
-def pair_list(meaning: str) -> BeforeValidator:
-    """Require a list of exactly two items; `meaning` describes them in the message. Raises PydanticCustomError."""
-
-    def read(value: Any) -> Any:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            raise value_error(f"a list of two is expected, {meaning}")
-        return value
-
-    return BeforeValidator(read)
-
-
-def _flag_or_names(value: Any) -> Any:
-    """Require true, false, or a list of at least one name. Raises PydanticCustomError."""
-    names = tuple(value) if isinstance(value, list | tuple) else ()
-    if isinstance(value, bool) or (names and all(isinstance(name, str) for name in names)):
-        return value if isinstance(value, bool) else names
-    raise value_error("true, false or a list of names is expected, such as [floor, lid]")
-
-
-Text = Annotated[str, BeforeValidator(_check_text)]
+Text = Annotated[str, BeforeValidator(require(_is_text, "text is expected; put it in quotes"))]
 """Text as in the file; numbers and flags are not converted."""
 
-FileName = Annotated[str, BeforeValidator(_file_name)]
-"""Text without control, zero-width and bidirectional characters."""
+FileName = Annotated[
+    Text,
+    AfterValidator(
+        require(
+            _is_visible,
+            "a file name must not contain control, zero-width or bidirectional characters; rename the file",
+        )
+    ),
+]
+"""Text without characters that would make a message ambiguous."""
 
-Flag = Annotated[bool, BeforeValidator(_check_flag)]
-FlagOrNames = Annotated[bool | tuple[str, ...], BeforeValidator(_flag_or_names)]
+Flag = Annotated[bool, BeforeValidator(require(lambda value: isinstance(value, bool), "true or false is expected"))]
+FlagOrNames = Annotated[
+    bool | tuple[str, ...],
+    BeforeValidator(
+        require(_is_flag_or_names, "true, false or a list of names is expected, such as [floor, lid]"),
+    ),
+]
 """All (true), none (false), or a list of names."""
 
-Name = Annotated[str, AfterValidator(_check_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"})]
+
+def _matching(pattern: str, reason: str) -> tuple[AfterValidator, WithJsonSchema]:
+    """Metadata of text that must match a pattern."""
+    validator = AfterValidator(require(re.compile(pattern).fullmatch, reason))
+    return validator, WithJsonSchema({"type": "string", "pattern": f"^{pattern}$"})
+
+
+_name = _matching(_NAME, "a name begins with a lowercase letter and contains only lowercase letters, digits and _")
+_pair_name = _matching(f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel")
+Name = Annotated[str, _name[0], _name[1]]
 """Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
 
-PairName = Annotated[
-    str, AfterValidator(_check_pair_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}-{_NAME}$"})
-]
+PairName = Annotated[str, _pair_name[0], _pair_name[1]]
 """Names of two materials joined by a hyphen, in either order."""
 
-
-# Lengths scale with `scale` of a scene, numbers of particles with its cube; sizes of one particle or contact do not.
-Plain = Annotated[float, Number()]
-NotNegative = Annotated[float, Number(at_least=0)]
-Positive = Annotated[float, Number(above=0)]
-Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
-Counts = Annotated[tuple[Count, Count, Count], BeforeValidator(_check_vector)]
-ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
-"""Number of particles, proportional to the cube of `scale`; at most LARGEST_COUNT."""
-
-Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
-Length = Annotated[float, Number("length", scaling=1)]
-"""Length [m] of the equipment, proportional to `scale`."""
-
-PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
-NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
-UnscaledLength = Annotated[float, Number("length", above=0)]
-"""Length [m] of one particle or contact, independent of `scale`."""
-
-Time = Annotated[float, Number("time", at_least=0)]
-PositiveTime = Annotated[float, Number("time", above=0)]
-Velocity = Annotated[float, Number("velocity")]
-Speed = Annotated[float, Number("velocity", noun="a speed", above=0)]
-AnySpeed = Annotated[float, Number("velocity", noun="a speed", at_least=0)]
-Acceleration = Annotated[float, Number("acceleration")]
-Angle = Annotated[float, Number("angle")]
-Mass = Annotated[float, Number("mass", above=0)]
-Force = Annotated[float, Number("force")]
-PositiveForce = Annotated[float, Number("force", above=0)]
-Damping = Annotated[float, Number("damping", at_least=0)]
-Frequency = Annotated[float, Number("frequency", above=0)]
-AngularVelocity = Annotated[float, Number("angular_velocity")]
-PositiveAngularVelocity = Annotated[float, Number("angular_velocity", above=0)]
-Pressure = Annotated[float, Number("pressure", above=0)]
-Density = Annotated[float, Number("density", above=0)]
-Energy = Annotated[float, Number("energy", above=0)]
-Stiffness = Annotated[float, Number("stiffness", above=0)]
-Rate = Annotated[float, Number("rate", above=0, scaling=3)]
-"""Insertion rate [1/s], proportional to the cube of `scale`."""
-
-ParticleMass = Annotated[float, Number("mass", above=0, scaling=3)]
-MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
-Share = Annotated[float, Number(noun="a fraction", at_least=0)]
-AnyQuantity = Annotated[float, Number("any")]
-"""Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""
-
-
-Vector3 = tuple[float, float, float]
-"""Three components along x, y and z."""
-
-Point = Annotated[tuple[Length, Length, Length], BeforeValidator(_check_vector)]
-"""Position or edge vector (3,) [m], proportional to `scale`."""
-
-VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], BeforeValidator(_check_vector)]
-AngularVelocityVector = Annotated[
-    tuple[AngularVelocity, AngularVelocity, AngularVelocity], BeforeValidator(_check_vector)
-]
-AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], BeforeValidator(_check_vector)]
-Direction = Annotated[tuple[Plain, Plain, Plain], BeforeValidator(_check_vector), AfterValidator(_check_direction)]
-"""Vector (3,), not the zero vector; its length does not matter."""
-
-Names = Annotated[tuple[Text, ...], list_of(some="[fill, settle]")]
-Auto = Literal["auto"]
+Names = Annotated[tuple[Text, ...], ListOf(some="[fill, settle]")]

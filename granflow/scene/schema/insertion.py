@@ -1,62 +1,17 @@
-"""Schema of particle insertion: regions, faces, and the kinds of insertion."""
+"""Schema of the key `insert` of particle groups: regions, faces, and the kinds of insertion."""
 
-from collections.abc import Callable, Iterator
-from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field
 
-from granflow.scene.schema.fields import (
-    AnySpeed,
-    Direction,
-    Fault,
-    FileName,
-    MassFlow,
-    Model,
-    Number,
-    ParticleCount,
-    Point,
-    PositiveLength,
-    PositiveTime,
-    Rate,
-    Share,
-    Time,
-    UnscaledLength,
-    choose_by,
-    choose_by_key,
-    list_of,
-    pair_list,
-)
-from granflow.scene.schema.walls import side_faults
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, ListOf, Model, choose_by_first_key, choose_by_key, redundant, whole
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, side_faults
 
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 """Random displacement over the free gap: 0 to 1."""
-
-
-class Box(Model):
-    """A box with edges along the coordinate axes."""
-
-    min: Point = Field(description="corner with the smallest coordinates [m]")
-    max: Point = Field(description="corner with the largest coordinates [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault for each axis along which the extent is not positive."""
-        for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
-            if high <= low:
-                yield Fault(("max", i), f"it must be above min, {low:g} m")
-
-
-class CylinderShape(Model):
-    """A solid cylinder around an axis."""
-
-    from_: Point = Field(alias="from", description="one end of the axis [m]")
-    to: Point = Field(description="the other end of the axis [m]")
-    radius: PositiveLength = Field(description="radius [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault if the axis has no length."""
-        if self.from_ == self.to:
-            yield Fault(("to",), "it is the same point as from; the end points of the axis must differ")
 
 
 class BoxRegion(Model):
@@ -71,28 +26,9 @@ class CylinderRegion(Model):
     cylinder: CylinderShape = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
 
 
-def choose_by_field(**models: type[Model]) -> Callable[[Any], str | None]:
-    """Choose a member of a union by a key of the mapping.
-
-    `models`: key -> model with this key; the tag is the key in angle brackets. The result is the argument of
-    `choose_by`.
-    """
-
-    def tag(value: Any) -> str | None:
-        for name, model in models.items():
-            if isinstance(value, model) or (isinstance(value, dict) and name in value):
-                return f"<{name}>"
-        return None
-
-    return tag
-
-
 Region = Annotated[
-    Annotated[BoxRegion, Tag("<box>")] | Annotated[CylinderRegion, Tag("<cylinder>")],
-    choose_by(
-        choose_by_field(box=BoxRegion, cylinder=CylinderRegion),
-        "it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}",
-    ),
+    BoxRegion | CylinderRegion,
+    choose_by_first_key("it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"),
 ]
 """A box or a cylinder, in which particles lie entirely inside."""
 
@@ -119,19 +55,19 @@ class TimedInsertion(Model):
     class has its fraction at any time.
     """
 
-    rate: Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
-    mass_flow: MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
-    start: Time = Field(0.0, description="time of the first particle [s]")
-    end: PositiveTime | None = Field(
+    rate: q.Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
+    mass_flow: q.MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
+    start: q.Time = Field(0.0, description="time of the first particle [s]")
+    end: q.PositiveTime | None = Field(
         None, description="end of the insertion [s]; default: when all particles are inserted"
     )
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""
         if self.rate is None and self.mass_flow is None:
-            yield Fault((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s", whole=True)
+            yield whole((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s")
         if self.rate is not None and self.mass_flow is not None:
-            yield Fault(("mass_flow",), "rate is given too: keep one of them")
+            yield redundant("mass_flow", "rate")
         if self.end is not None and self.end <= self.start:
             yield Fault(("end",), f"the insertion must end after its start at {self.start:g} s")
 
@@ -149,8 +85,8 @@ class RainInsertion(TimedInsertion):
 class RectangleOutline(Model):
     """A flat rectangle."""
 
-    corner: Point = Field(description="one corner [m]")
-    sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] = Field(
+    corner: q.Point = Field(description="one corner [m]")
+    sides: q.Sides = Field(
         description="the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
     )
 
@@ -162,9 +98,9 @@ class RectangleOutline(Model):
 class DiscOutline(Model):
     """A flat disc."""
 
-    center: Point = Field(description="center [m]")
-    normal: Direction = Field(description="direction in which particles enter; its length does not matter")
-    radius: PositiveLength = Field(description="radius [m]")
+    center: q.Point = Field(description="center [m]")
+    normal: q.Direction = Field(description="direction in which particles enter; its length does not matter")
+    radius: q.PositiveLength = Field(description="radius [m]")
 
 
 class RectangleFace(Model):
@@ -180,10 +116,9 @@ class DiscFace(Model):
 
 
 Face = Annotated[
-    Annotated[RectangleFace, Tag("<rectangle>")] | Annotated[DiscFace, Tag("<disc>")],
-    choose_by(
-        choose_by_field(rectangle=RectangleFace, disc=DiscFace),
-        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}",
+    RectangleFace | DiscFace,
+    choose_by_first_key(
+        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}"
     ),
 ]
 """A rectangle or a disc through which particles enter along its normal."""
@@ -202,11 +137,11 @@ class InletInsertion(TimedInsertion):
 class FileSummary(Model):
     """Summary of the particles in a file; granflow fills it in when it reads the file."""
 
-    count: ParticleCount = Field(description="number of particles read from the file")
-    diameter_min: UnscaledLength = Field(description="smallest diameter [m]")
-    diameter_max: UnscaledLength = Field(description="largest diameter [m]")
-    speed_max: AnySpeed = Field(description="largest speed [m/s]")
-    overlap_max: Share = Field(description="largest overlap of two particles over the smaller radius")
+    count: q.ParticleCount = Field(description="number of particles read from the file")
+    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
+    diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
+    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
+    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
 
 
 class FileInsertion(Model):
@@ -217,30 +152,19 @@ class FileInsertion(Model):
     """
 
     kind: Literal["file"] = Field(description="kind of insertion")
-    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
+    file: FileBelow = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the file lies in the folder of the scene, or below it."""
-        path = PurePath(self.file)
-        if path.is_absolute() or ".." in path.parts or not path.parts:
-            yield Fault(("file",), "the file must be in the folder of the scene or below it; give a relative path")
 
 
 class PositionsInsertion(Model):
     """Particles at given positions."""
 
     kind: Literal["positions"] = Field(description="kind of insertion")
-    positions: Annotated[tuple[Point, ...], list_of(some="[[0, 0, 0]]")] = Field(description="centers [m]")
+    positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
 
 
 Insertion = Annotated[
-    Annotated[LatticeInsertion, Tag("<lattice>")]
-    | Annotated[PackInsertion, Tag("<pack>")]
-    | Annotated[RainInsertion, Tag("<rain>")]
-    | Annotated[InletInsertion, Tag("<inlet>")]
-    | Annotated[PositionsInsertion, Tag("<positions>")]
-    | Annotated[FileInsertion, Tag("<file>")],
+    LatticeInsertion | PackInsertion | RainInsertion | InletInsertion | PositionsInsertion | FileInsertion,
     choose_by_key("kind"),
 ]
 """Any kind of insertion; the key `kind` selects it."""

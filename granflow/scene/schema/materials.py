@@ -5,39 +5,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, Tag, model_validator
 
-from granflow.scene.schema.fields import (
-    Density,
-    Model,
-    Number,
-    Positive,
-    Speed,
-    Text,
-    choose_by,
-    pair_list,
-    required_unless,
-    value_error,
-)
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Model, Text, choose_by, pair_list, required_unless
 from granflow.scene.schema.normal import Normal, known_laws
+from granflow.scene.schema.numbers import Number, value_error
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
 
 YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above=0)]
-"""Young's modulus [Pa], above 0."""
-
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
-"""Yield strength [Pa], above 0."""
-
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
-"""Poisson ratio, above -1 and at most 0.5."""
-
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
-"""Restitution coefficient in [0, 1]."""
-
 CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
-"""Cohesion energy density [J/m3], at least 0."""
-
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
-"""Friction coefficient, at least 0."""
 
 
 def _preset_name(given: Any, known: Iterable[str], kind: str) -> str | None:
@@ -65,12 +45,12 @@ class Material(Model):
     preset: Text | None = Field(None, description="name of a preset that supplies the values that are not given")
     young_modulus: YoungModulus = Field(description="Young's modulus [Pa], such as 70 GPa")
     poisson_ratio: PoissonRatio = Field(description="Poisson ratio, such as 0.3")
-    density: Density = Field(description="density of the solid [kg/m3], such as 2500")
+    density: q.Density = Field(description="density of the solid [kg/m3], such as 2500")
     yield_strength: YieldStrength | None = Field(
         None,
         description="yield strength [Pa]; required by some contact models and by Eq. 11 of Zhou (2011)",
     )
-    restitution_fit: Annotated[tuple[Positive, Positive], pair_list("[sigma, psi]")] | None = Field(
+    restitution_fit: Annotated[tuple[q.Positive, q.Positive], pair_list("[sigma, psi]")] | None = Field(
         None,
         description="sigma and psi (Zhou 2011, Eq. 12) for contacts within this material; available in some presets",
     )
@@ -103,9 +83,9 @@ class RestitutionFit(Model):
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
 
-    sigma: Positive = Field(description="sigma of Zhou (2011), Eq. 12")
-    psi: Positive = Field(description="psi of Zhou (2011), Eq. 12")
-    limit_velocity: Speed | None = Field(
+    sigma: q.Positive = Field(description="sigma of Zhou (2011), Eq. 12")
+    psi: q.Positive = Field(description="psi of Zhou (2011), Eq. 12")
+    limit_velocity: q.Speed | None = Field(
         None,
         description="impact velocity above which e is 0 [m/s]; default: Zhou (2011), Eq. 11, with the yield strengths",
     )
@@ -120,18 +100,16 @@ class RestitutionFit(Model):
         return given if name is None else dict(zip(("sigma", "psi"), fits[name], strict=True)) | given
 
 
-def _restitution_tag(value: Any) -> str:
-    """Tag of a restitution: fit for a mapping, none without a value, else number."""
-    if value is None:
-        return "<none>"
-    return "<fit>" if isinstance(value, dict | RestitutionFit) else "<number>"
-
-
 Restitution = Annotated[
     Annotated[RestitutionNumber, Tag("<number>")]
     | Annotated[RestitutionFit, Tag("<fit>")]
     | Annotated[None, Tag("<none>")],
-    choose_by(_restitution_tag, "a number or {sigma: 3.0, psi: 0.5} is expected"),
+    choose_by(
+        lambda given: (
+            "<none>" if given is None else "<fit>" if isinstance(given, dict | RestitutionFit) else "<number>"
+        ),
+        "a number or {sigma: 3.0, psi: 0.5} is expected",
+    ),
 ]
 """A number, a fit (Zhou 2011, Eq. 12), or None if the contact model derives it from the materials."""
 

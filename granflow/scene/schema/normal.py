@@ -7,7 +7,8 @@ from pydantic import Field, Tag, create_model
 
 from granflow.contact.model_kind import Amount, Choice, LawKind, Setting
 from granflow.contact.registry import NORMAL_LAWS
-from granflow.scene.schema.fields import Model, Number, ShortForm, choose_by, choose_by_key, shorthand
+from granflow.scene.schema.fields import Model, ShortForm, choose_by, choose_by_key, shorthand
+from granflow.scene.schema.numbers import Number
 
 
 class LawSettings(Model):

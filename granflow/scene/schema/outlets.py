@@ -1,28 +1,29 @@
-"""Schema of outlets: regions in which particles are deleted and counted."""
+"""Schema of the block `outlets`: regions in which particles are deleted and counted."""
 
 from typing import Annotated
 
-from pydantic import Field, Tag
+from pydantic import Field
 
-from granflow.scene.schema.fields import Direction, Model, Point, PositiveLength, choose_by
-from granflow.scene.schema.insertion import Box, choose_by_field
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Model, choose_by_first_key
+from granflow.scene.schema.shapes import Box
 
 
 class HalfSpaceGiven(Model):
     """All points on one side of a plane."""
 
-    point: Point = Field(description="a point on the plane [m]")
-    normal: Direction = Field(description="normal of the plane, toward the half space; its length does not matter")
+    point: q.Point = Field(description="a point on the plane [m]")
+    normal: q.Direction = Field(description="normal of the plane, toward the half space; its length does not matter")
 
 
 class DiscGiven(Model):
     """The semi-infinite cylinder on the downstream side of a disc."""
 
-    center: Point = Field(description="center of the disc [m]")
-    normal: Direction = Field(
+    center: q.Point = Field(description="center of the disc [m]")
+    normal: q.Direction = Field(
         description="normal of the disc, in the direction of the particle flow; its length does not matter"
     )
-    radius: PositiveLength = Field(description="radius of the disc [m]")
+    radius: q.PositiveLength = Field(description="radius of the disc [m]")
 
 
 class BoxOutlet(Model):
@@ -44,13 +45,10 @@ class DiscOutlet(Model):
 
 
 Outlet = Annotated[
-    Annotated[BoxOutlet, Tag("<box>")]
-    | Annotated[HalfSpaceOutlet, Tag("<half_space>")]
-    | Annotated[DiscOutlet, Tag("<disc>")],
-    choose_by(
-        choose_by_field(box=BoxOutlet, half_space=HalfSpaceOutlet, disc=DiscOutlet),
+    BoxOutlet | HalfSpaceOutlet | DiscOutlet,
+    choose_by_first_key(
         "it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal: [..]}} or "
-        "{disc: {center: [..], normal: [..], radius: ..}}",
+        "{disc: {center: [..], normal: [..], radius: ..}}"
     ),
 ]
 """An outlet of any shape: box, half space or disc, selected by its key."""

@@ -1,397 +1,30 @@
-"""Schema of scene files as immutable models, in SI units after reading.
+"""Schema of a scene file: its blocks and their keys; an immutable model in SI units after reading.
 
 Physical parameters have no hidden defaults: a scene must give all of them. Numerical parameters have defaults, all
 in `RunSettings` and `Numerics`.
 """
 
-import math
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-import numpy as np
 from pydantic import Field, PrivateAttr
 
-from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
 from granflow.scene.document import Document
-from granflow.scene.schema.analysis import AnyMetric, FieldGrid
-from granflow.scene.schema.fields import (
-    AccelerationVector,
-    AnyQuantity,
-    Auto,
-    Count,
-    Direction,
-    Energy,
-    Fault,
-    FileName,
-    Flag,
-    FlagOrNames,
-    Model,
-    Name,
-    NotNegative,
-    Number,
-    PairName,
-    Point,
-    Positive,
-    PositiveLength,
-    PositiveTime,
-    Seed,
-    Speed,
-    Text,
-    Time,
-    list_of,
-    pair_list,
-)
-from granflow.scene.schema.groups import ClassSizes, Group, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
-from granflow.scene.schema.insertion import (
-    Box,
-    BoxRegion,
-    CylinderRegion,
-    CylinderShape,
-    DiscFace,
-    FileInsertion,
-    InletInsertion,
-    LatticeInsertion,
-    PackInsertion,
-    PositionsInsertion,
-    RainInsertion,
-    RectangleFace,
-)
-from granflow.scene.schema.materials import Contact, Material, MaterialPair, RestitutionFit
-from granflow.scene.schema.outlets import BoxOutlet, HalfSpaceOutlet, Outlet
-from granflow.scene.schema.walls import (
-    AnyWall,
-    Cone,
-    Cylinder,
-    Disc,
-    FreeWallSpec,
-    MeshWall,
-    Plane,
-    Rectangle,
-    RotationSpec,
-    ServoSpec,
-    TranslationSpec,
-    VibrationSpec,
-    Wall,
-)
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.domain import Domain
+from granflow.scene.schema.expect import ExpectationSpec
+from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text
+from granflow.scene.schema.materials import Contact, Material, MaterialPair
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.outlets import Outlet
+from granflow.scene.schema.output import Output
+from granflow.scene.schema.particles import Group
+from granflow.scene.schema.run import Numerics, RunSettings
+from granflow.scene.schema.stages import Stage
+from granflow.scene.schema.walls import AnyWall
 from granflow.scene.writer import to_yaml
 
-__all__ = [
-    "AnyWall",
-    "HalfSpaceOutlet",
-    "Box",
-    "BoxOutlet",
-    "BoxRegion",
-    "Checkpoints",
-    "ClassSizes",
-    "Cone",
-    "Contact",
-    "Cylinder",
-    "CylinderRegion",
-    "Disc",
-    "DiscFace",
-    "Domain",
-    "ExpectationSpec",
-    "FieldGrid",
-    "FileInsertion",
-    "FreeWallSpec",
-    "Group",
-    "InletInsertion",
-    "LatticeInsertion",
-    "PositionsInsertion",
-    "LogNormalSizes",
-    "Material",
-    "MeshWall",
-    "FlowMeterSpec",
-    "NormalSizes",
-    "Numerics",
-    "Output",
-    "PackInsertion",
-    "MaterialPair",
-    "Plane",
-    "RainInsertion",
-    "Rectangle",
-    "RectangleFace",
-    "RestitutionFit",
-    "RotationSpec",
-    "RunSettings",
-    "Scene",
-    "ServoSpec",
-    "LeesEdwards",
-    "SizeClass",
-    "Stage",
-    "TranslationSpec",
-    "CylinderShape",
-    "UniformSizes",
-    "VibrationSpec",
-    "Wall",
-]
-
-RIGHT_ANGLE_COSINE = 1e-6
-"""Largest absolute cosine of an angle that is accepted as 90 deg."""
-
-LARGEST_OVERLAP = 0.8
-"""Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.travel`)."""
-
-Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
-"""Fraction above 0 and at most 1."""
-
-OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
-"""Overlap over radius, above 0 and at most LARGEST_OVERLAP."""
-
-AdaptiveOrFixedTime = Annotated[float | Auto | Literal["adaptive"], Number("time", above=0, words=("auto", "adaptive"))]
-"""Time step [s], above 0, or auto or adaptive."""
-
-ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
-"""Shear rate [1/s] of either sign."""
-
-AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
-"""Length [m], above 0, or auto."""
-
-LARGEST_CHUNK = 1_000_000
-"""Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
-
-LARGEST_ANGLE = 0.9
-"""Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
-
-UnloadingAngle = Annotated[float, Number(noun="an angle", above=0, at_most=LARGEST_ANGLE)]
-"""Unloading angle, above 0 and at most LARGEST_ANGLE."""
-
-ChunkSize = Annotated[
-    int | Auto, Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",))
-]
-"""Number of particles per chunk, at most LARGEST_CHUNK, or auto."""
-
-
-class LeesEdwards(Model):
-    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis.
-
-        velocity of the image above = rate * width of the box along the gradient axis      [m/s]
-
-    Walls, flow meters and insertion during the run are not supported.
-    """
-
-    flow: Literal["x", "y", "z"] = Field(description="flow axis, the direction of the velocity")
-    gradient: Literal["x", "y", "z"] = Field(description="gradient axis, along which the velocity changes")
-    rate: ShearRate = Field(description="shear rate, change of velocity per length [1/s]; may be negative")
-    start: Time = Field(0.0, description="time at which the shear begins [s]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the flow and gradient axes differ."""
-        if self.flow == self.gradient:
-            yield Fault(("gradient",), "flow is the same axis; give another axis")
-
-
-class Domain(Box):
-    """The simulated box: particles outside are deleted, wrapped (periodic axes) or followed, or end the run.
-
-    Walls may extend beyond it.
-    """
-
-    periodic: Annotated[tuple[Literal["x", "y", "z"], ...], list_of(one=True)] = Field(
-        (), description="axes with periodic boundary conditions, such as [x, y]"
-    )
-    lees_edwards: LeesEdwards | None = Field(
-        None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
-    )
-    on_exit: Literal["delete", "error", "expand"] = Field(
-        description="action if the center of a particle leaves the domain: delete (and count), error (abort the run), "
-        "or expand (enlarge the domain)"
-    )
-
-    def periodic_box(self) -> PeriodicBox:
-        """The periodic box of the domain at the start."""
-        low, width, given = np.array(self.min), np.subtract(self.max, self.min), self.lees_edwards
-        image_motion = None
-        if given is not None:
-            flow, gradient = AXES.index(given.flow), AXES.index(given.gradient)
-            image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
-        return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the volume is positive and the periodic axes are unique.
-
-        Both axes of Lees-Edwards shear must be periodic.
-        """
-        yield from super().faults()
-        for index, axis in enumerate(self.periodic):
-            if axis in self.periodic[:index]:
-                yield Fault(("periodic", index), "this axis is a duplicate; give each axis once")
-        for key in ("flow", "gradient") if self.lees_edwards else ():
-            if getattr(self.lees_edwards, key) not in self.periodic:
-                yield Fault(
-                    ("lees_edwards", key), "domain.periodic does not contain this axis; both axes must be periodic"
-                )
-
-
-class Stage(Model):
-    """A part of the run that ends after a duration, or when the particles are at rest.
-
-    Walls and motions may be limited to stages.
-    """
-
-    name: Name = Field(description="name of the stage")
-    duration: PositiveTime | None = Field(None, description="duration [s]")
-    kinetic_energy_below: Energy | None = Field(
-        None, description="the stage ends if the mean kinetic energy per particle is below this value [J]"
-    )
-    max_duration: PositiveTime | None = Field(None, description="with kinetic_energy_below: longest duration [s]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the stage has either a duration, or an energy with a maximum duration."""
-        if self.duration is None and self.kinetic_energy_below is None:
-            yield Fault((), "has no end: give duration, or kinetic_energy_below with max_duration", whole=True)
-        elif self.duration is not None and self.kinetic_energy_below is not None:
-            yield Fault(
-                ("duration",), "kinetic_energy_below is given too: keep one, or replace duration by max_duration"
-            )
-        elif self.kinetic_energy_below is not None and self.max_duration is None:
-            yield Fault(
-                ("max_duration",), "is missing: the longest duration of a stage with kinetic_energy_below", whole=True
-            )
-        elif self.duration is not None and self.max_duration is not None:
-            yield Fault(("max_duration",), "it requires kinetic_energy_below; remove max_duration")
-
-
-class RunSettings(Model):
-    """Duration, time step and precision of a run.
-
-    An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in `numerics`.
-    """
-
-    duration: PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
-    time_step: AdaptiveOrFixedTime = Field(
-        "auto",
-        description="time step [s]; auto: for the stiffest possible contact; adaptive: for the stiffest current one",
-    )
-    velocity_max: Speed | None = Field(
-        None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
-    )
-    precision: Literal["f64", "f32", "mixed"] = Field(
-        "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
-    )
-
-
-class Numerics(Model):
-    """Numerical parameters, all with defaults.
-
-    They limit numerical errors and do not represent physical properties.
-    """
-
-    time_step_fraction: Fraction = Field(
-        0.05, description="largest time step over the shortest loading or unloading time"
-    )
-    rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
-    skin: AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
-    chunk_size: ChunkSize = Field("auto", description="particles per chunk of the neighbor list, or auto")
-    max_overlap: OverlapLimit = Field(0.1, description="overlap over radius above which the run is aborted")
-    unloading_angle: UnloadingAngle = Field(
-        0.5, description="theta in the bound theta^2 M/dt^2 on the unloading tangent (restitution near 0)"
-    )
-
-
-class FlowMeterSpec(Model):
-    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
-
-    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
-    """
-
-    point: Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
-    normal: Direction = Field(description="direction of positive flow; its length does not matter")
-    radius: PositiveLength | None = Field(None, description="radius of the disc [m]; default: the whole plane")
-    sides: Annotated[tuple[Point, Point], pair_list("two edge vectors")] | None = Field(
-        None,
-        description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal",
-    )
-    group_by: Literal["material", "group"] | None = Field(
-        None, description="additional separate counts for each material or group"
-    )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
-        if self.sides is None:
-            return
-        if self.radius is not None:
-            yield Fault(("sides",), "radius is given too: keep one of them")
-        (a, b), lengths = self.sides, [math.hypot(*each) for each in (*self.sides, self.normal)]
-        if not all(lengths):
-            yield Fault(("sides",), "a side must not be the zero vector")
-            return
-        cosines = [
-            abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
-            for first, second, i, j in ((a, b, 0, 1), (a, self.normal, 0, 2), (b, self.normal, 1, 2))
-        ]
-        if max(cosines) > RIGHT_ANGLE_COSINE:
-            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
-
-
-class Checkpoints(Model):
-    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
-
-    A checkpoint is due at simulated or wall-clock times, whichever is first.
-    """
-
-    wall_clock: PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
-    interval: PositiveTime | None = Field(
-        None, description="simulated time between additional checkpoints [s]; default: none"
-    )
-    keep: Count = Field(2, description="number of checkpoints that are kept, the newest ones")
-
-
-class Output(Model):
-    """Selection and intervals of the output.
-
-    Times are simulated times [s]; the energy budget and wall forces cost time in each step.
-    """
-
-    interval: PositiveTime = Field(description="time between VTU frames [s]")
-    timeseries_interval: PositiveTime = Field(
-        default_factory=lambda given: given.get("interval"),  # None if the interval is invalid
-        description="time between rows of timeseries.csv [s]; default: interval",
-    )
-    particles: Flag = Field(True, description="write particles_*.vtu")
-    contacts: Flag = Field(False, description="write contacts_*.vtu")
-    walls: Flag = Field(True, description="write walls_*.vtu")
-    energy_budget: Flag = Field(False, description="compute the energy budget")
-    wall_forces: FlagOrNames = Field(
-        False,
-        description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
-    )
-    flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
-    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
-    metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
-    checkpoint: Checkpoints = Field(Checkpoints(), description="interval and number of checkpoints")
-
-
-class ExpectationSpec(Model):
-    """An expectation for the results of a run: one comparison of one quantity, in SI units.
-
-    The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and groups.
-    """
-
-    quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")
-    between: Annotated[tuple[AnyQuantity, AnyQuantity], pair_list("[smallest, largest]")] | None = Field(
-        None, description="smallest and largest value"
-    )
-    below: AnyQuantity | None = Field(None, description="upper limit of the quantity")
-    above: AnyQuantity | None = Field(None, description="lower limit of the quantity")
-    equals: AnyQuantity | None = Field(None, description="expected value, within the tolerance")
-    tolerance: NotNegative | None = Field(None, description="with equals: largest relative difference")
-    any_scale: Flag = Field(False, description="true: evaluate at every scale of the scene; false: only at scale 1")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the expectation has exactly one comparison, with a tolerance for equals."""
-        given = [key for key in ("between", "below", "above", "equals") if getattr(self, key) is not None]
-        if len(given) != 1:
-            found = f"has {' and '.join(given)}" if given else "has no comparison"
-            yield Fault((), f"{found}; give exactly one of between, below, above and equals", whole=True)
-            return
-        if self.equals is not None and self.tolerance is None:
-            yield Fault(("tolerance",), "is missing: the largest relative difference from equals", whole=True)
-        if self.equals is None and self.tolerance is not None:
-            yield Fault(("tolerance",), "it requires equals; remove tolerance")
-        if self.between is not None and self.between[0] > self.between[1]:
-            yield Fault(("between",), "the first value must be the smaller one")
+Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 
 
 class Scene(Model):
@@ -404,11 +37,11 @@ class Scene(Model):
     title: Text = Field(description="title of the scene, one line")
     description: Text | None = Field(None, description="description of the scene and its expected behavior")
     seed: Seed = Field(1, description="seed of all random numbers")
-    scale: Positive = Field(
+    scale: q.Positive = Field(
         1.0,
         description="factor of equipment lengths; particle counts scale with its cube, particle sizes do not change",
     )
-    gravity: AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
+    gravity: q.AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
     materials: dict[Name, Material] = Field(description="materials by name")
     pairs: dict[PairName, MaterialPair] = Field(
         description="contact properties of material pairs; each key is two names joined by a hyphen"
@@ -423,11 +56,11 @@ class Scene(Model):
         {}, description="outlets by name: regions in which particles are deleted and counted"
     )
     domain: Domain = Field(description="the simulated box")
-    stages: Annotated[tuple[Stage, ...], list_of()] = Field((), description="stages of the run, in order")
+    stages: Annotated[tuple[Stage, ...], ListOf()] = Field((), description="stages of the run, in order")
     run: RunSettings = Field(RunSettings(), description="duration, time step and precision")
     numerics: Numerics = Field(Numerics(), description="numerical parameters, all with defaults")
     output: Output = Field(description="selection and intervals of the output")
-    expect: Annotated[tuple[ExpectationSpec, ...], list_of()] = Field(
+    expect: Annotated[tuple[ExpectationSpec, ...], ListOf()] = Field(
         (), description="expectations for the results of the finished run"
     )
 

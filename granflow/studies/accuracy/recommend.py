@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.scene.schema.scene import Numerics
+from granflow.scene.schema.run import Numerics
 from granflow.studies.accuracy.orders import fitted_order
 from granflow.studies.accuracy.points import StudyLine, StudyPoint
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Contact, MaterialPair, Scene
+from granflow.scene.schema.materials import Contact, MaterialPair
+from granflow.scene.schema.scene import Scene
 
 FRICTION, ROLLING_FRICTION = 0.3, 0.02
 """Coefficients of every pair if a variant adds the feature to the scene."""

@@ -11,7 +11,7 @@ from granflow.contact.model import ModelRequest, NormalLaw
 from granflow.contact.registry import NORMAL_LAWS
 from granflow.engine.backend import Backend
 from granflow.errors import SceneError
-from granflow.scene.schema.scene import Numerics
+from granflow.scene.schema.run import Numerics
 from granflow.studies.figures import COLORS, MARKERS
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
 from granflow.studies.paper.figure_data import FigureData, relative_deviation

@@ -13,7 +13,8 @@ from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, pair_cases_of, plan_for
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.run import LARGEST_OVERLAP
+from granflow.scene.schema.scene import Scene
 
 LONGEST = 40.0
 """Maximum length of a collision in units of its expected duration."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.engine.backend import Backend
-from granflow.scene.schema.scene import Numerics
+from granflow.scene.schema.run import Numerics
 from granflow.studies.figures import COLORS, MARKERS, POINTS
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.backend import Precision
-from granflow.scene.schema.scene import LARGEST_OVERLAP
+from granflow.scene.schema.run import LARGEST_OVERLAP
 from granflow.studies.stability import bed_cases
 from granflow.studies.stability.bed_cases import (
     DIAMETER,

@@ -20,7 +20,8 @@ from granflow.engine.limits import NO_PARTICLE
 from granflow.particles.generate import ParticleData
 from granflow.plan.plan import Plan, pair_cases_of, plan_for
 from granflow.plan.time_step import PairCase, stable_step
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.run import LARGEST_OVERLAP
+from granflow.scene.schema.scene import Scene
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6

@@ -1,0 +1,1 @@
+"""Consistency checks between the parts of a scene; `granflow.scene.validation` lists and runs them."""

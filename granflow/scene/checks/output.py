@@ -1,0 +1,130 @@
+"""Output and expectations: grids, metrics, flow meters and wall forces, and the names to which they refer."""
+
+import math
+from collections.abc import Iterable, Iterator
+
+from granflow.fields import (
+    FLOW_METER_QUANTITIES,
+    INSERTION_QUANTITIES,
+    METRIC_QUANTITIES,
+    OUTLET_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
+)
+from granflow.scene.document import KeyPath
+from granflow.scene.partial import PartialScene, unknown
+from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND, GridSpec, LaceyMetric, ReposeMetric
+from granflow.scene.schema.domain import Domain
+from granflow.scene.schema.fields import Fault, whole
+from granflow.scene.schema.insertion import TimedInsertion
+from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.shapes import Box
+from granflow.scene.schema.walls import Plane
+
+MOST_CELLS = 2_000_000
+"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
+
+
+def field_grids(parts: PartialScene) -> Iterator[Fault]:
+    """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
+    stages, domain = [stage.name for stage in parts.scene.stages], parts.scene.domain
+    for name, grid in parts.scene.output.fields.items():
+        path: KeyPath = ("output", "fields", name)
+        yield from _cells(domain, path, grid)
+        if grid.region is not None:
+            yield from _periodic_extent(domain, (*path, "region"), grid.region)
+        yield from _unknown_names((*path, "stages"), grid.stages, stages, "stage")
+
+
+def metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Metrics must refer to existing groups and materials; an angle of repose requires gravity."""
+    for name, metric in parts.scene.output.metrics.items():
+        path: KeyPath = ("output", "metrics", name)
+        if isinstance(metric, LaceyMetric):
+            yield from _cells(parts.scene.domain, path, metric)
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+            yield from _unknown_names((*path, "materials"), metric.materials, parts.names("materials"), "material")
+        if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
+            yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
+
+
+def _unknown_names(path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str) -> Iterator[Fault]:
+    """Faults of the items of a list that are not known names."""
+    yield from (unknown((*path, i), name, known, kind) for i, name in enumerate(given or ()) if name not in known)
+
+
+def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
+    """A fault for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
+    if (grid.cell is None) == (grid.cells is None):
+        return
+    count = math.prod(grid.cell_counts(domain))
+    if count > MOST_CELLS:
+        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
+        yield Fault((*path, "cell" if grid.cells is None else "cells"), reason)
+
+
+def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fault]:
+    """A fault for each periodic axis along which a region does not cover exactly the domain [m]."""
+    for axis in domain.periodic:
+        k = "xyz".index(axis)
+        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            yield whole(path, f"must extend from {reach} in {axis}, where the domain is periodic")
+
+
+def _expected(scene: Scene) -> Iterator[tuple[KeyPath, str, str]]:
+    """Key path, quantity and part of each expectation of a quantity with a part, such as mass_flow.outlet."""
+    for index, expectation in enumerate(scene.expect):
+        quantity, dot, part = expectation.quantity.partition(".")
+        if dot:
+            yield ("expect", index, "quantity"), quantity, part
+
+
+def expected_parts(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing flow meters, outlets and inserted groups."""
+    scene, meters = parts.scene, parts.scene.output.flow_meters
+    meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
+    inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
+        (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
+        (INSERTION_QUANTITIES, inserted, "inserted group"),
+    )
+    for path, quantity, part in _expected(scene):
+        for quantities, names, kind in known:
+            if quantity in quantities and part not in names:
+                yield unknown(path, part, names, kind)
+
+
+def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing metrics that provide the quantity, or its time average NAME_mean."""
+    known = parts.scene.output.metrics
+    for path, quantity, name in _expected(parts.scene):
+        if quantity not in METRIC_QUANTITIES:
+            continue
+        if name not in known:
+            yield unknown(path, name, known, "metric")
+        elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
+            numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
+            yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
+
+
+def wall_forces(parts: PartialScene) -> Iterator[Fault]:
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
+
+    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
+    """
+    requested, known = parts.scene.output.wall_forces, parts.names("walls")
+    if not isinstance(requested, bool):
+        yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
+    measured = known if requested is True else requested or ()
+    for path, quantity, wall in _expected(parts.scene):
+        if quantity not in WALL_FORCE_QUANTITIES:
+            continue
+        if wall not in known:
+            yield unknown(path, wall, known, "wall")
+        elif wall not in measured:
+            remedy = "write wall_forces: true, or add it to the list"
+            yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
+        elif "pressure" in quantity and isinstance(parts.scene.walls.get(wall), Plane):
+            remedy = "use wall_force_x, wall_force_y or wall_force_z"
+            yield Fault(path, f"the plane {wall} is infinite and has no area; {remedy}")

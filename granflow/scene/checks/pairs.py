@@ -1,0 +1,160 @@
+"""Materials, their pairs, and the properties of pairs that the contact models require."""
+
+from collections.abc import Iterable, Iterator
+from itertools import combinations_with_replacement, product
+
+from granflow.scene.document import KeyPath
+from granflow.scene.partial import PartialScene, unknown
+from granflow.scene.schema.fields import Fault, missing, whole
+from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.scene import Scene
+from granflow.scene.suggest import nearest, suggestion_or_list
+
+ASSUMED_COUNT = 2
+"""Assumed number of particles of a group without a known count: enough for contacts within the group."""
+
+
+def materials_exist(parts: PartialScene) -> Iterator[Fault]:
+    """Materials of walls and groups must exist."""
+    known = parts.names("materials")
+    for section in ("walls", "particles"):
+        for name, part in getattr(parts.scene, section).items():
+            if part.material not in known:
+                yield unknown((section, name, "material"), part.material, known, "material")
+
+
+def names(parts: PartialScene) -> Iterator[Fault]:
+    """Pairs of unknown materials, and duplicate pairs: A-B and B-A are the same pair."""
+    known = parts.names("materials")
+    seen: dict[frozenset[str], str] = {}
+    for key in parts.names("pairs"):
+        both = key.split("-")
+        if len(both) != 2:
+            continue
+        for name in dict.fromkeys(both):
+            if name not in known:
+                remedy = suggestion_or_list(name, known, "materials")
+                yield whole(("pairs", key), f"names {name}, which is not under materials. {remedy}")
+        first = seen.setdefault(frozenset(both), key)
+        if first != key:
+            line = parts.document.key_position(("pairs", first)).line
+            existing = f"{first} at line {line}" if line else first
+            yield whole(("pairs", key), f"is a duplicate of the pair {existing}; keep one of them")
+
+
+def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
+    """Each two materials that can come into contact must have an entry under `pairs`.
+
+    A pair with a misspelled name counts as the one with the closest known name: another check reports it.
+    """
+    known = parts.names("materials")
+    existing = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")}
+    for both, why in _possible_contacts(parts.scene, known).items():
+        if both not in existing:
+            key = "-".join(sorted(both) * (3 - len(both)))
+            yield missing(("pairs", key), f"{why}; give at least its restitution and friction")
+
+
+def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
+    """Material pairs whose particles or walls can come into contact, with the reason.
+
+    Fixed particles touch neither each other nor walls; a material with a single particle does not touch itself.
+    """
+    mobile, fixed = (_counts(scene, set(known), fixed) for fixed in (False, True))
+    found: dict[frozenset[str], str] = {}
+    for a, b in combinations_with_replacement(mobile, 2):
+        if a != b or mobile[a] > 1:
+            other = f"particles of {b}" if a != b else "each other"
+            found[frozenset((a, b))] = f"particles of {a} can touch {other}"
+    for a, b in product(mobile, fixed):
+        found.setdefault(frozenset((a, b)), f"particles of {a} can touch fixed ones of {b}")
+    for (name, wall), a in product(scene.walls.items(), mobile):
+        if wall.material in known:
+            reason = f"particles of {a} can touch the wall {name} of {wall.material}"
+            found.setdefault(frozenset((a, wall.material)), reason)
+    return found
+
+
+def _counts(scene: Scene, materials: set[str], fixed: bool) -> dict[str, int]:
+    """Number of fixed particles, or of mobile ones, for each of these materials.
+
+    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles.
+    """
+    found: dict[str, int] = {}
+    for group in scene.particles.values():
+        if group.material in materials and group.fixed == fixed:
+            found[group.material] = found.get(group.material, 0) + (group.count_given or ASSUMED_COUNT)
+    return found
+
+
+def friction(parts: PartialScene) -> Iterator[Fault]:
+    """Friction coefficients require a tangential or rolling contact model, and vice versa."""
+    contact = parts.scene.contact
+    for key, pair in parts.scene.pairs.items():
+        rolling = ("pairs", key, "rolling_friction")
+        if pair.friction > 0 and contact.tangential == "none":
+            yield Fault(("pairs", key, "friction"), "contact.tangential is none; write 0, or choose mindlin")
+        if pair.rolling_friction is None and contact.rolling != "none":
+            remedy = "give the coefficient, or 0 to disable rolling friction"
+            yield missing(rolling, f"contact.rolling is {contact.rolling}; {remedy}")
+        if pair.rolling_friction and contact.rolling == "none":
+            yield Fault(rolling, "contact.rolling is none; remove rolling_friction, or choose epsd or cdt")
+
+
+def cohesion(parts: PartialScene) -> Iterator[Fault]:
+    """A cohesion model requires a cohesion energy density in every pair, and vice versa."""
+    model = parts.scene.contact.cohesion
+    for key, pair in parts.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "cohesion_energy_density")
+        if model == "none" and pair.cohesion_energy_density is not None:
+            yield Fault(path, "contact.cohesion is none; remove cohesion_energy_density, or choose sjkr")
+        if model != "none" and pair.cohesion_energy_density is None:
+            yield missing(path, f"contact.cohesion is {model}; give it in J/m3, or 0 to disable cohesion")
+
+
+def restitution(parts: PartialScene) -> Iterator[Fault]:
+    """Restitution in the form that the normal contact model requires; none if it follows from the materials.
+
+    The forms are: nothing, a number, a positive number, a number or a fit (`LawKind.restitution`).
+    """
+    normal = parts.scene.contact.normal
+    for key, pair in parts.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "restitution")
+        if normal.kind.restitution == "nothing":
+            if pair.restitution is not None:
+                yield Fault(path, f"the contact model {normal.law} derives it from the materials; remove it")
+            elif len(_without_yield_strength(parts, key)) == len(set(key.split("-"))):
+                names = " or ".join(dict.fromkeys(key.split("-")))
+                reason = f"requires a yield strength (contact model {normal.law}): give the yield_strength of {names}"
+                yield whole(("pairs", key), reason)
+        elif pair.restitution is None:
+            yield missing(path, "restitution coefficient, a number in [0, 1]")
+        elif isinstance(pair.restitution, RestitutionFit):
+            yield from _restitution_fit(parts, key, pair.restitution)
+        elif pair.restitution == 0 and normal.kind.restitution == "positive number":
+            yield Fault(path, f"the contact model {normal.law} requires a number above 0 and at most 1")
+
+
+def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Fault]:
+    """A restitution fit (Zhou 2011, Eq. 12) is valid only with a contact model that accepts it.
+
+    Without a limit velocity, it requires the yield strengths of its materials (Eq. 11).
+    """
+    normal, path = parts.scene.contact.normal, ("pairs", key, "restitution")
+    settings, without_yield = normal.settings(), _without_yield_strength(parts, key)
+    fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
+    if normal.kind.restitution != "number or fit":
+        yield Fault(path, f"the contact model {normal.law} requires a number, above 0 and at most 1")
+    elif fixed:
+        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number"
+        yield Fault(path, f"{reason}; or write impact or max_overlap")
+    elif fit.limit_velocity is None and without_yield:
+        remedy = f"give limit_velocity, or the yield_strength of {' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
+        yield whole(path, f"has no limit velocity: {remedy}")
+
+
+def _without_yield_strength(parts: PartialScene, key: str) -> list[str]:
+    """The materials of a pair without a yield strength; invalid materials are not included."""
+    materials = parts.scene.materials
+    names = dict.fromkeys(key.split("-"))
+    return [name for name in names if name in materials and not materials[name].yield_strength]

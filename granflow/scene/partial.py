@@ -1,0 +1,106 @@
+"""Partial scenes: the valid parts of a scene with errors, for consistency checks between these parts."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Annotated, Any, get_origin
+
+from pydantic import BaseModel, Field, create_model
+
+from granflow.scene.document import Document, KeyPath
+from granflow.scene.schema.fields import Fault, Model
+from granflow.scene.schema.scene import Scene
+from granflow.scene.suggest import nearest
+
+
+@dataclass(frozen=True)
+class PartialScene:
+    """A scene that may lack parts.
+
+    `scene`: has the sections in `complete` and the valid entries of sections with several entries; it may lack required
+    parts and must not be used for a run. `indices`: list section -> index in the file of each valid item.
+    """
+
+    document: Document
+    scene: Scene
+    complete: frozenset[str] = frozenset(Scene.model_fields)
+    indices: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+    def names(self, section: str) -> tuple[str, ...]:
+        """All names in a section of the file, including invalid entries, and names in lowercase.
+
+        Checks of references use them, so that an invalid entry does not cause an error wherever it is named.
+        """
+        node = self.document.root.child(section)
+        names = tuple(node.entries) if node is not None and node.entries else ()
+        return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
+
+    def faults(self) -> Iterator[Fault]:
+        """Inconsistencies between the fields of each valid part, with the full key path of the fault."""
+        for fault in _faults(self.scene, ()):
+            section, *rest = fault.path
+            if section in self.indices:
+                yield replace(fault, path=(section, self.indices[str(section)][int(rest[0])], *rest[1:]))
+            else:
+                yield fault
+
+
+def unknown(path: KeyPath, name: str, known: Iterable[str], kind: str) -> Fault:
+    """The fault of an unknown name, with the closest known name or a list of all."""
+    names = list(known)
+    if suggestion := nearest(name, names):
+        return Fault(path, f"there is no such {kind}. Did you mean {suggestion}?")
+    known_names = f"the {kind}s are {', '.join(names)}" if names else f"the scene has no {kind}s"
+    return Fault(path, f"there is no such {kind}; {known_names}")
+
+
+def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterable[KeyPath]) -> PartialScene:
+    """The valid parts of a scene: all sections and entries of sections without errors.
+
+    `data`: plain data of the document; `errors`: locations of the errors of the schema, as in pydantic.
+    """
+    broken = {loc[: 2 if loc[0] in _several() else 1] for loc in errors}
+    sections = {name: value for name, value in data.items() if (name,) not in broken}
+    indices: dict[str, list[int]] = {}
+    for name in {str(loc[0]) for loc in broken} & set(sections):
+        items = sections[name]
+        if isinstance(items, dict):
+            sections[name] = {key: item for key, item in items.items() if (name, key) not in broken}
+        else:
+            indices[name] = [index for index in range(len(items)) if (name, index) not in broken]
+            sections[name] = [items[index] for index in indices[name]]
+    valid = Scene.model_construct(**dict(_without_required_keys().model_validate(sections)))
+    absent = {name for name, each in Scene.model_fields.items() if each.is_required() and name not in data}
+    return PartialScene(document, valid, frozenset(Scene.model_fields) - absent - {loc[0] for loc in broken}, indices)
+
+
+@cache
+def _several() -> frozenset[str]:
+    """The sections with several entries: mappings by name, and lists of models."""
+    kinds = {name: get_origin(each.annotation) for name, each in Scene.model_fields.items() if name != "gravity"}
+    return frozenset(name for name, kind in kinds.items() if kind in (dict, tuple))
+
+
+@cache
+def _without_required_keys() -> type[BaseModel]:
+    """The schema of a scene in which every key is optional: missing mappings are empty, other missing parts None."""
+    fields: dict[str, Any] = {}
+    for name, each in Scene.model_fields.items():
+        kind: Any = each.annotation
+        for meta in each.metadata:
+            kind = Annotated[kind, meta]
+        empty: Any = {} if get_origin(each.annotation) is dict else None
+        default = empty if each.is_required() else each.get_default(call_default_factory=True)
+        fields[name] = (kind, Field(default))
+    return create_model("PartialSections", __config__=Scene.model_config, **fields)
+
+
+def _faults(value: Any, path: KeyPath) -> Iterator[Fault]:
+    """Faults of a value and of all models in it, depth first, with key paths from the root."""
+    if isinstance(value, Model):
+        yield from (replace(fault, path=(*path, *fault.path)) for fault in value.faults())
+        for name, each in type(value).model_fields.items():
+            yield from _faults(getattr(value, name), (*path, each.alias or name))
+    elif isinstance(value, dict | tuple):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _faults(each, (*path, key))

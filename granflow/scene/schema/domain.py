@@ -1,0 +1,75 @@
+"""Schema of the block `domain`: the simulated box and its boundaries."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, ListOf, Model
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.shapes import Box
+
+Axis = Literal["x", "y", "z"]
+
+ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
+"""Shear rate [1/s] of either sign."""
+
+
+class LeesEdwards(Model):
+    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis.
+
+        velocity of the image above = rate * width of the box along the gradient axis      [m/s]
+
+    Walls, flow meters and insertion during the run are not supported.
+    """
+
+    flow: Axis = Field(description="flow axis, the direction of the velocity")
+    gradient: Axis = Field(description="gradient axis, along which the velocity changes")
+    rate: ShearRate = Field(description="shear rate, change of velocity per length [1/s]; may be negative")
+    start: q.Time = Field(0.0, description="time at which the shear begins [s]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the flow and gradient axes differ."""
+        if self.flow == self.gradient:
+            yield Fault(("gradient",), "flow is the same axis; give another axis")
+
+
+class Domain(Box):
+    """The simulated box: particles outside are deleted, wrapped (periodic axes) or followed, or end the run.
+
+    Walls may extend beyond it.
+    """
+
+    periodic: Annotated[tuple[Axis, ...], ListOf(one=True)] = Field(
+        (), description="axes with periodic boundary conditions, such as [x, y]"
+    )
+    lees_edwards: LeesEdwards | None = Field(
+        None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
+    )
+    on_exit: Literal["delete", "error", "expand"] = Field(
+        description="action if the center of a particle leaves the domain: delete (and count), error (abort the run), "
+        "or expand (enlarge the domain)"
+    )
+
+    def periodic_box(self) -> PeriodicBox:
+        """The periodic box of the domain at the start."""
+        low, width, given = np.array(self.min), np.subtract(self.max, self.min), self.lees_edwards
+        image_motion = None
+        if given is not None:
+            flow, gradient = AXES.index(given.flow), AXES.index(given.gradient)
+            image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
+        return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the volume is positive, and the periodic axes are unique and include the shear axes."""
+        yield from super().faults()
+        for index, axis in enumerate(self.periodic):
+            if axis in self.periodic[:index]:
+                yield Fault(("periodic", index), "this axis is a duplicate; give each axis once")
+        for key in ("flow", "gradient") if self.lees_edwards else ():
+            if getattr(self.lees_edwards, key) not in self.periodic:
+                reason = "domain.periodic does not contain this axis; both axes must be periodic"
+                yield Fault(("lees_edwards", key), reason)

@@ -1,0 +1,144 @@
+"""Schema of the motions of walls."""
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, Model, Names, choose_by_key, redundant, whole
+
+
+class TimedMotion(Model):
+    """A motion from `start` to `end` or during stages; by default during the whole run.
+
+    Motions of the same wall are superposed; a wall has at most one rotation.
+    """
+
+    kind: str = Field(description="kind of motion")
+    start: q.Time | None = Field(None, description="time at which the motion begins [s]; default: start of the run")
+    end: q.Time | None = Field(None, description="time at which the motion ends [s]; default: end of the run")
+    stages: Names | None = Field(None, description="stages with this motion; its time starts at the first of them")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless either times or stages are given, and the end is after the start."""
+        if self.stages is not None and (self.start is not None or self.end is not None):
+            yield redundant("stages", "start or end", keep="either the times or the stages")
+        elif self.end is not None and self.end <= (self.start or 0.0):
+            yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
+
+
+class VibrationSpec(TimedMotion):
+    """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
+
+        displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
+        velocity:      amplitude * angular_frequency * cos(angular_frequency * t + phase)
+
+    The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
+    oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
+    """
+
+    kind: Literal["vibration"] = Field(description="kind of motion")
+    direction: q.Direction = Field(description="direction of the motion; its length does not matter")
+    amplitude: q.UnscaledLength | None = Field(None, description="amplitude, half of the peak-to-peak value [m]")
+    frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
+    angular_frequency: q.PositiveAngularVelocity | None = Field(None, description="angular frequency [rad/s]")
+    gamma: q.Positive | None = Field(None, description="peak acceleration over the magnitude of gravity")
+    phase: q.Angle = Field(
+        0.0, description="phase at the start [rad]; 0: the wall starts at full speed from the center of the oscillation"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly two of amplitude, frequency (of either kind) and gamma are given."""
+        yield from super().faults()
+        if self.frequency is not None and self.angular_frequency is not None:
+            yield redundant("angular_frequency", "frequency")
+            return
+        rate = self.frequency if self.frequency is not None else self.angular_frequency
+        given = sum(value is not None for value in (self.amplitude, rate, self.gamma))
+        if given != 2:
+            count = ("none", "one", "two", "all three")[given]
+            yield whole((), f"gives {count} of amplitude, frequency and gamma; give exactly two of them")
+
+    def amplitude_and_angular_frequency(self, gravity: q.Vector3) -> tuple[float, float]:
+        """Amplitude A [m] and angular frequency w [rad/s], from those given and gamma.
+
+            gamma = A w^2 / |g|
+
+        `gravity` g (3,) [m/s2].
+        """
+        omega = self.angular_frequency
+        if omega is None and self.frequency is not None:
+            omega = 2 * math.pi * self.frequency
+        peak = (self.gamma or 0.0) * math.hypot(*gravity)
+        if omega is None:
+            assert self.amplitude is not None
+            return self.amplitude, math.sqrt(peak / self.amplitude)
+        return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
+
+
+class TranslationSpec(TimedMotion):
+    """Motion at a constant velocity [m/s]."""
+
+    kind: Literal["translation"] = Field(description="kind of motion")
+    velocity: q.VelocityVector = Field(description="velocity [m/s]")
+
+
+class RotationSpec(TimedMotion):
+    """Rotation about an axis at a constant rate, right-handed.
+
+    The torque on the wall refers to `point`.
+    """
+
+    kind: Literal["rotation"] = Field(description="kind of motion")
+    point: q.Point = Field(description="a point on the axis [m]")
+    axis: q.Direction = Field(description="direction of the axis; its length does not matter")
+    angular_velocity: q.AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
+
+
+class ServoSpec(TimedMotion):
+    """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
+
+        v = gain (F - f),      |v| <= velocity_max
+
+    F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
+    """
+
+    kind: Literal["servo"] = Field(description="kind of motion")
+    direction: q.Direction = Field(description="direction of the force on the particles; its length does not matter")
+    force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
+    pressure: q.Pressure | None = Field(
+        None, description="prescribed pressure, force over the area of the wall [Pa]; instead of force"
+    )
+    velocity_max: q.Speed = Field(description="largest speed of the wall [m/s]")
+    gain: q.Positive | None = Field(
+        None, description="velocity over force difference [m/(s N)]; default: from stiffness and time step"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of force and pressure is given."""
+        yield from super().faults()
+        if self.force is None and self.pressure is None:
+            yield whole((), "has no prescribed force: give force or pressure")
+        elif self.force is not None and self.pressure is not None:
+            yield redundant("pressure", "force")
+
+
+class FreeWallSpec(TimedMotion):
+    """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
+
+        M dv/dt = f + M g + force - damping v
+
+    f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
+    """
+
+    kind: Literal["free"] = Field(description="kind of motion")
+    direction: q.Direction = Field(description="direction of the motion; its length does not matter")
+    mass: q.Mass = Field(description="mass of the wall [kg]")
+    force: q.Force = Field(0.0, description="additional force along the direction [N]")
+    damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
+
+
+MotionSpec = Annotated[VibrationSpec | TranslationSpec | RotationSpec | ServoSpec | FreeWallSpec, choose_by_key("kind")]
+"""Any kind of motion; the key `kind` selects it."""

@@ -1,0 +1,83 @@
+"""Schema of the block `output`: selection and intervals of the results."""
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field
+
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.analysis import AnyMetric, FieldGrid
+from granflow.scene.schema.fields import Fault, Flag, FlagOrNames, Model, Name, redundant
+from granflow.scene.schema.shapes import dot
+
+RIGHT_ANGLE_COSINE = 1e-6
+"""Largest absolute cosine of an angle that is accepted as 90 deg."""
+
+
+class FlowMeterSpec(Model):
+    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
+
+    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+    """
+
+    point: q.Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
+    normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
+    radius: q.PositiveLength | None = Field(None, description="radius of the disc [m]; default: the whole plane")
+    sides: q.Sides | None = Field(
+        None, description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
+    )
+    group_by: Literal["material", "group"] | None = Field(
+        None, description="additional separate counts for each material or group"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
+        if self.sides is None:
+            return
+        if self.radius is not None:
+            yield redundant("sides", "radius")
+        a, b = self.sides
+        pairs = (a, b), (a, self.normal), (b, self.normal)
+        if not any(a) or not any(b):
+            yield Fault(("sides",), "a side must not be the zero vector")
+        elif max(abs(dot(u, v)) / (math.hypot(*u) * math.hypot(*v)) for u, v in pairs) > RIGHT_ANGLE_COSINE:
+            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
+
+
+class Checkpoints(Model):
+    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
+
+    A checkpoint is due at simulated or wall-clock times, whichever is first.
+    """
+
+    wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
+    interval: q.PositiveTime | None = Field(
+        None, description="simulated time between additional checkpoints [s]; default: none"
+    )
+    keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
+
+
+class Output(Model):
+    """Selection and intervals of the output.
+
+    Times are simulated times [s]; the energy budget and wall forces cost time in each step.
+    """
+
+    interval: q.PositiveTime = Field(description="time between VTU frames [s]")
+    timeseries_interval: q.PositiveTime = Field(
+        default_factory=lambda given: given.get("interval"),  # None if the interval is invalid
+        description="time between rows of timeseries.csv [s]; default: interval",
+    )
+    particles: Flag = Field(True, description="write particles_*.vtu")
+    contacts: Flag = Field(False, description="write contacts_*.vtu")
+    walls: Flag = Field(True, description="write walls_*.vtu")
+    energy_budget: Flag = Field(False, description="compute the energy budget")
+    wall_forces: FlagOrNames = Field(
+        False,
+        description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
+    )
+    flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
+    metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
+    checkpoint: Checkpoints = Field(Checkpoints(), description="interval and number of checkpoints")

@@ -1,0 +1,130 @@
+"""Schema of the block `particles`: number, sizes, material and insertion of particle groups."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, Tag, model_validator
+
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, Flag, KeyPath, Model, Text, choose_by, missing, redundant, whole
+from granflow.scene.schema.insertion import Insertion
+from granflow.scene.schema.sizes import Sizes, SizeSpec
+
+
+def _many_tag(value: Any) -> str:
+    """Distinguish a list of vectors from one vector."""
+    nested = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], list | tuple)
+    return "<list>" if nested else "<one>"
+
+
+_one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
+VelocityOrMany = Annotated[
+    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")], _one_or_many
+]
+"""One velocity (3,) [m/s] for all particles, or one for each."""
+
+AngularVelocityOrMany = Annotated[
+    Annotated[q.AngularVelocityVector, Tag("<one>")] | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
+    _one_or_many,
+]
+"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
+
+
+class Group(Model):
+    """Particles of one material with one kind of insertion.
+
+    Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
+    give an end time instead. Of several limits, the smallest number of particles applies.
+    """
+
+    material: Text = Field(description="name of the particles' material")
+    count_given: q.ParticleCount | None = Field(
+        None, alias="count", description="number of particles; with positions or file: default is the number of rows"
+    )
+    mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
+    diameter: Sizes = Field(
+        None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
+    )
+    velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
+    angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
+    fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
+    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions or file, ...}")
+
+    @property
+    def count(self) -> int:
+        """Number of particles. Raises ValueError if it depends on a mass or a file and the scene is not resolved."""
+        if self.count_given is None:
+            raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
+        return self.count_given
+
+    @property
+    def sizes(self) -> SizeSpec:
+        """Diameters [m] given in the scene: one, one per particle, or a distribution.
+
+        Raises ValueError if a file defines them.
+        """
+        if self.diameter is None:
+            raise ValueError("A file defines the diameters.")
+        return self.diameter
+
+    @model_validator(mode="before")
+    @classmethod
+    def _count_rows(cls, given: Any) -> Any:
+        """Fill in the count from a list of positions."""
+        if not isinstance(given, dict) or given.keys() & {"count", "count_given"}:
+            return given
+        insertion = given.get("insert")
+        positions = insertion.get("positions") if isinstance(insertion, dict) else getattr(insertion, "positions", None)
+        return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
+        yield from self._amount_faults()
+        yield from self._list_faults()
+        if self.diameter is None and self.insert.kind != "file":
+            yield missing(("diameter",), "diameter [m], or a size distribution")
+        if self.diameter is not None and self.insert.kind == "file":
+            yield Fault(("diameter",), "the file defines the sizes; remove diameter")
+        if self.fixed:
+            yield from self._fixed_faults()
+
+    def _amount_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
+        insertion, count = self.insert, self.count_given
+        rows = len(insertion.positions) if insertion.kind == "positions" else None
+        if rows is not None and count != rows:
+            yield Fault(("count",), f"insert.positions has {rows} rows; leave the count out")
+        if self.mass is not None and insertion.kind in ("positions", "file"):
+            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it")
+        elif self.mass is not None and count is not None:
+            yield redundant("mass", "count")
+        elif not (self.mass or count or insertion.kind == "file" or getattr(insertion, "end", None)):
+            yield missing(("count",), "number of particles; or give mass")
+
+    def _list_faults(self) -> Iterator[Fault]:
+        """Lists require insert: {kind: positions} and must have the length of its positions."""
+        rows = len(self.insert.positions) if self.insert.kind == "positions" else None
+        for key, length in self._given_lists():
+            if rows is None:
+                yield whole(key, "is a list, which requires insert: {kind: positions}; give one value")
+            elif length != rows:
+                reason = f"is a list of length {length}, but insert.positions has length {rows}; give one per position"
+                yield whole(key, reason)
+
+    def _fixed_faults(self) -> Iterator[Fault]:
+        """Fixed particles must exist from the start and be at rest."""
+        if self.insert.kind in ("rain", "inlet"):
+            yield Fault(("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file")
+        for key in ("velocity", "angular_velocity"):
+            if np.any(getattr(self, key)):
+                yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")
+
+    def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
+        """Yield the key path and the length of each value that is given as a list, one entry per particle."""
+        if isinstance(self.diameter, tuple):
+            yield ("diameter",), len(self.diameter)
+        for key in ("velocity", "angular_velocity"):
+            value = getattr(self, key)
+            if isinstance(value[0], tuple):
+                yield (key,), len(value)

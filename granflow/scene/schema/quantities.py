@@ -1,0 +1,77 @@
+"""Types of the numbers and vectors in a scene, in SI units after reading.
+
+Lengths of the equipment scale with `scale` of a scene, numbers of particles with its cube; sizes of one particle or
+contact do not.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator
+
+from granflow.scene.schema.fields import list_of_length, pair_list, require
+from granflow.scene.schema.numbers import Number
+
+_vector = list_of_length(3, "a vector of three numbers is expected, [x, y, z]")
+
+Plain = Annotated[float, Number()]
+NotNegative = Annotated[float, Number(at_least=0)]
+Positive = Annotated[float, Number(above=0)]
+Share = Annotated[float, Number(noun="a fraction", at_least=0)]
+Count = Annotated[int, Number(noun="a count", at_least=1, whole=True)]
+Counts = Annotated[tuple[Count, Count, Count], _vector]
+ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
+"""Number of particles, proportional to the cube of `scale`; at most LARGEST_COUNT."""
+
+Length = Annotated[float, Number("length", scaling=1)]
+PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
+NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
+UnscaledLength = Annotated[float, Number("length", above=0)]
+"""Length [m] of one particle or contact, independent of `scale`."""
+
+AutoLength = Annotated[float | Literal["auto"], Number("length", above=0, words=("auto",))]
+Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
+"""Diameter [m] of a particle, independent of `scale`."""
+
+Time = Annotated[float, Number("time", at_least=0)]
+PositiveTime = Annotated[float, Number("time", above=0)]
+Velocity = Annotated[float, Number("velocity")]
+Speed = Annotated[float, Number("velocity", noun="a speed", above=0)]
+AnySpeed = Annotated[float, Number("velocity", noun="a speed", at_least=0)]
+Acceleration = Annotated[float, Number("acceleration")]
+Angle = Annotated[float, Number("angle")]
+Frequency = Annotated[float, Number("frequency", above=0)]
+AngularVelocity = Annotated[float, Number("angular_velocity")]
+PositiveAngularVelocity = Annotated[float, Number("angular_velocity", above=0)]
+Mass = Annotated[float, Number("mass", above=0)]
+ParticleMass = Annotated[float, Number("mass", above=0, scaling=3)]
+Rate = Annotated[float, Number("rate", above=0, scaling=3)]
+"""Insertion rate [1/s], proportional to the cube of `scale`."""
+
+MassFlow = Annotated[float, Number("mass_flow", above=0, scaling=3)]
+Force = Annotated[float, Number("force")]
+PositiveForce = Annotated[float, Number("force", above=0)]
+Damping = Annotated[float, Number("damping", at_least=0)]
+Pressure = Annotated[float, Number("pressure", above=0)]
+Density = Annotated[float, Number("density", above=0)]
+Energy = Annotated[float, Number("energy", above=0)]
+AnyQuantity = Annotated[float, Number("any")]
+"""Number in SI units, or text with a unit that has the same factor in all dimensions that know it."""
+
+Vector3 = tuple[float, float, float]
+"""Three components along x, y and z."""
+
+Point = Annotated[tuple[Length, Length, Length], _vector]
+"""Position or edge vector (3,) [m], proportional to `scale`."""
+
+Sides = Annotated[tuple[Point, Point], pair_list("two edge vectors")]
+"""The two edge vectors of a rectangle [m]."""
+
+VelocityVector = Annotated[tuple[Velocity, Velocity, Velocity], _vector]
+AngularVelocityVector = Annotated[tuple[AngularVelocity, AngularVelocity, AngularVelocity], _vector]
+AccelerationVector = Annotated[tuple[Acceleration, Acceleration, Acceleration], _vector]
+Direction = Annotated[
+    tuple[Plain, Plain, Plain],
+    _vector,
+    AfterValidator(require(any, "a direction must not be the zero vector; give one such as [0, 0, 1]")),
+]
+"""Vector (3,), not the zero vector; its length does not matter."""

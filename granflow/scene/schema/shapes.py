@@ -1,0 +1,76 @@
+"""Shapes that several blocks of a scene share: box, cylinder, sides of a rectangle; file names within the folder."""
+
+import math
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, FileName, Model, require
+
+_PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
+
+
+def _is_below_folder(name: str) -> bool:
+    path = PurePath(name)
+    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+
+
+FileBelow = Annotated[
+    FileName,
+    AfterValidator(
+        require(_is_below_folder, "the file must be in the folder of the scene or below it; give a relative path")
+    ),
+]
+"""Path of a file in the folder of the scene or below it."""
+
+
+class Box(Model):
+    """A box with edges along the coordinate axes."""
+
+    min: q.Point = Field(description="corner with the smallest coordinates [m]")
+    max: q.Point = Field(description="corner with the largest coordinates [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for each axis along which the extent is not positive."""
+        for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
+            if high <= low:
+                yield Fault(("max", i), f"it must be above min, {low:g} m")
+
+
+class Axial(Model):
+    """A shape around the line from `from` to `to` [m]."""
+
+    from_: q.Point = Field(alias="from", description="one end of the axis [m]")
+    to: q.Point = Field(description="the other end of the axis [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault if the axis has no length."""
+        yield from super().faults()
+        if self.from_ == self.to:
+            yield Fault(("to",), "it is the same point as from; the end points of the axis must differ")
+
+
+class CylinderShape(Axial):
+    """A solid cylinder around an axis."""
+
+    radius: q.PositiveLength = Field(description="radius [m]")
+
+
+def side_faults(sides: tuple[q.Vector3, q.Vector3]) -> Iterator[Fault]:
+    """Faults of the two `sides` of a rectangle, vectors [m]: they must have lengths above 0 and be perpendicular."""
+    a, b = sides
+    lengths = math.hypot(*a), math.hypot(*b)
+    for i, length in enumerate(lengths):
+        if length == 0:
+            yield Fault(("sides", i), "a side must not be the zero vector")
+    if all(lengths) and abs(dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+        angle = math.degrees(math.acos(dot(a, b) / (lengths[0] * lengths[1])))
+        yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
+
+
+def dot(a: q.Vector3, b: q.Vector3) -> float:
+    """Scalar product of two vectors."""
+    return sum(x * y for x, y in zip(a, b, strict=True))
