@@ -11,6 +11,7 @@ import numpy as np
 
 from granflow.engine.backend import Arch, Backend
 from granflow.engine.engine import Engine
+from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.limits import abort_message
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.motion import Motion
@@ -151,7 +152,7 @@ def _feature_cost(
     variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
     """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
-    plan = engine.plan
+    plan, contacts = engine.plan, engine.state.built(ContactStatistics).measure()
     return FeatureCost(
         name=variant.name,
         plan=plan,
@@ -159,7 +160,7 @@ def _feature_cost(
         ratio=tuple(np.percentile(times_of_variant / base, (25, 50, 75)).tolist()),
         bytes_per_particle=estimate_memory(plan, engine.state.backend.precision).total / plan.particle_capacity,
         compile_seconds=engine.timing.compile,
-        contacts_per_particle=engine.contact_statistics.measure()["contact_count"] / max(engine.state.count, 1),
+        contacts_per_particle=contacts["contact_count"] / max(engine.state.count, 1),
     )
 
 
