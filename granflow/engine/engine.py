@@ -1,7 +1,7 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
 from collections.abc import Sequence
-from math import ceil, pi
+from math import ceil
 
 import numpy as np
 
@@ -14,20 +14,21 @@ from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
+from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, Diagnosis
+from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import State
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import totals_of
-from granflow.engine.wall_dynamics import controlled_displacements
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion, pose
 from granflow.particles.generate import ParticleData
 from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
 from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
-from granflow.snapshot import Snapshot, WallPose
+from granflow.snapshot import Snapshot
 
 TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
@@ -105,27 +106,12 @@ class Engine:
         """
         if not len(new):
             return
-        scene, count = self.plan.scene, len(new)
-        density = np.array([scene.materials[name].density for name in scene.materials])
-        numbers = {name: number for number, name in enumerate(self.plan.materials)}
-        material = np.array([numbers.get(name, 0) for name in scene.materials])
-        fixed = np.array([group.fixed for group in scene.particles.values()])[new.group]
-        arrays = {
-            "id": self.accounting.inserted_count + np.arange(count),
-            "material": material[new.material],
-            "fixed": fixed.astype(np.int32),
-            "radius": new.radius,
-            "mass": 4.0 / 3.0 * pi * new.radius**3 * density[new.material],
-            "position": new.position,
-            "velocity": new.velocity,
-            "angular_velocity": new.angular_velocity,
-        }
+        arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
         self.accounting.insert(new.material, new.group, sum(mechanical_energy(arrays, self._gravity)))
         if self._started:
             velocity_gain = 0.5 * self.time_step * self._gravity
             arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
-        arrays |= {"velocity_synchronized": arrays["velocity"], "position_at_rebuild": new.position}
-        append_particles(self.state, arrays)
+        append_particles(self.state, arrays | {"velocity_synchronized": arrays["velocity"]})
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
         """Set which walls are present and their motions; takes effect with the next `refresh`.
@@ -236,7 +222,7 @@ class Engine:
         impulses = wall_impulses(self.state)
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, self.wall_poses(), count, impulses)
+            return Snapshot(self.time, self.step_count, stage, {}, None, wall_poses(self.state), count, impulses)
         self.stepper.place_walls(self.step_count)
         measured = self.state.built(ContactStatistics).measure()
         names = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
@@ -249,19 +235,10 @@ class Engine:
         arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
             arrays["position"], arrays["velocity"], self.time
         )
-        particles = self._particle_arrays(arrays) if "particles" in quantities else {}
+        particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
         contacts = self.state.built(ContactOutput).take(arrays) if "contacts" in quantities else None
-        poses = self.wall_poses()
+        poses = wall_poses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
-
-    def wall_poses(self) -> dict[str, WallPose]:
-        """Present pose of every wall by name."""
-        found, displacements = {}, controlled_displacements(self.state)
-        for index, wall in enumerate(self.plan.walls):
-            poses = pose(self.state.wall_motions[index], np.array([self.time]))
-            present = bool(self.state.walls.present[index])
-            found[wall.name] = WallPose(present, poses.offset[0] + displacements[index], poses.rotation[0], poses.pivot)
-        return found
 
     def free(self) -> None:
         """Free the device memory."""
@@ -308,14 +285,3 @@ class Engine:
             inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
             arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
         return arrays
-
-    def _particle_arrays(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Arrays of PARTICLE_QUANTITIES, ordered by id; zeros for angular velocity and torque without rotation."""
-        order = np.argsort(arrays["id"], kind="stable")
-        found = {name: values[order] for name, values in arrays.items()}
-        found["id"] = found["id"].astype(np.int64)
-        for name in ("material", "group"):
-            found[name] = self.accounting.by_id(name, found["id"])
-        for name in ("angular_velocity", "torque"):
-            found.setdefault(name, np.zeros_like(found["velocity"]))
-        return found

@@ -25,64 +25,46 @@ class FieldTable:
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         self.fields = {name: field for name, field in fields.items() if field is not None}
-        reals = {name: field for name, field in self.fields.items() if field.dtype != ti.i32}
-        self._real = np.result_type(np.float32, *(to_numpy_type(field.dtype) for field in reals.values()))
-        integers = {name: field for name, field in self.fields.items() if name not in reals}
-        self._columns = _columns(reals), _columns(integers)
-        self._take, self._put = _build_take_and_put(_components(reals), _components(integers))
+        by_type: dict[bool, list[Any]] = {False: [], True: []}
+        self._columns: dict[str, tuple[bool, slice]] = {}
+        for name, field in self.fields.items():
+            is_integer = field.dtype == ti.i32
+            first = len(by_type[is_integer])
+            by_type[is_integer] += _components(field)
+            self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
+        real = np.result_type(np.float32, *(to_numpy_type(component.dtype) for component in by_type[False]))
+        self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
+        self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
     def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
         """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
         tables = self._tables(len(entries))
         if len(entries):
-            self._take(np.ascontiguousarray(entries, np.int32), *tables)
-        parts = {
-            name: table[:, column]
-            for columns, table in zip(self._columns, tables, strict=True)
-            for name, column in columns.items()
-        }
-        return {
-            name: np.ascontiguousarray(parts[name], to_numpy_type(field.dtype)) for name, field in self.fields.items()
-        }
+            self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
+        found = {}
+        for name, (is_integer, columns) in self._columns.items():
+            part, field = tables[is_integer][:, columns], self.fields[name]
+            shaped = part if hasattr(field, "n") else part[:, 0]
+            found[name] = np.ascontiguousarray(shaped, to_numpy_type(field.dtype))
+        return found
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:
         """Write arrays, as returned by `take`, or one number for all, to the entries with these indices (k,)."""
         tables = self._tables(len(entries))
-        for columns, table in zip(self._columns, tables, strict=True):
-            for name, column in columns.items():
-                table[:, column] = arrays[name]
+        for name, (is_integer, columns) in self._columns.items():
+            values = np.asarray(arrays[name])
+            tables[is_integer][:, columns] = values[:, None] if values.ndim == 1 else values
         if len(entries):
-            self._put(np.ascontiguousarray(entries, np.int32), *tables)
+            self._put(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
 
-    def _tables(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Tables of reals and integers with a row per entry; at least one column, because Taichi refuses none."""
-        widths = [max((_end(column) for column in columns.values()), default=1) for columns in self._columns]
-        return np.zeros((count, widths[0]), self._real), np.zeros((count, widths[1]), np.int32)
-
-
-def _columns(fields: Mapping[str, Any]) -> dict[str, int | slice]:
-    """Column of each scalar field and columns of each vector field, one field after the other."""
-    found: dict[str, int | slice] = {}
-    first = 0
-    for name, field in fields.items():
-        width = getattr(field, "n", None)
-        found[name] = first if width is None else slice(first, first + width)
-        first += 1 if width is None else width
-    return found
+    def _tables(self, count: int) -> dict[bool, np.ndarray]:
+        """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
+        return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
 
 
-def _end(column: int | slice) -> int:
-    """Number of the column behind these columns."""
-    return int(column.stop) if isinstance(column, slice) else column + 1
-
-
-def _components(fields: Mapping[str, Any]) -> list[Any]:
-    """Scalar fields of all components, in the order of the columns."""
-    return [
-        component
-        for field in fields.values()
-        for component in ([field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field])
-    ]
+def _components(field: Any) -> list[Any]:
+    """Scalar fields of the components."""
+    return [field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field]
 
 
 def _build_take_and_put(

@@ -48,7 +48,7 @@ def test_balanced_budget_has_no_error():
     assert budget["plastic_dissipation"] == 1.25
 
 
-@pytest.mark.parametrize(("name", "sign"), zip(LOSSES, (1, 1, 1, 1, -1), strict=True))
+@pytest.mark.parametrize(("name", "sign"), list(zip(LOSSES, (1, 1, 1, 1, -1), strict=True)))
 def test_each_budget_entry_has_its_sign(name, sign):
     error = totals(BALANCED, **{name: LOSS_VALUES[name] + 0.5})["energy_error"]
     assert np.sign(error) == sign

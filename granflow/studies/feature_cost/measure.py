@@ -13,6 +13,7 @@ from granflow.engine.backend import Arch, Backend
 from granflow.engine.engine import Engine
 from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.limits import abort_message
+from granflow.engine.snapshots import wall_poses
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.motion import Motion
 from granflow.particles.generate import ParticleData
@@ -115,7 +116,7 @@ def start_of(simulation: Simulation) -> StartState:
     engine = simulation.engine
     particles = simulation.snapshot().particles
     data = ParticleData(*(particles[name] for name in ParticleData.__dataclass_fields__))
-    present = tuple(pose.present for pose in engine.wall_poses().values())
+    present = tuple(pose.present for pose in wall_poses(engine.state).values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
 
 
