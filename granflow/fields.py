@@ -6,10 +6,10 @@ The name is the key in a `Snapshot`, the name of the array in a VTU file and, fo
 Each mapping contains the definitions of one kind of array or number by name; it is read-only.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,19 +17,21 @@ Kind = Literal["scalar", "vector", "tensor"]
 """Number of components: 1, 3 or 9."""
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 """Data types of arrays in VTU files."""
+DeviceType = Literal["position", "real", "f64", "i32"]
+"""Types on the device: "position" is f64, in precision f32 f32; "real" is f64 in precision f64, else f32."""
 
 
 @dataclass(frozen=True)
 class Quantity:
     """Definition of one quantity.
 
-    name:       key in snapshots and files
-    symbol:     as in formulas; empty without a common symbol
-    unit:       SI, "1" for a dimensionless number
-    meaning:    description in a few words
-    kind:       array shape (n,), (n, 3) or (n, 9) (xx, xy, xz, yx, ...)
-    file_type:  data type in VTU files, float32 where 7 digits are sufficient
-    stored:     False for quantities that are derived from other arrays when a file is written
+    name:         key in snapshots and files
+    symbol:       as in formulas; empty without a common symbol
+    unit:         SI, "1" for a dimensionless number
+    meaning:      description in a few words
+    kind:         array shape (n,), (n, 3) or (n, 9) (xx, xy, xz, yx, ...)
+    file_type:    data type in VTU files, float32 where 7 digits are sufficient
+    in_snapshot:  False for internal fields, and for quantities that are derived when a file is written
     """
 
     name: str
@@ -38,12 +40,7 @@ class Quantity:
     meaning: str
     kind: Kind = "scalar"
     file_type: FileType = "float32"
-    stored: bool = True
-
-    @property
-    def vtu_name(self) -> str:
-        """Name of the array in VTU files, equal to the name."""
-        return self.name
+    in_snapshot: bool = True
 
     @property
     def label(self) -> str:
@@ -54,13 +51,48 @@ class Quantity:
         """Return the column name of this quantity of one part: `mass_flow.outlet [kg/s]`."""
         return replace(self, name=f"{self.name}.{part}").label
 
+    @property
+    def width(self) -> int:
+        """Number of components."""
+        return {"scalar": 1, "vector": 3, "tensor": 9}[self.kind]
+
     def shape(self, count: int) -> tuple[int, ...]:
         """Return the shape of the array of this quantity for `count` particles, contacts or cells."""
-        return {"scalar": (count,), "vector": (count, 3), "tensor": (count, 9)}[self.kind]
+        return (count,) if self.kind == "scalar" else (count, self.width)
 
     def for_file(self, values: np.ndarray) -> np.ndarray:
         """Return the values as a contiguous array with the data type of VTU files; the shape is unchanged."""
         return np.ascontiguousarray(values, dtype=np.dtype(self.file_type))
+
+
+def _always(features: Any) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class FieldSpec(Quantity):
+    """Definition of one property of the particles, a scalar or a vector.
+
+    Allocation, sorting, insertion, checkpoints and their validation, snapshots, VTU files and the memory estimate are
+    derived from it.
+
+    dtype:      type of the device field; None for a property without one
+    condition:  function of the features of a plan: whether the field exists
+    block:      fields that follow each other with the same block are interleaved entry by entry, because kernels read
+                them together
+    sorted:     permuted with the particles at a neighbor-list rebuild; other fields are computed again after it
+    saved:      in checkpoints
+    displayed:  in particle files, if it is present
+    default:    value of inserted particles, unless the insertion provides one
+    """
+
+    dtype: DeviceType | None = None
+    condition: Callable[[Any], bool] = _always
+    block: str = ""
+    sorted: bool = True
+    saved: bool = True
+    displayed: bool = True
+    default: float = 0.0
 
 
 def _by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
@@ -68,25 +100,66 @@ def _by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
     return MappingProxyType({quantity.name: quantity for quantity in quantities})
 
 
-PARTICLE_QUANTITIES = _by_name(
-    (
-        Quantity("id", "i", "1", "number of the particle, unique in a run", file_type="int64"),
-        Quantity("position", "x", "m", "center of the sphere", "vector", "float64"),
-        Quantity("radius", "R", "m", "radius of the sphere"),
-        Quantity("mass", "m", "kg", "mass of the sphere"),
-        Quantity("velocity", "v", "m/s", "velocity of the center", "vector"),
-        Quantity("angular_velocity", "w", "rad/s", "angular velocity", "vector"),
-        Quantity("force", "F", "N", "total force, gravity included", "vector"),
-        Quantity("torque", "M", "N m", "total torque about the center", "vector"),
-        Quantity("material", "", "1", "index of the material in the scene", file_type="int32"),
-        Quantity("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
-        Quantity("coordination_number", "Z", "1", "number of contacts of the particle", file_type="int32"),
-        Quantity("fixed", "", "1", "1 for fixed particles; only in scenes with fixed particles", file_type="uint8"),
-        Quantity("diameter", "d", "m", "diameter of the sphere, twice the radius", stored=False),
-        Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", stored=False),
+def _rotation(features: Any) -> bool:
+    return bool(features.rotation)
+
+
+_PARTICLE_FIELDS = {
+    field.name: field
+    for field in (
+        FieldSpec(
+            "position", "x", "m", "center of the sphere, not wrapped between rebuilds", "vector", "float64",
+            dtype="position", block="motion", displayed=False,
+        ),
+        FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),
+        FieldSpec("mass", "m", "kg", "mass of the sphere", dtype="real", block="motion", displayed=False),
+        FieldSpec(
+            "velocity", "v", "m/s", "velocity of the center; on the device half a step behind", "vector",
+            dtype="real", block="motion",
+        ),
+        FieldSpec(
+            "angular_velocity", "w", "rad/s", "angular velocity; on the device half a step behind", "vector",
+            dtype="real", condition=_rotation, block="motion",
+        ),
+        FieldSpec(
+            "velocity_synchronized", "v", "m/s", "velocity at the time of the positions, for rate-dependent models",
+            "vector", in_snapshot=False, dtype="real", condition=lambda features: features.rate_dependent,
+            block="motion", displayed=False,
+        ),
+        FieldSpec(
+            "force", "F", "N", "total force, gravity included", "vector", dtype="real", block="force", sorted=False
+        ),
+        FieldSpec(
+            "torque", "M", "N m", "total torque about the center", "vector",
+            dtype="real", condition=_rotation, block="force", sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
+            in_snapshot=False, dtype="position", sorted=False, displayed=False,
+        ),
+        FieldSpec("id", "i", "1", "number of the particle, unique in a run", file_type="int64", dtype="i32"),
+        FieldSpec(
+            "material", "", "1", "index of the material in the scene; on the device, index in the plan",
+            file_type="int32", dtype="i32", condition=lambda features: not features.one_material,
+        ),
+        FieldSpec(
+            "fixed", "", "1", "1 for fixed particles; only in scenes with fixed particles", file_type="uint8",
+            dtype="i32", condition=lambda features: features.fixed_particles,
+        ),
+        FieldSpec(
+            "coordination_number", "Z", "1", "number of contacts of the particle, evaluated for snapshots",
+            file_type="int32", dtype="i32", sorted=False, saved=False,
+        ),
+        FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
+        FieldSpec("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", in_snapshot=False),
     )
-)
-"""Arrays of Snapshot.particles and of particle files; vectors are in the frame of the scene."""
+}  # fmt: skip
+PARTICLE_QUANTITIES: Mapping[str, FieldSpec] = MappingProxyType(_PARTICLE_FIELDS)
+"""Properties of the particles: device fields in the order of allocation, arrays of Snapshot.particles and of files.
+
+Vectors are in the frame of the scene.
+"""
 
 CONTACT_QUANTITIES = _by_name(
     (

@@ -360,7 +360,7 @@ class Simulation:
         """
         quantities = quantities.union(*(observer.wants for observer in observers))
         with self._wall_clock.measuring_output():
-            snapshot = self.engine.snapshot(self.stage, quantities)
+            snapshot = self.engine.observe(self.stage, quantities)
             for observer in observers if not aborted or snapshot.is_finite else ():
                 observer.observe(snapshot)
         return snapshot

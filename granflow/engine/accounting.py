@@ -1,23 +1,12 @@
-"""Accounting on the host: inserted and deleted particles with their energies, and the energy budget."""
+"""Accounting on the host: inserted and deleted particles with their energies."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
 from granflow.engine.frozen_masks import mobility_mask
-from granflow.engine.state import State
-from granflow.engine.wall_dynamics import controlled_work
-from granflow.plan.chunk_sums import LOSSES
-
-LARGEST_ERROR = 5e-3
-"""Magnitude of the energy error above which a run warns."""
-
-ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
-"""Rounding error of the energy budget, relative to its potential energies, by precision.
-
-It results from the masses; in f32 also from the positions.
-"""
 
 
 @dataclass
@@ -40,13 +29,37 @@ class Accounting:
     removed_energy: float = 0.0
     removed_kinetic_energy: float = 0.0
     energy_put_in: float = 0.0
-    """Largest energy input [J] of all snapshots so far; see `energy_input`."""
+    """Largest energy input [J] at all observations so far; see `energy_input`."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
     """Count and mass [kg] of the particles deleted by each outlet."""
     queued_count: int | None = None
     """Particles queued for insertion; None without insertion."""
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
+
+    def insert(self, material: np.ndarray, group: np.ndarray, energy: float) -> None:
+        """Record inserted particles: materials and groups (k,) of the scene, and their mechanical energy [J]."""
+        self.inserted_count += len(group)
+        self.inserted_energy += energy
+        self.material.append(material)
+        self.group.append(group)
+
+    def delete(self, arrays: Mapping[str, np.ndarray], outlet_index: np.ndarray, gravity: np.ndarray) -> None:
+        """Record deleted particles.
+
+        arrays:        as for `mechanical_energy`
+        outlet_index:  (n,) index of the outlet that deletes each particle, -1 for none
+        gravity:       (3,) [m/s2]
+        """
+        kinetic, rotational, potential = mechanical_energy(arrays, gravity)
+        self.deleted_count += len(arrays["mass"])
+        self.deleted_mass += float(arrays["mass"].sum(dtype=float))
+        self.removed_energy += kinetic + rotational + potential
+        self.removed_kinetic_energy += kinetic + rotational
+        for index, sums in enumerate(self.outlets.values()):
+            by_outlet = outlet_index == index
+            sums[0] += float(by_outlet.sum())
+            sums[1] += float(arrays["mass"][by_outlet].sum(dtype=float))
 
     def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
         """`material` or `group` numbers (n,) of the scene for particle ids (n,)."""
@@ -55,8 +68,24 @@ class Accounting:
             parts[:] = [np.concatenate(parts)]
         return parts[0][ids] if parts else np.zeros(len(ids), np.int32)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Numbers, sums of the outlets, and `material` and `group` (inserted_count,), for checkpoints."""
+        ids = np.arange(self.inserted_count)
+        by_id = {name: self.by_id(name, ids) for name in ("material", "group")}
+        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, "outlets")} | by_id
 
-def mechanical_energy(arrays: dict[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore a state of `state_dict`."""
+        for name in (*SAVED_NUMBERS, "outlets"):
+            setattr(self, name, saved[name])
+        self.material, self.group = [saved["material"]], [saved["group"]]
+
+
+SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
+"""Type of each count, mass and energy of Accounting by name."""
+
+
+def mechanical_energy(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
     """Kinetic, rotational and gravitational energy [J] of the particles; a fixed particle contributes none.
 
         m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        summed in float64
@@ -89,47 +118,3 @@ def energy_input(accounting: Accounting, potential: float, works: Iterable[float
         accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
     )
     return max(energy_supplied, 0.0) + sum(max(work, 0.0) for work in works)
-
-
-def energy_budget_totals(
-    state: State, accounting: Accounting, energies: tuple[float, float, float], measured: dict[str, float]
-) -> dict[str, float]:
-    """The energy budget [J], and its error: the residual over the largest energy input so far.
-
-        residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
-        energy_error = residual / max(E_in over all snapshots so far, rounding / LARGEST_ERROR)
-
-    energies:  kinetic, rotational and gravitational energy [J]
-    measured:  totals of ContactStatistics
-    Returns:   totals by the names of TOTAL_QUANTITIES
-
-    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest point has
-    returned all of it. If E_in is below the rounding error of the potential energies, the rounding error is the scale,
-    so that rounding does not count as an energy error.
-    """
-    assert state.control.losses is not None
-    losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
-    losses["plastic"] += measured["plastic_dissipation"]
-    losses["wall_work"] += controlled_work(state)
-    boundary = state.control.boundary_work
-    boundary_work = {} if boundary is None else {"boundary_work": float(boundary.to_numpy().sum())}
-    dissipated = sum(losses[name] for name in ("plastic", "friction", "rolling", "damping"))
-    present_energy = sum(energies) + measured["elastic_energy"]
-    removed = accounting.removed_energy - accounting.inserted_energy
-    works = (losses["wall_work"], *boundary_work.values())
-    residual = present_energy + dissipated + removed - sum(works)
-    accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
-    rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
-    scale = max(accounting.energy_put_in, rounding / LARGEST_ERROR)
-    return {
-        "gravitational_energy": energies[2],
-        "elastic_energy": measured["elastic_energy"],
-        "plastic_dissipation": losses["plastic"],
-        "friction_dissipation": losses["friction"],
-        "rolling_dissipation": losses["rolling"],
-        "damping_dissipation": losses["damping"],
-        "wall_work": losses["wall_work"],
-        **boundary_work,
-        "removed_energy": removed,
-        "energy_error": residual / scale if scale > 0.0 else 0.0,
-    }

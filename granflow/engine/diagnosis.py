@@ -7,7 +7,7 @@ import numpy as np
 from granflow.contact import theory
 from granflow.engine.force.contact_output import candidate_pairs
 from granflow.engine.frozen_masks import mobility_mask
-from granflow.engine.host_copy import HostCopy
+from granflow.engine.host_copy import copy_to_host
 from granflow.engine.limits import (
     ABORT_DISPLACEMENT,
     ABORT_NOT_FINITE,
@@ -52,7 +52,7 @@ class CandidatePairs:
     surface: np.ndarray
 
 
-def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: float, step_taken: bool) -> Diagnosis:
+def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
     code:        abort code, see `limits`
@@ -65,7 +65,7 @@ def diagnose(code: int, particle: int, state: State, host_copy: HostCopy, time: 
     """
     if code == ABORT_WALL:
         return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, step_taken)
-    arrays = host_copy.copy_to_host(FIELDS, 0, state.particles.capacity)
+    arrays = copy_to_host(state, FIELDS, 0, state.particles.capacity)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
     if code == ABORT_OVERLAP and step_taken:
         # The forces belong to the present positions, one step ahead of the time.

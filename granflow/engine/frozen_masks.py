@@ -1,5 +1,6 @@
 """Fixed particles on the device: they do not move, and other particles collide with them as with an infinite mass."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,7 @@ def build_can_touch(state: State) -> Any:
     return can_touch
 
 
-def mobility_mask(arrays: dict[str, np.ndarray]) -> np.ndarray:
+def mobility_mask(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """1.0 for mobile and 0.0 for fixed particles, float64 (n,).
 
     arrays:  particle fields: mass (n,), and `fixed` (n,) only if some are fixed

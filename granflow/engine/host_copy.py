@@ -1,188 +1,132 @@
-"""Copies particles to and from the device: insertion, deleted ranges, and snapshots."""
+"""Copies between device fields and the host: insertion, snapshots, checkpoints.
 
-from collections.abc import Callable
+The `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves small arrays only.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import taichi as ti
 from taichi.lang.util import to_numpy_type
 
-from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.state import State
+from granflow.fields import PARTICLE_QUANTITIES
+from granflow.plan.device_arrays import particle_arrays, saved_arrays
 
 
-class HostCopy:
-    """Copies between host arrays and the particle fields."""
+class FieldTable:
+    """Fields of the same length: copies selected entries of all fields to the host and back with one kernel.
 
-    def __init__(self, state: State) -> None:
-        self.state = state
-        self._append = _build_append(state)
-        self._kick = _build_kick(state)
-        self._copies: dict[tuple[str, ...], FieldCopy] = {}
+    fields:  scalar and vector fields by name; None is ignored
 
-    def append(self, arrays: dict[str, np.ndarray]) -> None:
-        """Append n particles behind the present ones.
-
-        arrays:  id (n,), material (n,) numbers of the plan, fixed (n,) 1 or 0, radius (n,) [m], mass (n,) [kg],
-                 position (n, 3) [m], velocity (n, 3) [m/s] half a step back, angular_velocity (n, 3) [rad/s]
-
-        The arrays are converted to the types of the fields. Forces and torques of the new particles are zero.
-        """
-        state, particles = self.state, self.state.particles
-        count = len(arrays["radius"])
-        if not count:
-            return
-        real = particles.radius.dtype
-        real_type = np.float64 if real == ti.f64 else np.float32
-        position = np.float64 if particles.position.dtype == ti.f64 else np.float32
-        self._append(
-            state.count,
-            np.ascontiguousarray(arrays["id"], dtype=np.int32),
-            np.ascontiguousarray(arrays["material"], dtype=np.int32),
-            np.ascontiguousarray(arrays["fixed"], dtype=np.int32),
-            np.ascontiguousarray(arrays["radius"], dtype=real_type),
-            np.ascontiguousarray(arrays["mass"], dtype=real_type),
-            np.ascontiguousarray(arrays["position"], dtype=position),
-            np.ascontiguousarray(arrays["velocity"], dtype=real_type),
-            np.ascontiguousarray(arrays["angular_velocity"], dtype=real_type),
-        )
-        state.count += count
-
-    def kick(self, time: float) -> None:
-        """Advance velocities and angular velocities by `time` [s] under the present forces; backwards if negative.
-
-        Fixed particles keep their velocity.
-        """
-        self._kick(self.state.count, time)
-
-    def copy_to_host(self, names: tuple[str, ...], first: int = 0, last: int | None = None) -> dict[str, np.ndarray]:
-        """Host copies of particle fields.
-
-        names:        fields; those that the scene does not have are absent in the result
-        first, last:  index range, `last` exclusive (default: the particle count)
-        Returns:      arrays (k,) or (k, 3) in the types of the fields
-        """
-        count = (self.state.count if last is None else last) - first
-        if names not in self._copies:
-            self._copies[names] = FieldCopy(self.state, names)
-        return self._copies[names].take(first, count)
-
-
-class FieldCopy:
-    """Copies some particle fields to the host with one kernel, as columns of one table of reals and one of integers.
-
-    The `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity.
+    The reals form one table, in the widest of their types, which represents each exactly, and the integers another.
     """
 
-    def __init__(self, state: State, names: tuple[str, ...]) -> None:
-        fields = {name: getattr(state.particles, name) for name in names}
-        self._fields = {name: field for name, field in fields.items() if field is not None}
-        self._real = to_numpy_type(state.backend.position_real)
-        self._columns: dict[str, slice] = {}
-        self._widths = {True: 0, False: 0}
-        for name, field in self._fields.items():
-            first = self._widths[_is_integer(field)]
-            self._columns[name] = slice(first, first + _component_count(field))
-            self._widths[_is_integer(field)] = first + _component_count(field)
-        self._copy = _build_copy(list(self._fields.values()), [part.start for part in self._columns.values()])
+    def __init__(self, fields: Mapping[str, Any]) -> None:
+        self.fields = {name: field for name, field in fields.items() if field is not None}
+        by_type: dict[bool, list[Any]] = {False: [], True: []}
+        self._columns: dict[str, tuple[bool, slice]] = {}
+        for name, field in self.fields.items():
+            is_integer = field.dtype == ti.i32
+            first = len(by_type[is_integer])
+            by_type[is_integer] += _components(field)
+            self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
+        real = np.result_type(np.float32, *(to_numpy_type(component.dtype) for component in by_type[False]))
+        self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
+        self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
-    def take(self, first: int, count: int) -> dict[str, np.ndarray]:
-        """Arrays (count,) or (count, 3) by name, from index `first`."""
-        reals = np.zeros((count, max(self._widths[False], 1)), self._real)
-        integers = np.zeros((count, max(self._widths[True], 1)), np.int32)
-        if count:
-            self._copy(first, reals, integers)
+    def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
+        """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
+        tables = self._tables(len(entries))
+        if len(entries):
+            self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
         found = {}
-        for name, field in self._fields.items():
-            part = (integers if _is_integer(field) else reals)[:, self._columns[name]]
-            shaped = part if _component_count(field) > 1 else part[:, 0]
+        for name, (is_integer, columns) in self._columns.items():
+            part, field = tables[is_integer][:, columns], self.fields[name]
+            shaped = part if hasattr(field, "n") else part[:, 0]
             found[name] = np.ascontiguousarray(shaped, to_numpy_type(field.dtype))
         return found
 
+    def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:
+        """Write arrays, as returned by `take`, or one number for all, to the entries with these indices (k,)."""
+        tables = self._tables(len(entries))
+        for name, (is_integer, columns) in self._columns.items():
+            values = np.asarray(arrays[name])
+            tables[is_integer][:, columns] = values[:, None] if values.ndim == 1 else values
+        if len(entries):
+            self._put(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
 
-def _is_integer(field: Any) -> bool:
-    return bool(field.dtype == ti.i32)
+    def _tables(self, count: int) -> dict[bool, np.ndarray]:
+        """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
+        return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
 
 
-def _component_count(field: Any) -> int:
-    """Number of components of a field entry."""
-    return int(getattr(field, "n", 1))
+def _components(field: Any) -> list[Any]:
+    """Scalar fields of the components."""
+    return [field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field]
 
 
-def _build_copy(fields: list[Any], columns: list[int]) -> Callable[..., None]:
-    """Kernel (first, reals, integers): copy the entries from `first` on into columns of the two tables."""
-    sizes, is_integer_field = [_component_count(field) for field in fields], [_is_integer(field) for field in fields]
+def _build_take_and_put(
+    real_fields: Sequence[Any], integer_fields: Sequence[Any]
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Kernels (entries, reals, integers): copy field entries to the tables (k, columns), and tables to the entries.
+
+    real_fields, integer_fields:  scalar field of each column
+    """
     external: Any = ti.types.ndarray()
 
     @ti.kernel
-    def copy(first: ti.i32, reals: external, integers: external):
-        for k in range(reals.shape[0]):
-            for f in ti.static(range(len(fields))):
-                if ti.static(is_integer_field[f]):
-                    integers[k, columns[f]] = fields[f][first + k]
-                elif ti.static(sizes[f] == 1):
-                    reals[k, columns[f]] = fields[f][first + k]
-                else:
-                    for axis in ti.static(range(sizes[f])):
-                        reals[k, columns[f] + axis] = fields[f][first + k][axis]
-
-    return copy
-
-
-def _build_append(state: State) -> Callable[..., None]:
-    """Kernel (first, arrays): write new particles from index `first` on.
-
-    Writes:  all particle fields except coordination and position_at_rebuild
-    """
-    particles, features = state.particles, state.plan.features
-    external: Any = ti.types.ndarray()
+    def take(entries: external, reals: external, integers: external):
+        for k in range(entries.shape[0]):
+            i = entries[k]
+            for c in ti.static(range(len(real_fields))):
+                reals[k, c] = real_fields[c][i]
+            for c in ti.static(range(len(integer_fields))):
+                integers[k, c] = integer_fields[c][i]
 
     @ti.kernel
-    def append(
-        first: ti.i32, ids: external, material: external, fixed: external, radius: external, mass: external,
-        position: external, velocity: external, angular_velocity: external
-    ):  # fmt: skip
-        for k in range(ids.shape[0]):
-            i = first + k
-            particles.id[i] = ids[k]
-            particles.radius[i] = radius[k]
-            particles.mass[i] = mass[k]
-            for axis in ti.static(range(3)):
-                particles.position[i][axis] = position[k, axis]
-                particles.velocity[i][axis] = velocity[k, axis]
-                particles.force[i][axis] = 0.0
-                if ti.static(features.rotation):
-                    particles.angular_velocity[i][axis] = angular_velocity[k, axis]
-                    particles.torque[i][axis] = 0.0
-                if ti.static(features.rate_dependent):
-                    particles.velocity_synchronized[i][axis] = velocity[k, axis]
-            if ti.static(not features.one_material):
-                particles.material[i] = material[k]
-            if ti.static(features.fixed_particles):
-                particles.fixed[i] = fixed[k]
+    def put(entries: external, reals: external, integers: external):
+        for k in range(entries.shape[0]):
+            i = entries[k]
+            for c in ti.static(range(len(real_fields))):
+                real_fields[c][i] = ti.cast(reals[k, c], real_fields[c].dtype)
+            for c in ti.static(range(len(integer_fields))):
+                integer_fields[c][i] = integers[k, c]
 
-    return append
+    return take, put
 
 
-def _build_kick(state: State) -> Callable[..., None]:
-    """Kernel (count, time): velocity change of `HostCopy.kick`.
+def particle_table(state: State, names: tuple[str, ...]) -> FieldTable:
+    """Table of these particle fields; those that the scene does not have are ignored."""
+    return FieldTable({name: getattr(state.particles, name) for name in names})
 
-        v += time F / m,   w += time M / I,   I = (2/5) m R^2
 
-    Reads:   force, torque, mass, radius, fixed
-    Writes:  velocity, angular_velocity
+def saved_particle_table(state: State) -> FieldTable:
+    """Table of the particle fields that determine how a run continues."""
+    return state.built(particle_table, tuple(saved_arrays(particle_arrays(state.plan))))
+
+
+def copy_to_host(
+    state: State, names: tuple[str, ...], first: int = 0, last: int | None = None
+) -> dict[str, np.ndarray]:
+    """Host copies of particle fields.
+
+    names:        fields; those that the scene does not have are absent in the result
+    first, last:  index range, `last` exclusive (default: the particle count)
+    Returns:      arrays (k,) or (k, 3) in the types of the fields
     """
-    particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
-    mobility = build_mobility(state)
+    table = state.built(particle_table, names)
+    return table.take(np.arange(first, state.count if last is None else last))
 
-    @ti.kernel
-    def kick(count: ti.i32, time: real):
-        for i in range(count):
-            particles.velocity[i] = particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
-            if ti.static(rotation):
-                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
-                particles.angular_velocity[i] = (
-                    particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
-                )
 
-    return kick
+def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:
+    """Append n particles behind the present ones.
+
+    arrays:  arrays (n,) or (n, 3) by field, `id` included; fields without an array have their default, fields that the
+             scene does not have are ignored. Velocities are half a step back.
+    """
+    table, count = saved_particle_table(state), len(arrays["id"])
+    values = {name: arrays.get(name, PARTICLE_QUANTITIES[name].default) for name in table.fields}
+    table.put(np.arange(state.count, state.count + count), values)
+    state.count += count

@@ -66,3 +66,29 @@ def build_integrate(state: State) -> Any:
             control.rebuild_requested[0] = 1
 
     return integrate
+
+
+def build_kick(state: State) -> Any:
+    """Kernel (count, time [s]): change velocities by the present forces; backwards if the time is negative.
+
+        v += time F / m,   w += time M / I,   I = (2/5) m R^2
+
+    Fixed particles keep their velocity.
+
+    Reads:   force, torque, mass, radius, fixed
+    Writes:  velocity, angular_velocity
+    """
+    particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
+    mobility = build_mobility(state)
+
+    @ti.kernel
+    def kick(count: ti.i32, time: real):
+        for i in range(count):
+            particles.velocity[i] = particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
+            if ti.static(rotation):
+                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                particles.angular_velocity[i] = (
+                    particles.angular_velocity[i] + mobility(i) * time / inertia * particles.torque[i]
+                )
+
+    return kick

@@ -24,7 +24,7 @@ class MeshGeometry:
     """Device functions of a point in the frame of the mesh."""
 
     cell: Any
-    """(wall, point) -> begin and end of the triangles near the point in `MeshFields.cell_triangles`."""
+    """(wall, point) -> begin and end of the triangles near the point in `cell_triangles`."""
     from_nearest: Any
     """(triangle, point) -> vector [m] from the nearest point of this triangle to the point."""
     may_own: Any

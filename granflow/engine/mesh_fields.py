@@ -1,56 +1,31 @@
-"""Device arrays of mesh walls: written once, read by `device/mesh.py`."""
+"""Fills the device arrays of mesh walls, which `device/mesh.py` reads.
+
+The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the first cell of
+each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of triangle t is 3 t + k.
+Lengths are in m, in the precision of positions.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import taichi as ti
+from taichi.lang.util import to_numpy_type
 
 from granflow.geometry.mesh.adjacency import MeshAdjacency
 from granflow.geometry.mesh.grid import MeshGrid
 from granflow.plan.plan import Plan
 
 
-class MeshFields:
-    """Triangles, their edges (three in a row) and vertices of all meshes, and the cell grid of each mesh.
-
-    The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the first cell
-    of each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of triangle t is 3 t +
-    k. Lengths are in m, in the precision of positions.
-    """
-
-    def __init__(self, block: Any, plan: Plan, backend: Any) -> None:
-        parts = mesh_parts(plan)
-        real, walls = backend.position_real, len(plan.walls)
-        sizes = zip(*map(_sizes, parts), strict=True)
-        triangles, points, vertex_edges, competitors, cells, cell_triangles = (max(sum(counts), 1) for counts in sizes)
-        self.wall = block.scalar(ti.i32, triangles)
-        self.normal = block.vector(real, triangles)
-        self.vertex, self.edge_direction, self.inward, self.inward_other = (
-            block.vector(real, 3 * triangles) for _ in range(4)
-        )
-        self.length = block.scalar(real, 3 * triangles)
-        self.point, self.base, self.owns_tie, self.role = (block.scalar(ti.i32, 3 * triangles) for _ in range(4))
-        self.owner, self.longest = block.scalar(ti.i32, points), block.scalar(real, points)
-        self.vertex_edge_start, self.vertex_edge = block.scalar(ti.i32, points + 1), block.vector(real, vertex_edges)
-        self.competitor_start, self.competitor = (
-            block.scalar(ti.i32, 2 * triangles + 1),
-            block.scalar(ti.i32, competitors),
-        )
-        self.low, self.side = block.vector(real, walls), block.scalar(real, walls)
-        self.shape, self.first_cell = block.vector(ti.i32, walls), block.scalar(ti.i32, walls)
-        self.cell_start, self.cell_triangles = block.scalar(ti.i32, cells + 1), block.scalar(ti.i32, cell_triangles)
-
-    def fill(self, plan: Plan) -> None:
-        """Write all arrays; they do not change during a run."""
-        parts = mesh_parts(plan)
-        arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
-        arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
-        for name, values in arrays.items():
-            field = getattr(self, name)
-            padded = np.zeros((field.shape[0], *values.shape[1:]), _numpy_type(field))
-            padded[: len(values)] = values
-            field.from_numpy(padded)
+def fill_mesh(fields: Any, plan: Plan) -> None:
+    """Write all arrays; they do not change during a run."""
+    parts = [MeshPart(index, mesh.adjacency, plan.mesh_grids[index]) for index, mesh in plan.meshes.items()]
+    arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
+    arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
+    for name, values in arrays.items():
+        field = getattr(fields, name)
+        padded = np.zeros((field.shape[0], *values.shape[1:]), to_numpy_type(field.dtype))
+        padded[: len(values)] = values
+        field.from_numpy(padded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,23 +35,6 @@ class MeshPart:
     wall: int
     adjacency: MeshAdjacency
     grid: MeshGrid
-
-
-def mesh_parts(plan: Plan) -> list[MeshPart]:
-    """The mesh walls of a plan, in order."""
-    return [MeshPart(index, mesh.adjacency, plan.mesh_grids[index]) for index, mesh in plan.meshes.items()]
-
-
-def _sizes(part: MeshPart) -> tuple[int, ...]:
-    """Numbers of triangles, points, vertex edges, competitors, cells, and triangles of all cells."""
-    adjacency, grid = part.adjacency, part.grid
-    counts = (adjacency.normal, adjacency.owner, adjacency.vertex_edge, adjacency.competitor)
-    return (*(len(each) for each in counts), len(grid.start) - 1, len(grid.triangle))
-
-
-def _numpy_type(field: Any) -> Any:
-    """Data type of a field in numpy."""
-    return {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]
 
 
 def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from granflow.engine.state import WALL_BATCH, State
+from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.plan.capacities import WALL_BATCH
 
 
 def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:

@@ -4,7 +4,8 @@ import logging
 
 import numpy as np
 
-from granflow.engine.accounting import LARGEST_ERROR, ROUNDING, Accounting, energy_input
+from granflow.engine.accounting import Accounting, energy_input
+from granflow.engine.totals import LARGEST_ERROR, ROUNDING
 from granflow.plan.plan import Plan, pair_cases_of
 from granflow.plan.time_step import stable_step
 
@@ -13,7 +14,7 @@ SPEED_INCREASE = 1.1
 
 
 class StabilityMonitor:
-    """Checks at every snapshot that the time step is stable for the current speeds and that energy is conserved.
+    """Checks at every observation that the time step is stable for the current speeds and that energy is conserved.
 
     With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
     energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
@@ -49,6 +50,8 @@ class StabilityMonitor:
         speed:       largest speed of a particle [m/s]
         """
         self._check_speed(time, speed)
+        works = (totals[name] for name in ("wall_work", "boundary_work") if name in totals)
+        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
         self._above_since = None if not abs(share) > LARGEST_ERROR else time if earlier is None else earlier
@@ -67,7 +70,6 @@ class StabilityMonitor:
     ) -> float:
         """Excess energy over the largest energy input so far."""
         energy_gain = self._energy_gain(energies, accounting, contact_count)
-        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2]))
         return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
 
     def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:

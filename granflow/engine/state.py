@@ -1,20 +1,21 @@
-"""Device arrays. Fields are allocated by quantity; a field that the plan does not need is None."""
+"""Device arrays. `plan.device_arrays` lists most of them; a field that the plan does not need is None."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import taichi as ti
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
+from granflow.engine.field_block import FieldBlock, Fields
 from granflow.engine.limits import NO_PARTICLE
-from granflow.engine.mesh_fields import MeshFields
-from granflow.geometry.catalog import surface_code
+from granflow.engine.mesh_fields import fill_mesh
+from granflow.engine.wall_fields import WallDynamicsFields, Walls
+from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
-from granflow.geometry.shape import PARAMETER_COUNT, Shape
-from granflow.plan.capacities import BOUNDS, history_capacity
-from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
+from granflow.plan.capacities import WALL_BATCH, history_capacity
+from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
 
 CPU_STRIDE = 512
@@ -23,119 +24,23 @@ CPU_STRIDE = 512
 CACHE_LINE = 16
 """Integers per cache line; contended counters occupy separate lines."""
 
-WALL_BATCH = 256
-"""Number of steps whose wall poses are uploaded together."""
+Built = TypeVar("Built")
 
 
-class FieldBlock:
-    """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
-
-    def __init__(self) -> None:
-        self._builder = ti.FieldsBuilder()
-        self._tree: Any = None
-        self.fields: list[Any] = []
-
-    def scalar(self, dtype: Any, *shape: int) -> Any:
-        """A scalar field of one or two dimensions."""
-        return self._placed(ti.field(dtype), shape)
-
-    def vector(self, dtype: Any, *shape: int, count: int = 3) -> Any:
-        """A field of vectors of `count` adjacent components."""
-        return self._placed(ti.Vector.field(count, dtype), shape)
-
-    def matrix(self, dtype: Any, *shape: int) -> Any:
-        """A field of 3 x 3 matrices."""
-        return self._placed(ti.Matrix.field(3, 3, dtype), shape)
-
-    def together(self, count: int, *fields: Any) -> None:
-        """Interleave fields of `count` entries entry by entry: kernels read these quantities of a particle together.
-
-        None is ignored.
-        """
-        wanted = [field for field in fields if field is not None]
-        self._builder.dense(ti.i, count).place(*wanted)
-        self.fields += wanted
-
-    def parts(self, count: int) -> Any:
-        """`count` equal parts; each holds the complete part of several columns."""
-        return self._builder.dense(ti.i, count)
-
-    def column(self, parts: Any, dtype: Any, length: int) -> Any:
-        """A field [part, entry] with adjacent entries of a part; its values are lost if the block is reallocated."""
-        field = ti.field(dtype)
-        parts.dense(ti.j, length).place(field)
-        return field
-
-    def finish(self) -> None:
-        """Allocate the fields; no field can be added afterwards."""
-        self._tree = self._builder.finalize()
-
-    def free(self) -> None:
-        """Free the memory; the fields cannot be used afterwards."""
-        if self._tree is not None:
-            self._tree.destroy()
-            self._tree = None
-
-    def _placed(self, field: Any, shape: tuple[int, ...]) -> Any:
-        axes = ti.i if len(shape) == 1 else ti.ij
-        self._builder.dense(axes, shape).place(field)
-        self.fields.append(field)
-        return field
-
-
-class Particles:
-    """Particle fields, in cell order; velocities are half a step behind the positions (leapfrog).
-
-    position:               [m], not wrapped between rebuilds
-    velocity:               [m/s], half a step behind
-    angular_velocity:       [rad/s], half a step behind; None without rotation
-    velocity_synchronized:  [m/s], at the time of the positions; for rate-dependent models
-    radius, mass:           [m], [kg]
-    force, torque:          [N], [N m], at the time of the positions
-    position_at_rebuild:    [m], at the last neighbor-list rebuild
-    id:                     unique in a run
-    material:               number of the plan
-    fixed:                  1 for fixed particles
-    coordination:           number of contacts, filled by ContactStatistics
-    """
+class Particles(Fields):
+    """Fields of `PARTICLE_QUANTITIES`, in cell order; velocities are half a step behind the positions (leapfrog)."""
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        count, real, features = max(plan.particle_capacity, 1), backend.real, plan.features
-        self.capacity = count
-        self.position = ti.Vector.field(3, backend.position_real)
-        self.velocity = ti.Vector.field(3, real)
-        self.radius, self.mass = ti.field(real), ti.field(real)
-        self.angular_velocity: Any = ti.Vector.field(3, real) if features.rotation else None
-        self.velocity_synchronized: Any = ti.Vector.field(3, real) if features.rate_dependent else None
-        block.together(
-            count,
-            self.position,
-            self.radius,
-            self.mass,
-            self.velocity,
-            self.angular_velocity,
-            self.velocity_synchronized,
-        )
-        self.force = ti.Vector.field(3, real)
-        self.torque: Any = ti.Vector.field(3, real) if features.rotation else None
-        block.together(count, self.force, self.torque)
-        self.position_at_rebuild = block.vector(backend.position_real, count)
-        self.id = block.scalar(ti.i32, count)
-        self.material: Any = None if features.one_material else block.scalar(ti.i32, count)
-        self.fixed: Any = block.scalar(ti.i32, count) if features.fixed_particles else None
-        self.coordination = block.scalar(ti.i32, count)
+        super().__init__(block.arrays(particle_arrays(plan), backend))
+        self.capacity = max(plan.particle_capacity, 1)
 
     def sorted_fields(self) -> list[Any]:
-        """Fields that are permuted with the particles at a neighbor-list rebuild.
-
-        Force and torque are computed again after a rebuild.
-        """
-        fields = [self.position, self.velocity, self.radius, self.mass, self.id]
-        optional = (self.material, self.fixed, self.angular_velocity, self.velocity_synchronized)
-        return fields + [field for field in optional if field is not None]
+        """Fields that are permuted with the particles at a neighbor-list rebuild."""
+        fields = [getattr(self, spec.name) for spec in PARTICLE_QUANTITIES.values() if spec.dtype and spec.sorted]
+        return [field for field in fields if field is not None]
 
 
-class CellSort:
+class CellSort(Fields):
     """Work arrays of the neighbor search: cells and the new order; one grid per size class if sizes differ widely.
 
     cell_start:   first particle of each cell in `order`
@@ -149,30 +54,12 @@ class CellSort:
     low, high:    corners [m] of the bounding boxes of `build_bounds`
     """
 
-    def __init__(self, block: FieldBlock, plan: Plan, particles: Particles) -> None:
-        count, cell_capacity = particles.capacity, plan.cell_capacity
-        classes, class_cells = len(plan.size_classes), plan.class_cell_capacity
-        self.cell_capacity = cell_capacity
-        self.cell = block.scalar(ti.i32, count)
-        self.order = block.scalar(ti.i32, count)
-        self.cell_start = block.scalar(ti.i32, cell_capacity + 2)
-        self.cell_fill = block.scalar(ti.i32, max(cell_capacity, class_cells) + 2)
-        self.block_sum = block.scalar(ti.i32, max(cell_capacity, class_cells) // SCAN_BLOCK + 2)
-        self.grid_low, self.cell_side = (block.vector(particles.position.dtype, classes) for _ in range(2))
-        self.cells = block.vector(ti.i32, classes)
-        self.class_order: Any = block.scalar(ti.i32, count) if class_cells else None
-        self.class_start: Any = block.scalar(ti.i32, class_cells + 2) if class_cells else None
-        self.first_cell: Any = block.scalar(ti.i32, classes) if class_cells else None
-        self.radius: Any = block.scalar(particles.position.dtype, classes) if class_cells else None
-        self.low = block.vector(particles.position.dtype, BOUNDS)
-        self.high = block.vector(particles.position.dtype, BOUNDS)
+    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
+        super().__init__(block.arrays(cell_arrays(plan), backend))
+        self.cell_capacity = plan.cell_capacity
 
 
-SCAN_BLOCK = 1024
-"""Number of cells summed by one task of the prefix sum."""
-
-
-class NeighborList:
+class NeighborList(Fields):
     """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
 
     list_begin, list_end:  range of the entries of each particle
@@ -186,24 +73,13 @@ class NeighborList:
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
-        count = max(plan.particle_capacity, 1)
+        fields = block.arrays(neighbor_arrays(plan, list_capacity_per_chunk), backend)
+        self.history = {name: fields.pop(f"history.{name}") for name in plan.history}
+        self.saved = {name: fields.pop(f"saved.{name}") for name in plan.history}
+        super().__init__(fields)
         self.list_capacity_per_chunk = list_capacity_per_chunk
-        self.capacity = plan.chunk_capacity * list_capacity_per_chunk
-        self.list_begin, self.list_walls_end, self.list_end = (block.scalar(ti.i32, count) for _ in range(3))
-        self.partner = block.scalar(ti.i32, self.capacity)
-        self.history: dict[str, Any] = {}
-        self.saved: dict[str, Any] = {}
-        for name, size in plan.history.items():
-            self.history[name] = block.vector(backend.real, self.capacity, count=size)
         self.history_capacity_per_chunk = history_capacity(list_capacity_per_chunk)
-        if self.history:
-            history_entries = plan.chunk_capacity * self.history_capacity_per_chunk
-            self.saved = {
-                name: block.vector(backend.real, history_entries, count=size) for name, size in plan.history.items()
-            }
-            self.in_contact = block.scalar(ti.i32, self.capacity)
-            self.list_begin_before, self.list_end_before = block.scalar(ti.i32, count), block.scalar(ti.i32, count)
-            self.partner_saved = block.scalar(ti.i32, history_entries)
+        self.capacity = plan.chunk_capacity * list_capacity_per_chunk
 
 
 LANES = 16
@@ -245,71 +121,7 @@ class PairBatch:
         self.losses = columns(3 * features.energy_budget)
 
 
-NOT_MEASURED = -1
-"""Impulse row of walls whose forces are not measured."""
-
-
-class Walls:
-    """Shapes at rest, materials, and poses for the next WALL_BATCH steps.
-
-    kind:              code of the kind, see `catalog.surface_code`
-    parameters:        of the shape, PARAMETER_COUNT numbers
-    present:           1 for walls that are present
-    pivot:             [m], point of the rotation at rest
-    center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
-    velocity:          [m/s] of the center at the middle of each step
-    angular_velocity:  [rad/s] at the middle of each step
-    impulse_row:       row in `Control.impulses`, or NOT_MEASURED
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        count = max(len(plan.walls), 1)
-        self.kind = block.scalar(ti.i32, count)
-        self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
-        self.material = block.scalar(ti.i32, count)
-        self.present = block.scalar(ti.i32, count)
-        self.pivot = block.vector(backend.position_real, count)
-        moving = plan.features.moving_walls
-        self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
-        self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
-        self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
-        self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
-        self.angular_velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
-
-    def fill(self, plan: Plan) -> None:
-        """Write the constant arrays."""
-        for index, wall in enumerate(plan.walls):
-            self.kind[index] = surface_code(wall.shape)
-            self.material[index] = wall.material
-            if isinstance(wall.shape, Shape):
-                self.parameters[index] = wall.shape.parameters.tolist()
-            if self.impulse_row is not None:
-                measured = plan.scene.measured_walls
-                self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
-
-
-class WallDynamicsFields:
-    """Force-controlled walls, an entry per motion, in float64 for every precision.
-
-    offset:             displacement along the direction of the motion [m]
-    offset_at_rebuild:  `offset` at the last neighbor-list rebuild [m]
-    velocity:           [m/s], half a step behind
-    active:             1 if the motion is active in the step that ends at a pose
-    was_active:         1 if it was active in the previous step
-    wall_force:         force of the particles [N] along the direction, summed by each chunk
-    work_on_particles:  work on the particles [J]
-    work:               work of all other forces on a free wall [J]
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan) -> None:
-        count = len(plan.controlled_motions)
-        self.offset, self.offset_at_rebuild, self.velocity = (block.scalar(ti.f64, count) for _ in range(3))
-        self.work_on_particles, self.work = block.scalar(ti.f64, count), block.scalar(ti.f64, count)
-        self.was_active, self.active = block.scalar(ti.i32, count), block.scalar(ti.i32, WALL_BATCH, count)
-        self.wall_force = block.scalar(ti.f64, plan.chunk_capacity, count)
-
-
-class Control:
+class Control(Fields):
     """Flags, counters and constants shared by kernels and host.
 
     rebuild_requested:          set by the integration if a particle or wall has moved too far
@@ -341,12 +153,7 @@ class Control:
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
-        energy_budget = plan.features.energy_budget
-        self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if energy_budget else None
-        measured = len(plan.scene.measured_walls)
-        self.impulses = block.vector(ti.f64, plan.chunk_capacity, measured, count=IMPULSE_SIZE) if measured else None
-        has_image_work = energy_budget and plan.features.periodic != "none"
-        self.boundary_work = block.scalar(ti.f64, plan.chunk_capacity) if has_image_work else None
+        super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
         self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
@@ -368,7 +175,7 @@ class State:
     neighbors:      neighbor lists and contact histories
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
-    mesh:           mesh walls; None without
+    mesh:           mesh walls, see `mesh_fields`; None without
     """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
@@ -376,10 +183,11 @@ class State:
         self.clock = Clock(plan.time_step)
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
+        self._built: dict[Any, Any] = {}
         self._allocate(plan.list_capacity_per_chunk)
         self.walls.fill(plan)
         if self.mesh is not None:
-            self.mesh.fill(plan)
+            fill_mesh(self.mesh, plan)
         self.control.fill(plan)
 
     def _allocate(self, list_capacity_per_chunk: int) -> None:
@@ -389,10 +197,10 @@ class State:
         self.neighbors = NeighborList(block, plan, backend, list_capacity_per_chunk)
         batched = backend.on_cpu and plan.chunk_size > 1
         self.batch: Any = PairBatch(block, plan, backend, list_capacity_per_chunk) if batched else None
-        self.cell_sort = CellSort(block, plan, self.particles)
+        self.cell_sort = CellSort(block, plan, backend)
         self.walls = Walls(block, plan, backend)
-        self.wall_dynamics: Any = WallDynamicsFields(block, plan) if plan.controlled_motions else None
-        self.mesh: Any = MeshFields(block, plan, backend) if plan.features.mesh_walls else None
+        self.wall_dynamics: Any = WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
+        self.mesh: Any = Fields(block.arrays(mesh_arrays(plan), backend)) if plan.features.mesh_walls else None
         self.control = Control(block, plan, backend)
         block.finish()
 
@@ -406,6 +214,17 @@ class State:
         """Number of chunks that contain particles."""
         return -(-self.count // self.plan.chunk_size)
 
+    def built(self, build: Callable[..., Built], *options: Any) -> Built:
+        """Return `build(state, *options)`, built at first use, and again after the fields have been reallocated.
+
+        For kernels and tables that a run may not need; they refer to the fields that exist when they are built.
+        """
+        key = (build, *options)
+        if key not in self._built:
+            self._built[key] = build(self, *options)
+        found: Built = self._built[key]
+        return found
+
     def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
         """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
 
@@ -414,7 +233,7 @@ class State:
                                   overwrite their output
         """
         saved = [field.to_numpy() for field in self._block.fields]
-        self._block.free()
+        self.free()
         self._allocate(list_capacity_per_chunk)
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
@@ -423,5 +242,9 @@ class State:
             field.from_numpy(padded)
 
     def free(self) -> None:
-        """Free all device memory; the state cannot be used afterwards."""
+        """Free all device memory."""
+        for each in self._built.values():
+            if isinstance(getattr(each, "block", None), FieldBlock):
+                each.block.free()
+        self._built.clear()
         self._block.free()

@@ -25,13 +25,13 @@ from granflow.engine.neighbor.neighbor_list import (
     build_sort,
 )
 from granflow.engine.periodic_box import build_wrap, upload_offsets
-from granflow.engine.state import CACHE_LINE, CPU_STRIDE, WALL_BATCH, State
+from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.threads.affinity import worker_affinity
 from granflow.engine.threads.barrier import CALIBRATION_POLLS, build_barrier, build_poll, seconds_per_poll
 from granflow.engine.threads.worker_tuner import WorkerTuner
 from granflow.engine.wall_dynamics import build_wall_dynamics, mark_rebuild
 from granflow.engine.walls import upload_poses
-from granflow.plan.capacities import list_capacity_for
+from granflow.plan.capacities import WALL_BATCH, grown_capacity, list_capacity_for
 
 GPU_BATCH = 16
 """Number of GPU steps between two reads of the flags; on a GPU each step is a separate launch."""
@@ -203,7 +203,7 @@ class Stepper:
     def grow_neighbor_lists(self, needed: int) -> None:
         """Increase the list capacity per chunk to at least `needed` entries and build all kernels again."""
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(int(1.3 * needed) + 8, self._build)
+        self.state.grow_neighbor_list(grown_capacity(needed), self._build)
 
     def _rebuild_neighbor_list(self, pose: int) -> None:
         """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""

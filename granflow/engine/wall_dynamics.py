@@ -19,9 +19,6 @@ from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
 
-SAVED_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
-"""Fields of the wall dynamics that are saved in checkpoints."""
-
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
     """Device functions that clear and sum the forces on force-controlled walls.
@@ -237,18 +234,3 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             half * velocity_mean * (controlled.force - controlled.damping * velocity_mean) * (controlled.kind == "free")
         )
     return velocity, work_on_particles, work
-
-
-def wall_dynamics_state(state: State) -> dict[str, np.ndarray]:
-    """State of the force-controlled walls by field name, for checkpoints; empty without such walls."""
-    return (
-        {}
-        if state.wall_dynamics is None
-        else {name: getattr(state.wall_dynamics, name).to_numpy() for name in SAVED_FIELDS}
-    )
-
-
-def load_wall_dynamics_state(state: State, saved: dict[str, np.ndarray]) -> None:
-    """Restore a state of `wall_dynamics_state`."""
-    for name, values in saved.items():
-        getattr(state.wall_dynamics, name).from_numpy(values)

@@ -8,11 +8,12 @@ import taichi as ti
 
 from granflow.engine.mesh import build_mesh_geometry
 from granflow.engine.periodic_box import build_wrap_position
-from granflow.engine.state import WALL_BATCH, State
+from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_wall_displacement, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.motion import pose
 from granflow.geometry.shape import FAR_AWAY, Shape
+from granflow.plan.capacities import WALL_BATCH
 
 
 @dataclass(frozen=True)

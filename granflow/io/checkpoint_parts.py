@@ -88,6 +88,10 @@ class Part:
             raise self.mismatch(f"a whole number in [{low}, {high}]")
         return self.value
 
+    def amount(self, kind: type, low: float = -LARGEST_REAL) -> float:
+        """Return the value, of `kind` int or float, at least `low` and in single precision. Raises CheckpointError."""
+        return self.integer() if kind is int else self.number(low, LARGEST_REAL)
+
     def flag(self) -> bool:
         """Return the value, true or false. Raises CheckpointError."""
         if not isinstance(self.value, bool):

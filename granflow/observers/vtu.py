@@ -18,19 +18,6 @@ from granflow.snapshot import Snapshot
 # Largest rounding error of float32 positions over the smallest radius; above it, files contain float64 positions.
 POSITION_TOLERANCE = 1e-4
 
-_PARTICLE_ARRAYS = (
-    "id",
-    "radius",
-    "diameter",
-    "velocity",
-    "angular_velocity",
-    "force",
-    "material",
-    "group",
-    "coordination_number",
-    "fixed",
-    "kinetic_energy",
-)
 _CONTACT_POINTS = ("position_i", "position_j")
 """Arrays of contacts that become the points of the mesh."""
 
@@ -103,9 +90,9 @@ class ParticleFrames(Frames):
         particles = _with_derived(snapshot.particles)
         points = self._points(particles["position"], particles["radius"])
         arrays = {
-            PARTICLE_QUANTITIES[name].vtu_name: PARTICLE_QUANTITIES[name].for_file(particles[name])
-            for name in _PARTICLE_ARRAYS
-            if name in particles
+            name: field.for_file(particles[name])
+            for name, field in PARTICLE_QUANTITIES.items()
+            if field.displayed and name in particles
         }
         return mesh_of_points(points, arrays)
 
@@ -130,7 +117,7 @@ class ContactFrames(Frames):
         points = np.stack(ends, axis=1).reshape(-1, 3)
         lines = np.arange(len(points)).reshape(-1, 2)
         arrays = {
-            quantity.vtu_name: quantity.for_file(contacts[name])
+            name: quantity.for_file(contacts[name])
             for name, quantity in CONTACT_QUANTITIES.items()
             if name in contacts and name not in _CONTACT_POINTS
         }

@@ -8,7 +8,6 @@ GENEROUS_BELOW = 20_000
 GENEROUS_NEIGHBORS = 7.0
 """List entries per particle in small scenes."""
 
-
 IN_CONTACT_NEIGHBORS, NEIGHBORS_PER_SKIN = 3.4, 10.0
 """Candidate pairs per particle in a settled bed: contacts, and an increase with skin over radius.
 
@@ -19,11 +18,19 @@ HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
 SPARE = 8
-"""History entries per chunk in addition to the share, for chunks with few list entries."""
-
+"""Entries per chunk in addition to a share, for chunks with few list entries."""
 
 BOUNDS = 1024
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
+
+SCAN_BLOCK = 1024
+"""Number of cells summed by one task of the prefix sum."""
+
+WALL_BATCH = 256
+"""Number of steps whose wall poses are uploaded together."""
+
+GROWTH_FACTOR = 1.3
+"""Factor by which the capacity exceeds the needed list entries when a list grows."""
 
 EXTRA_PER_PARTICLE = 6
 """List entries per particle beyond twice the mean number of candidate pairs, for a chunk size of 1.
@@ -60,6 +67,11 @@ def history_capacity(list_entries: int) -> int:
     Fewer than list entries, because only pairs in contact have a history; HISTORY_SHARE is the share that fits.
     """
     return int(HISTORY_SHARE * list_entries) + SPARE
+
+
+def grown_capacity(needed: int) -> int:
+    """New capacity of a chunk that needs this number of list entries."""
+    return int(GROWTH_FACTOR * needed) + SPARE
 
 
 def list_capacity_for(saved: int) -> int:

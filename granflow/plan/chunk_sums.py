@@ -1,7 +1,7 @@
 """Quantities that each chunk of particles sums: terms of the energy budget, and impulses of walls."""
 
-LOSSES = ("plastic", "friction", "rolling", "damping", "wall_work")
-"""Terms of the energy budget that each chunk sums [J]."""
+LOSSES = ("plastic_dissipation", "friction_dissipation", "rolling_dissipation", "damping_dissipation", "wall_work")
+"""Terms of the energy budget that each chunk sums [J], with the names of the totals."""
 
 PLASTIC, FRICTION, ROLLING, DAMPING, WALL_WORK = range(len(LOSSES))
 

@@ -3,15 +3,13 @@
 import numpy as np
 
 from granflow.io.checkpoint_parts import Part
+from granflow.plan.capacities import grown_capacity
 from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 
 LARGEST_STATE = 2
 """`in_contact` is 0 (no contact), 1 (in contact) or 2 (history that another list entry takes over)."""
-
-GROWTH_FACTOR = 1.3
-"""Factor by which a neighbor list that is too short grows."""
 
 
 def check_neighbors(neighbors: Part, count: int, plan: Plan) -> None:
@@ -78,7 +76,7 @@ def _check_memory(part: Part, length: np.ndarray, plan: Plan) -> None:
     largest = int(np.bincount(chunk, weights=length, minlength=1).max())
     if largest <= plan.list_capacity_per_chunk:
         return
-    entries = int(plan.chunk_capacity * GROWTH_FACTOR * largest)
+    entries = plan.chunk_capacity * grown_capacity(largest)
     needed, free = entries * estimate_memory(plan, plan.scene.run.precision).per_neighbor, available_memory()
     if entries > MAX_LIST_ENTRIES or (free is not None and needed > free):
         raise part.error(f"requires {needed / 1e9:.3g} GB for {entries} list entries")

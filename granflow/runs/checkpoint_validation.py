@@ -1,33 +1,21 @@
 """Checks a checkpoint against the plan of the run before it is copied to the device; see `checkpoint_parts`."""
 
+from collections.abc import Collection, Mapping
 from math import pi
 
 import numpy as np
 
+from granflow.engine.accounting import SAVED_NUMBERS
+from granflow.engine.checkpoint import CLOCKS
 from granflow.io.checkpoint import Checkpoint
-from granflow.io.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
-from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
+from granflow.io.checkpoint_parts import LARGEST_REAL, Part
+from granflow.plan.device_arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.runs.checkpoint_neighbors import check_neighbors
 from granflow.scene.schema.scene import Scene
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
-
-COUNTS = ("inserted_count", "deleted_count")
-"""Keys of numbers of particles since the start."""
-
-MASSES = ("deleted_mass", "inserted_energy", "removed_energy", "removed_kinetic_energy", "energy_put_in")
-"""Keys of masses [kg] and energies [J] of inserted and deleted particles."""
-
-SECONDS = ("neighbor_list", "advance", "sampled_forces", "sampled_integration")
-"""Keys of wall clock by phase [s]."""
-
-TALLIES = ("rebuild_count", "step_count", "particle_steps")
-"""Keys of numbers of rebuilds, steps and particle-steps."""
-
-WALL_FIELDS = ("offset", "offset_at_rebuild", "velocity", "was_active", "wall_force", "work_on_particles", "work")
-"""Keys of the arrays of force-controlled walls."""
 
 KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
 """Keys of the state of a run."""
@@ -69,11 +57,13 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     for wall in engine["walls_present"].items(len(plan.walls)):
         wall.flag()
     _check_accounting(engine["accounting"], count, plan)
-    _check_timing(engine["clocks"])
+    engine["clocks"].mapping(CLOCKS)
+    for name, kind in CLOCKS.items():
+        engine["clocks"][name].amount(kind, 0)
     _check_particles(engine["particles"], engine["accounting"], plan, before)
     check_neighbors(engine["neighbors"], count, plan)
     _check_wall_dynamics(engine["wall_dynamics"], plan)
-    _check_energy_budget(engine["energy_budget"], plan)
+    _check_arrays(engine["energy_budget"], saved_arrays(sum_arrays(plan)))
 
 
 def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
@@ -137,11 +127,11 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
 
     `count`: particles present, which is the inserted minus the deleted number.
     """
-    accounting.mapping((*COUNTS, *MASSES, "outlets", "material", "group"))
+    accounting.mapping((*SAVED_NUMBERS, "outlets", "material", "group"))
     inserted = accounting["inserted_count"].integer(count, plan.particle_capacity)
     accounting["deleted_count"].integer(inserted - count, inserted - count)
-    for name in MASSES:
-        accounting[name].number(-LARGEST_REAL, LARGEST_REAL)
+    for name, kind in SAVED_NUMBERS.items():
+        accounting[name].amount(kind)
     for outlet in accounting["outlets"].parts(plan.scene.outlets):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
@@ -149,25 +139,21 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     accounting["group"].integers(inserted, high=len(plan.scene.particles) - 1)
 
 
-def _check_timing(clocks: Part) -> None:
-    """Check the wall clock by phase [s] and the numbers of steps, rebuilds and particle-steps."""
-    clocks.mapping((*SECONDS, *TALLIES))
-    for name in SECONDS:
-        clocks[name].number(0.0, LARGEST_REAL)
-    for name in TALLIES:
-        clocks[name].integer(0, MOST_STEPS)
+def _check_arrays(
+    part: Part, arrays: Mapping[str, DeviceArray], count: int | None = None, others: Collection[str] = ()
+) -> None:
+    """Check names, types and shapes of arrays.
 
-
-def particle_arrays(plan: Plan) -> dict[str, int]:
-    """Return the names of the particle arrays in a checkpoint of this plan, with the components per particle.
-
-    Vectors have 3 components, shape (n, 3); others 1, shape (n,). Which arrays exist depends on `plan.features`.
+    `count`: length of the first axis, by default the capacity; `others`: further keys of the mapping.
     """
-    features = plan.features
-    vectors = ["position", "velocity", "force", "position_at_rebuild"]
-    vectors += ["angular_velocity", "torque"] * features.rotation + ["velocity_synchronized"] * features.rate_dependent
-    whole = ["id"] + ["material"] * (not features.one_material) + ["fixed"] * features.fixed_particles
-    return dict.fromkeys(vectors, 3) | dict.fromkeys((*whole, "radius", "mass"), 1)
+    part.mapping((*arrays, *others))
+    for name, array in arrays.items():
+        shape = array.shape if count is None else (count, *array.shape[1:])
+        saved_shape = shape if array.width is None else (*shape, array.width)
+        if array.dtype == "i32":
+            part[name].integers(*saved_shape)
+        else:
+            part[name].floats(*saved_shape)
 
 
 def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scene) -> None:
@@ -177,10 +163,8 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
     """
     inserted = accounting["inserted_count"].integer()
     count = inserted - accounting["deleted_count"].integer()
-    arrays = particle_arrays(plan)
-    particles.mapping(arrays)
-    for name in (name for name, width in arrays.items() if width == 3):
-        particles[name].floats(count, 3)
+    arrays = saved_arrays(particle_arrays(plan))
+    _check_arrays(particles, arrays, count)
     ids = particles["id"].distinct(count, high=inserted - 1)
     sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
     radius = particles["radius"].floats(count, low=sizes[0], high=sizes[1]).astype(float)
@@ -220,26 +204,7 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
         each.key for each in plan.controlled_motions
     ]:
         return
-    count = len(plan.controlled_motions)
-    names = WALL_FIELDS if count else ()
-    dynamics.mapping(("controlled_motions", *names))
-    for name in names:
-        if name == "was_active":
-            dynamics[name].integers(count, high=1)
-        else:
-            dynamics[name].floats(*((plan.chunk_capacity, count) if name == "wall_force" else (count,)))
-
-
-def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
-    """Check the sums per chunk: `losses` (chunks, 5), `boundary_work` (chunks,), `impulses` (chunks, walls, 7)."""
-    features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
-    shapes: dict[str, tuple[int, ...]] = {}
-    if features.energy_budget:
-        shapes["losses"] = (chunks, len(LOSSES))
-    if features.energy_budget and features.periodic != "none":
-        shapes["boundary_work"] = (chunks,)
-    if measured:
-        shapes["impulses"] = (chunks, measured, IMPULSE_SIZE)
-    energy_budget.mapping(shapes)
-    for name, shape in shapes.items():
-        energy_budget[name].floats(*shape)
+    arrays = saved_arrays(wall_dynamics_arrays(plan)) if plan.controlled_motions else {}
+    _check_arrays(dynamics, arrays, others=("controlled_motions",))
+    if arrays:
+        dynamics["was_active"].integers(*arrays["was_active"].shape, high=1)

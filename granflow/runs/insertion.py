@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.engine import Engine
+from granflow.engine.host_copy import copy_to_host
 from granflow.particles.generate import inserters
 from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.sizes import ClassSizes
@@ -43,7 +44,7 @@ class ParticleInsertion:
         inserted = False
         for inserter in self._inserters:
             if engine.reached(inserter.next_time):
-                existing = engine.host_copy.copy_to_host(("position", "radius"))
+                existing = copy_to_host(engine.state, ("position", "radius"))
                 new = inserter.insert_due(
                     engine.time + 0.5 * engine.time_step, existing["position"], existing["radius"]
                 )

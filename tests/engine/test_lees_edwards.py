@@ -9,6 +9,7 @@ from sheared_scenes import RATE, SIZE, sheared_gas
 from subprocess_runner import in_subprocess
 
 from granflow.engine import stepper
+from granflow.engine.host_copy import copy_to_host
 
 IMAGE_VELOCITY = RATE * SIZE
 """Velocity of the image above, relative to its particle [m/s]."""
@@ -76,7 +77,7 @@ def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, si
     skin = 0.0005
     simulation = prepared_simulation(sheared_gas(sizes=sizes), step=2656)
     assert simulation.plan.features.size_classes == classes
-    arrays = simulation.engine.host_copy.copy_to_host(("id", "position", "radius"))
+    arrays = copy_to_host(simulation.engine.state, ("id", "position", "radius"))
     order = np.argsort(arrays["id"])
     position, radius = arrays["position"][order], arrays["radius"][order]
     periodic_box = simulation.scene.domain.periodic_box().at(simulation.engine.time)

@@ -15,6 +15,7 @@ from scene_builders import (
 )
 from scipy.spatial import cKDTree
 
+from granflow.engine.host_copy import copy_to_host
 from granflow.errors import RunError
 from granflow.observers.interval import every
 from granflow.plan import plan as plan_module
@@ -32,7 +33,7 @@ def test_neighbor_list_holds_exactly_the_candidate_pairs(taichi_f64, chunk_size)
     """Compared with a search over all pairs: a pair within a chunk is listed once, a pair across chunks twice."""
     scene = build_scene(random_particles(400), walls=box(0.12), numerics={"chunk_size": chunk_size, "skin": 0.002})
     simulation = prepared_simulation(scene)
-    arrays = simulation.engine.host_copy.copy_to_host(("id", "position", "radius"))
+    arrays = copy_to_host(simulation.engine.state, ("id", "position", "radius"))
     order = np.argsort(arrays["id"])
     position, radius = arrays["position"][order], arrays["radius"][order]
     candidates = {

@@ -11,7 +11,7 @@ def arrays_of(quantities, count, seed=0):
     random = np.random.default_rng(seed)
     arrays = {}
     for name, quantity in quantities.items():
-        if not quantity.stored:
+        if not quantity.in_snapshot:
             continue
         if quantity.file_type.startswith("float"):
             arrays[name] = random.uniform(0.1, 1.0, quantity.shape(count))

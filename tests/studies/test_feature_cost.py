@@ -122,6 +122,7 @@ def test_particle_size_is_no_feature(tmp_path):
 
 def measured(directory):
     """Result of a short run of the study, and the initial particle positions of every variant."""
+    from granflow.engine.host_copy import copy_to_host
     from granflow.studies.feature_cost import measure
     from granflow.studies.feature_cost.report import cost_rows, write_feature_costs
 
@@ -131,7 +132,7 @@ def measured(directory):
 
     def restore_and_sample(engine, *others):
         restore(engine, *others)
-        copied = engine.host_copy.copy_to_host(("id", "position"))
+        copied = copy_to_host(engine.state, ("id", "position"))
         positions.append(copied["position"][np.argsort(copied["id"])].tolist())
 
     measure.restore = restore_and_sample

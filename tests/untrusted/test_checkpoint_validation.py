@@ -18,8 +18,8 @@ from granflow.io.checkpoint import (
     read_checkpoint,
     write_checkpoint,
 )
+from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import plan_for
-from granflow.runs.checkpoint_validation import particle_arrays
 from granflow.runs.resume import accepted_change
 
 
@@ -151,7 +151,7 @@ def test_observer_state_is_checked_before_the_copy_to_the_device(original, tmp_p
 
 
 def test_particle_arrays_of_the_plan_equal_those_of_a_checkpoint(original):
-    assert set(particle_arrays(plan_for(scene()))) == set(original.saved["engine"]["particles"])
+    assert set(saved_arrays(particle_arrays(plan_for(scene())))) == set(original.saved["engine"]["particles"])
 
 
 def sealed(path, data):

@@ -131,7 +131,9 @@ def measure(
 
 def mass_above(engine: Any) -> float:
     """Mass whose centers are above the orifice [kg]."""
-    arrays = engine.host_copy.copy_to_host(("mass", "position"))
+    from granflow.engine.host_copy import copy_to_host
+
+    arrays = copy_to_host(engine.state, ("mass", "position"))
     return float(arrays["mass"][arrays["position"][:, 2] > 0.0].sum(dtype=float))
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import taichi as ti
 
 from granflow.contact.complete_force import complete_force
+from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
 from granflow.engine.periodic_box import build_wrap_position
-from granflow.engine.state import FieldBlock, State
+from granflow.engine.state import State
 from granflow.engine.walls import build_wall_geometry, triangles_of, walls_of
 
 AT_LIMIT = 1.0 - 1e-6

@@ -5,8 +5,9 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number, build_weight
-from granflow.engine.state import FieldBlock, State
+from granflow.engine.state import State
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
 """Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""
@@ -26,7 +27,7 @@ class ContactStatistics:
         self._measure = _build_measure(state, self.statistics)
 
     def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination`."""
+        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination_number`."""
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
@@ -41,7 +42,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     """Kernel (chunks, count, time_step): statistics of each chunk; a pair in two lists counts half in each.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination, statistics
+    Writes:  coordination_number, statistics
     """
     particles, neighbors, control = state.particles, state.neighbors, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
@@ -51,7 +52,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
         for i in range(count):
-            particles.coordination[i] = 0
+            particles.coordination_number[i] = 0
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
@@ -74,9 +75,9 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
                             found[ELASTIC] += share * elastic
                             found[PLASTIC] += share * plastic
-                            particles.coordination[i] += 1
+                            particles.coordination_number[i] += 1
                             if share == 1.0 and j >= 0:
-                                particles.coordination[j] += 1
+                                particles.coordination_number[j] += 1
                 statistics[chunk] = found
 
     return measure

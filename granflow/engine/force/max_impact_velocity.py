@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_sphere_kinematics
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_number
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
-from granflow.engine.state import FieldBlock, State
+from granflow.engine.state import State
 from granflow.engine.walls import build_wall_geometry
 
 

@@ -13,9 +13,9 @@ from granflow.engine.mesh import build_mesh_geometry
 from granflow.engine.neighbor.cell_grid import build_cell_number
 from granflow.engine.neighbor.deletion import build_remains
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
-from granflow.engine.state import SCAN_BLOCK, State
+from granflow.engine.state import State
 from granflow.engine.walls import build_wall_geometry
-from granflow.plan.capacities import BOUNDS
+from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 ROUNDING = 1e-5
 """Relative margin of the cell range of the search, because cell coordinates are rounded."""
@@ -256,7 +256,7 @@ def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order
 def build_reorder(state: State) -> Callable[[int], None]:
     """Kernel (count): move all particle fields to the new order, one field after the other.
 
-    `position_at_rebuild` and `coordination` serve as buffers; both are written again before they are read.
+    `position_at_rebuild` and `coordination_number` serve as buffers; both are written again before they are read.
 
     Reads:   order
     Writes:  all fields of `Particles.sorted_fields`
@@ -265,7 +265,7 @@ def build_reorder(state: State) -> Callable[[int], None]:
     vectors = [field for field in fields if isinstance(field, ti.MatrixField)]
     integers = [field for field in fields if field.dtype == ti.i32]
     scalars = [field for field in fields if not isinstance(field, ti.MatrixField) and field.dtype != ti.i32]
-    vector, integer = particles.position_at_rebuild, particles.coordination
+    vector, integer = particles.position_at_rebuild, particles.coordination_number
 
     @ti.kernel
     def reorder_vectors(count: ti.i32):
@@ -277,12 +277,13 @@ def build_reorder(state: State) -> Callable[[int], None]:
 
     @ti.kernel
     def reorder_scalars(count: ti.i32):
-        for k in range(count):
-            for f in ti.static(range(len(scalars))):
-                vector[k][f] = ti.cast(scalars[f][sorting.order[k]], vector.dtype)
-        for k in range(count):
-            for f in ti.static(range(len(scalars))):
-                scalars[f][k] = ti.cast(vector[k][f], scalars[f].dtype)
+        for first in ti.static(range(0, len(scalars), 3)):
+            for k in range(count):
+                for f in ti.static(range(first, min(first + 3, len(scalars)))):
+                    vector[k][f - first] = ti.cast(scalars[f][sorting.order[k]], vector.dtype)
+            for k in range(count):
+                for f in ti.static(range(first, min(first + 3, len(scalars)))):
+                    scalars[f][k] = ti.cast(vector[k][f - first], scalars[f].dtype)
         for f in ti.static(range(len(integers))):
             for k in range(count):
                 integer[k] = integers[f][sorting.order[k]]

@@ -84,6 +84,6 @@ class FieldFrames(Frames):
     def _mesh_of(self, accumulated: AccumulatedFields) -> meshio.Mesh:
         fields = fields_from(accumulated)
         arrays: dict[str, np.ndarray] = {
-            FIELD_QUANTITIES[name].vtu_name: FIELD_QUANTITIES[name].for_file(fields[name]) for name in self._quantities
+            name: FIELD_QUANTITIES[name].for_file(fields[name]) for name in self._quantities
         }
         return self.grid.mesh(arrays)

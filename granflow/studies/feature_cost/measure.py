@@ -11,7 +11,9 @@ import numpy as np
 
 from granflow.engine.backend import Arch, Backend
 from granflow.engine.engine import Engine
+from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.limits import abort_message
+from granflow.engine.snapshots import wall_poses
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.motion import Motion
 from granflow.particles.generate import ParticleData
@@ -114,7 +116,7 @@ def start_of(simulation: Simulation) -> StartState:
     engine = simulation.engine
     particles = simulation.snapshot().particles
     data = ParticleData(*(particles[name] for name in ParticleData.__dataclass_fields__))
-    present = tuple(pose.present for pose in engine.wall_poses().values())
+    present = tuple(pose.present for pose in wall_poses(engine.state).values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
 
 
@@ -151,7 +153,7 @@ def _feature_cost(
     variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
     """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
-    plan = engine.plan
+    plan, contacts = engine.plan, engine.state.built(ContactStatistics).measure()
     return FeatureCost(
         name=variant.name,
         plan=plan,
@@ -159,7 +161,7 @@ def _feature_cost(
         ratio=tuple(np.percentile(times_of_variant / base, (25, 50, 75)).tolist()),
         bytes_per_particle=estimate_memory(plan, engine.state.backend.precision).total / plan.particle_capacity,
         compile_seconds=engine.timing.compile,
-        contacts_per_particle=engine.contact_statistics.measure()["contact_count"] / max(engine.state.count, 1),
+        contacts_per_particle=contacts["contact_count"] / max(engine.state.count, 1),
     )
 
 

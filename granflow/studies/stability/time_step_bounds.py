@@ -16,6 +16,7 @@ from granflow.contact.model import NormalLaw
 from granflow.contact.normal.thornton import ThorntonCollision
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
+from granflow.engine.host_copy import copy_to_host
 from granflow.engine.limits import NO_PARTICLE
 from granflow.particles.generate import ParticleData
 from granflow.plan.plan import Plan, pair_cases_of, plan_for
@@ -214,7 +215,7 @@ def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
         engine.advance(STEPS_PER_CHECK)
         if engine.aborted:
             return True
-        arrays = engine.host_copy.copy_to_host(("mass", "velocity", "angular_velocity"))
+        arrays = copy_to_host(engine.state, ("mass", "velocity", "angular_velocity"))
         free = arrays["mass"] < 10.0 * mass
         if not _kinetic(
             arrays["velocity"][free], arrays.get("angular_velocity", np.zeros((len(free), 3)))[free], mass

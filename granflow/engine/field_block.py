@@ -1,0 +1,87 @@
+"""Allocation of device fields."""
+
+from collections.abc import Iterable
+from itertools import groupby
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.backend import Backend
+from granflow.plan.device_arrays import DeviceArray
+
+
+class FieldBlock:
+    """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
+
+    def __init__(self) -> None:
+        self._builder = ti.FieldsBuilder()
+        self._tree: Any = None
+        self.fields: list[Any] = []
+
+    def scalar(self, dtype: Any, *shape: int) -> Any:
+        """A scalar field of one or two dimensions."""
+        return self._placed(shape, ti.field(dtype))[0]
+
+    def vector(self, dtype: Any, *shape: int, count: int = 3) -> Any:
+        """A field of vectors of `count` adjacent components."""
+        return self._placed(shape, ti.Vector.field(count, dtype))[0]
+
+    def matrix(self, dtype: Any, *shape: int) -> Any:
+        """A field of 3 x 3 matrices."""
+        return self._placed(shape, ti.Matrix.field(3, 3, dtype))[0]
+
+    def arrays(self, arrays: Iterable[DeviceArray], backend: Backend) -> dict[str, Any]:
+        """Fields by name; None for an array that the plan does not need."""
+        found: dict[str, Any] = {}
+        for _, block in groupby(arrays, key=lambda array: array.block or array.name):
+            together = list(block)
+            fields = {array.name: _field(array, backend) for array in together}
+            self._placed(together[0].shape, *(field for field in fields.values() if field is not None))
+            found |= fields
+        return found
+
+    def parts(self, count: int) -> Any:
+        """`count` equal parts; each holds the complete part of several columns."""
+        return self._builder.dense(ti.i, count)
+
+    def column(self, parts: Any, dtype: Any, length: int) -> Any:
+        """A field [part, entry] with adjacent entries of a part; its values are lost if the block is reallocated."""
+        field = ti.field(dtype)
+        parts.dense(ti.j, length).place(field)
+        return field
+
+    def finish(self) -> None:
+        """Allocate the fields; no field can be added afterwards."""
+        self._tree = self._builder.finalize()
+
+    def free(self) -> None:
+        """Free the memory; the fields cannot be used afterwards."""
+        if self._tree is not None:
+            self._tree.destroy()
+            self._tree = None
+
+    def _placed(self, shape: tuple[int, ...], *fields: Any) -> tuple[Any, ...]:
+        """Place fields of this shape, interleaved entry by entry."""
+        if fields:
+            self._builder.dense(ti.i if len(shape) == 1 else ti.ij, shape).place(*fields)
+            self.fields += fields
+        return fields
+
+
+def _field(array: DeviceArray, backend: Backend) -> Any:
+    """A field that is not placed yet; None for an array that the plan does not need."""
+    if not array.wanted:
+        return None
+    types = {"position": backend.position_real, "real": backend.real, "f64": ti.f64, "i32": ti.i32}
+    dtype = types[array.dtype]
+    return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
+
+
+class Fields:
+    """Fields of a group as attributes with the names of the arrays; None for an array that the plan does not need."""
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.__dict__.update(fields)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(name)

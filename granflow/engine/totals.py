@@ -1,0 +1,96 @@
+"""Totals of a snapshot, and the energy budget."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from granflow.engine.accounting import Accounting, energy_input
+from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.state import State
+from granflow.engine.wall_dynamics import controlled_totals, controlled_work
+from granflow.plan.chunk_sums import LOSSES
+
+LARGEST_ERROR = 5e-3
+"""Magnitude of the energy error above which a run warns."""
+
+ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
+"""Rounding error of the energy budget, relative to its potential energies, by precision.
+
+It results from the masses; in f32 also from the positions.
+"""
+
+
+def totals_of(
+    state: State,
+    accounting: Accounting,
+    arrays: Mapping[str, np.ndarray],
+    energies: tuple[float, float, float],
+    measured: Mapping[str, float],
+) -> dict[str, float]:
+    """Totals of the present state by name, SI units.
+
+    arrays:    coordination_number and mass (n,), fixed (n,) if some particles are fixed
+    energies:  kinetic, rotational and gravitational energy [J]
+    measured:  totals of ContactStatistics
+    """
+    contacts, mobile, plan = measured["contact_count"], mobility_mask(arrays), state.plan
+    totals = {
+        "particle_count": float(state.count),
+        "inserted_count": float(accounting.inserted_count),
+        "deleted_count": float(accounting.deleted_count),
+        "deleted_mass": accounting.deleted_mass,
+        "contact_count": contacts,
+        "kinetic_energy": energies[0],
+        "rotational_energy": energies[1],
+        "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
+        "overlap_largest": measured["overlap_largest"],
+        "coordination_number": float(mobile @ arrays["coordination_number"]) / max(mobile.sum(), 1.0),
+    }
+    if plan.features.lees_edwards:
+        totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
+    if accounting.queued_count is not None:
+        totals["queued_count"] = float(accounting.queued_count)
+    for name, (outlet_count, outlet_mass) in accounting.outlets.items():
+        totals |= {f"outlet_count.{name}": outlet_count, f"outlet_mass.{name}": outlet_mass}
+    if plan.features.energy_budget:
+        totals |= energy_budget_totals(state, accounting, energies, measured)
+    return totals | controlled_totals(state)
+
+
+def energy_budget_totals(
+    state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
+) -> dict[str, float]:
+    """The energy budget [J], and its error: the residual over the largest energy input of all observations and now.
+
+        residual = K + U + E_elastic + E_dissipated + E_deleted - E_inserted - W
+        energy_error = residual / max(E_in so far and now, rounding / LARGEST_ERROR)
+
+    energies:  kinetic, rotational and gravitational energy [J]
+    measured:  totals of ContactStatistics
+    Returns:   totals by the names of TOTAL_QUANTITIES
+
+    The scale is the largest E_in, because the present E_in can be zero: a bouncing sphere at its highest point has
+    returned all of it. If E_in is below the rounding error of the potential energies, the rounding error is the scale,
+    so that rounding does not count as an energy error.
+    """
+    losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
+    losses["plastic_dissipation"] += measured["plastic_dissipation"]
+    losses["wall_work"] += controlled_work(state)
+    boundary = state.control.boundary_work
+    boundary_work = {} if boundary is None else {"boundary_work": float(boundary.to_numpy().sum())}
+    works = (losses["wall_work"], *boundary_work.values())
+    dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
+    present_energy = sum(energies) + measured["elastic_energy"]
+    removed = accounting.removed_energy - accounting.inserted_energy
+    residual = present_energy + dissipated + removed - sum(works)
+    rounding = ROUNDING[state.backend.precision] * (abs(energies[2]) + abs(removed))
+    energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
+    scale = max(energy_put_in, rounding / LARGEST_ERROR)
+    return {
+        "gravitational_energy": energies[2],
+        "elastic_energy": measured["elastic_energy"],
+        **losses,
+        **boundary_work,
+        "removed_energy": removed,
+        "energy_error": residual / scale if scale > 0.0 else 0.0,
+    }

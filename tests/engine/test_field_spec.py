@@ -1,0 +1,81 @@
+"""A property of the particles is one entry of `granflow.fields`: everything else derives from the table."""
+
+import meshio
+import numpy as np
+import pytest
+from resume.runs import complex_scene
+
+from granflow import fields
+from granflow.engine.host_copy import copy_to_host, particle_table
+from granflow.io.checkpoint import newest_checkpoint
+from granflow.plan.memory_estimate import estimate_memory
+from granflow.plan.plan import plan_for
+from granflow.simulation import Simulation
+
+ROOM, HOT = 293.15, 400.0
+"""Default of inserted particles, and temperature of particle 0 [K]."""
+
+
+@pytest.fixture
+def with_temperature(monkeypatch):
+    """The table with a property that the particles carry, and an integer one."""
+    entry = fields.FieldSpec("temperature", "T", "K", "temperature of the particle", dtype="real", default=ROOM)
+    count = fields.FieldSpec("visits", "", "1", "number of visits", file_type="int32", dtype="i32", default=3)
+    monkeypatch.setitem(fields._PARTICLE_FIELDS, "temperature", entry)
+    monkeypatch.setitem(fields._PARTICLE_FIELDS, "visits", count)
+
+
+def expected_temperature(ids, initial_count):
+    """HOT + id for the particles that were heated, the default for those inserted later."""
+    return np.where(ids < initial_count, HOT + ids, ROOM)
+
+
+def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_temperature, tmp_path):
+    scene = complex_scene()
+    simulation = Simulation(scene, out=tmp_path / "run")
+    state, initial_count = simulation.engine.state, simulation.engine.state.count
+    found = copy_to_host(state, ("id", "temperature", "visits"))
+    assert set(found["temperature"]) == {ROOM} and set(found["visits"]) == {3}, "defaults at insertion"
+    table = particle_table(state, ("temperature",))
+    table.put(np.arange(initial_count), {"temperature": HOT + found["id"]})
+
+    simulation.run(0.012)
+    before, now = found["id"], copy_to_host(state, ("id", "temperature"))
+    assert simulation.engine.timing.rebuild_count > 1 and not np.array_equal(before, now["id"][: len(before)])
+    assert now["id"].max() >= initial_count, "particles were inserted during the run"
+    np.testing.assert_array_equal(now["temperature"], expected_temperature(now["id"], initial_count))
+
+    particles = simulation.snapshot().particles
+    np.testing.assert_array_equal(particles["temperature"], expected_temperature(particles["id"], initial_count))
+    frame = meshio.read(sorted((tmp_path / "run").glob("particles_*.vtu"))[-1]).point_data
+    np.testing.assert_allclose(frame["temperature"], expected_temperature(frame["id"], initial_count), rtol=1e-6)
+    assert set(frame["visits"]) == {3}
+    simulation.free()
+
+    checkpoint, _ = newest_checkpoint(tmp_path / "run")
+    saved = checkpoint.saved["engine"]["particles"]
+    np.testing.assert_array_equal(saved["temperature"], expected_temperature(saved["id"], initial_count))
+    resumed = Simulation(scene, out=tmp_path / "run", resume=checkpoint)
+    restored = resumed.snapshot().particles
+    np.testing.assert_array_equal(restored["temperature"], expected_temperature(restored["id"], initial_count))
+    assert set(restored["visits"]) == {3}
+    resumed.free()
+
+
+@pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 4), ("mixed", 4 + 4), ("f32", 4 + 4)])
+def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision, size, request):
+    plan = plan_for(complex_scene())
+    before = estimate_memory(plan, precision)
+    request.getfixturevalue("with_temperature")
+    after = estimate_memory(plan, precision)
+    assert after.per_particle - before.per_particle == size
+    assert after.total - before.total == size * plan.particle_capacity
+
+
+def test_property_with_a_condition_exists_only_if_the_plan_needs_it(taichi_f64, monkeypatch):
+    entry = fields.FieldSpec("charge", "q", "C", "charge", dtype="real", condition=lambda features: features.outlets)
+    monkeypatch.setitem(fields._PARTICLE_FIELDS, "charge", entry)
+    simulation = Simulation(complex_scene())
+    assert simulation.engine.state.particles.charge is None
+    assert "charge" not in simulation.snapshot().particles
+    simulation.free()
