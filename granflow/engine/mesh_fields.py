@@ -1,4 +1,4 @@
-"""Device arrays of mesh walls: written once, read by `device/mesh.py`."""
+"""Device arrays of mesh walls: written once, read by `engine/mesh.py`."""
 
 from dataclasses import dataclass
 from typing import Any
