@@ -56,7 +56,7 @@ def fix_worker_count(stepper: Any, workers: int) -> None:
         def record(self, *_: Any) -> None:
             """Ignores the measurement."""
 
-    stepper._worker_tuner = FixedWorkers()
+    stepper._workers._tuner = FixedWorkers()
 
 
 def started(bed: Path, mode: str, root: Path, command: tuple[str, ...] = ()) -> subprocess.Popen[str]:

@@ -217,8 +217,8 @@ MUTATIONS = (
     Mutation(
         "displacement of a free wall",
         "granflow/engine/wall_dynamics.py",
-        "if not step_displacement <= step_limit:",
-        "if not step_displacement <= 2.0 * step_limit:",
+        "if not step_displacement <= plan.wall_travel_limit:",
+        "if not step_displacement <= 2.0 * plan.wall_travel_limit:",
         (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
@@ -282,8 +282,8 @@ MUTATIONS = (
     Mutation(
         "neighbors of the next index",
         "granflow/engine/neighbor/neighbor_list.py",
-        "if j > i or (j < first)",
-        "if j > i + 1 or (j < first)",
+        "if j > i or j < first",
+        "if j > i + 1 or j < first",
         ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(

@@ -76,17 +76,16 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     folder = usable_folder()
     if folder.name.startswith(TEMPORARY):
         atexit.register(_stop_and_remove, folder)
-    cache_options = {"offline_cache_file_path": str(folder)}
     ASTTransformerContext.get_pos_info = _position_in_source
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     _init(
         arch=taichi_arch,
         default_fp=real,
-        fast_math=False,
+        fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
         log_level=ti.ERROR,
         cpu_max_num_threads=workers,
-        **cache_options,
+        offline_cache_file_path=str(folder),
     )
     name = _arch_name(arch)
     if position_real == ti.f64 and name in ("metal", "vulkan"):

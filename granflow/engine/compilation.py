@@ -6,6 +6,7 @@ The command line sets `around` to a context in which signals end the process wit
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
+from weakref import WeakSet
 
 around: Callable[[], AbstractContextManager[None]] = nullcontext
 """Context in which kernels are compiled."""
@@ -19,14 +20,14 @@ def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     Taichi calls the function at every launch; only the first call of a kernel compiles it.
     """
-    compiled: set[int] = set()
+    compiled: WeakSet[Any] = WeakSet()  # not by id: the id of a deleted kernel is used again
 
     def compile_in_context(program: Any, configuration: Any, capabilities: Any, kernel: Any) -> Any:
-        if id(kernel) in compiled:
+        if kernel in compiled:
             return compile_kernel(program, configuration, capabilities, kernel)
         with around():
             done = compile_kernel(program, configuration, capabilities, kernel)
-        compiled.add(id(kernel))
+        compiled.add(kernel)
         return done
 
     return compile_in_context

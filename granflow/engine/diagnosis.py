@@ -12,11 +12,11 @@ from granflow.engine.limits import (
     ABORT_DISPLACEMENT,
     ABORT_NOT_FINITE,
     ABORT_OVERLAP,
+    ABORT_REASONS,
     ABORT_WALL,
     Body,
     ContactPair,
     Diagnosis,
-    diagnosis_of,
 )
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
@@ -64,7 +64,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     this particle one step earlier are considered.
     """
     if code == ABORT_WALL:
-        return diagnosis_of(code, _fastest_wall(state), None, state.clock.time_step, step_taken)
+        return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken)
     arrays = copy_to_host(state, FIELDS, 0, state.particles.capacity)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
     if code == ABORT_OVERLAP and step_taken:
@@ -80,7 +80,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT) else np.ones_like(involved)
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
-    return diagnosis_of(code, body, pair, state.clock.time_step, step_taken)
+    return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken)
 
 
 def _fastest_wall(state: State) -> Body:

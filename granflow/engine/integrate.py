@@ -45,11 +45,13 @@ def build_integrate(state: State) -> Any:
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
+            # Assignments: Taichi compiles `+=` on a field to an atomic operation.
             particles.velocity[i] = velocity
             step_displacement = dt * velocity
             position = particles.position[i] + step_displacement
             particles.position[i] = position
             if ti.static(features.rotation):
+                # A sphere needs no orientation and no gyroscopic term.
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
                 particles.angular_velocity[i] = (
                     particles.angular_velocity[i] + mobility(i) * dt / inertia * particles.torque[i]
@@ -58,8 +60,9 @@ def build_integrate(state: State) -> Any:
             displacement_squared = displacement.dot(displacement)
             if displacement_squared > rebuild_limit:
                 rebuild = 1
-            elif not displacement_squared <= rebuild_limit:
+            elif not displacement_squared <= rebuild_limit:  # NaN fails both comparisons
                 request_abort(ABORT_NOT_FINITE, i)
+            # Above this limit a particle could pass another one, or a wall, between two force evaluations.
             if step_displacement.dot(step_displacement) > step_limit:
                 request_abort(ABORT_DISPLACEMENT, i)
         if rebuild == 1:

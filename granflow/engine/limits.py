@@ -88,11 +88,6 @@ class Diagnosis:
     """True if a step was taken; false if only the initial forces were computed."""
 
 
-def diagnosis_of(code: int, body: Body, pair: ContactPair | None, time_step: float, begun: bool) -> Diagnosis:
-    """The diagnosis for an abort code."""
-    return Diagnosis(ABORT_REASONS[code], body, pair, time_step, begun)
-
-
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Message for an abort: body or bodies in contact, time, exceeded limit, likely cause and remedies.
 

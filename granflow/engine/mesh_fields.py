@@ -1,4 +1,4 @@
-"""Fills the device arrays of mesh walls, which `device/mesh.py` reads.
+"""Fills the device arrays of mesh walls, which `engine/mesh.py` reads.
 
 The names are those of MeshAdjacency and MeshGrid; `wall` is the wall of each triangle, `first_cell` the first cell of
 each wall. Triangles, points and cells are numbered consecutively over all meshes; edge k of triangle t is 3 t + k.

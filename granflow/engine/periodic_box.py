@@ -58,10 +58,12 @@ def build_minimum_image(state: State) -> Any:
     def minimum_image(one, other, pose):
         branch = one - other
         if ti.static(sheared):
+            # The flow axis needs rounding: with the offset, the distance can be more than one and a half widths.
             branch[flow] = branch[flow] - ti.cast(image_index(one, other), real) * offset[pose]
             branch[flow] = branch[flow] - real(widths[flow]) * ti.round(branch[flow] / real(widths[flow]))
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
             width, half = real(widths[axis]), real(0.5 * widths[axis])
+            # One width suffices: between rebuilds positions are outside the box by less than the skin.
             above = ti.select(branch[axis] > half, width, 0.0 * width)
             below = ti.select(branch[axis] < -half, width, 0.0 * width)
             branch[axis] = branch[axis] - above + below
@@ -175,7 +177,7 @@ def build_wrap(state: State) -> Any:
                     wrapped = before
                     if ti.static(sheared):
                         wrapped, velocity_shift = cross_boundary(before, pose)
-                    wrapped = wrap_position(wrapped)
+                    wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
                     particles.position[i] = wrapped
                     if ti.static(plan.features.energy_budget):
                         add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)

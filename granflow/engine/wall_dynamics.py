@@ -46,98 +46,89 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
     return clear_wall_forces, add_wall_force
 
 
-def build_wall_dynamics(state: State) -> Any:
-    """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
+@ti.func
+def move_walls(fields: ti.template(), plan: ti.template(), control: ti.template(), chunks, pose, dt_real):
+    """Move all force-controlled walls by one step, on one thread.
 
     Chunks are summed in order, so that the result does not depend on the number of threads.
 
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
-    controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
-    rebuild_limit, step_limit = state.plan.wall_displacement_limit, state.plan.wall_travel_limit
+    dt, motions = ti.cast(dt_real, ti.f64), ti.static(plan.controlled_motions)
+    for r in ti.static(range(len(motions))):
+        force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for chunk in range(chunks):
+            force_on_wall += fields.wall_force[chunk, r]
+        if fields.active[pose, r] == 1:
+            velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
+            _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
+        fields.velocity[r] = velocity
+        fields.was_active[r] = fields.active[pose, r]
+        fields.offset[r] = fields.offset[r] + dt * velocity
+    # A second loop, because a wall can have several motions.
+    for r in ti.static(range(len(motions))):
+        displacement, step_displacement = _wall_displacements(fields, motions, motions[r].wall, dt)
+        # The negations are also true for NaN.
+        if not displacement <= plan.wall_displacement_limit:
+            control.rebuild_requested[0] = 1
+        if not step_displacement <= plan.wall_travel_limit:
+            ti.atomic_max(control.abort[0], ABORT_WALL)
 
-    @ti.func
-    def controlled_velocity(r: ti.template(), force_on_wall, dt):
-        """Velocity [m/s] of a motion at the next half step; the first kick of a free wall is half a step."""
-        velocity = fields.velocity[r]
-        if ti.static(controlled_motions[r].kind == "servo"):
-            velocity = controlled_motions[r].gain * (controlled_motions[r].force + force_on_wall)
-            velocity = ti.max(ti.min(velocity, controlled_motions[r].velocity_max), -controlled_motions[r].velocity_max)
-        else:
-            kick = dt / controlled_motions[r].mass * (controlled_motions[r].force + force_on_wall)
-            if fields.was_active[r] == 0:
-                kick = 0.5 * kick
-            drag = 0.5 * controlled_motions[r].damping * dt / controlled_motions[r].mass
-            velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
-        return velocity
 
-    @ti.func
-    def add_work(r: ti.template(), force_on_wall, velocity, dt):
-        """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for it."""
-        velocity_mean = 0.5 * (fields.velocity[r] + velocity)
-        displacement = dt * velocity_mean
+@ti.func
+def _controlled_velocity(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, dt):
+    """Velocity [m/s] of motion r at the next half step; the first kick of a free wall is half a step."""
+    velocity = fields.velocity[r]
+    if ti.static(motion.kind == "servo"):
+        velocity = motion.gain * (motion.force + force_on_wall)
+        velocity = ti.max(ti.min(velocity, motion.velocity_max), -motion.velocity_max)
+    else:
+        kick = dt / motion.mass * (motion.force + force_on_wall)
         if fields.was_active[r] == 0:
-            displacement = 0.5 * displacement
-        fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
-        if ti.static(controlled_motions[r].kind == "free"):
-            fields.work[r] = (
-                fields.work[r]
-                + (controlled_motions[r].force - controlled_motions[r].damping * velocity_mean) * displacement
-            )
-
-    @ti.func
-    def displacements_of(wall: ti.template(), dt):
-        """Largest displacement since the rebuild, and in this step [m]."""
-        displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
-        for r in ti.static(range(len(controlled_motions))):
-            if ti.static(controlled_motions[r].wall == wall):
-                displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
-                step_displacement += ti.abs(dt * fields.velocity[r])
-        return displacement, step_displacement
-
-    @ti.func
-    def move_walls(chunks, pose, dt_real):
-        dt = ti.cast(dt_real, ti.f64)
-        for r in ti.static(range(len(controlled_motions))):
-            force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
-            for chunk in range(chunks):
-                force_on_wall += fields.wall_force[chunk, r]
-            if fields.active[pose, r] == 1:
-                velocity = controlled_velocity(r, force_on_wall, dt)
-                add_work(r, force_on_wall, velocity, dt)
-            fields.velocity[r] = velocity
-            fields.was_active[r] = fields.active[pose, r]
-            fields.offset[r] = fields.offset[r] + dt * velocity
-        for r in ti.static(range(len(controlled_motions))):
-            displacement, step_displacement = displacements_of(controlled_motions[r].wall, dt)
-            if not displacement <= rebuild_limit:
-                control.rebuild_requested[0] = 1
-            if not step_displacement <= step_limit:
-                ti.atomic_max(control.abort[0], ABORT_WALL)
-
-    return move_walls
+            kick = 0.5 * kick
+        drag = 0.5 * motion.damping * dt / motion.mass
+        velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
+    return velocity
 
 
-def build_wall_displacement(state: State) -> tuple[Any, Any]:
-    """Device functions (wall): displacement [m] and velocity [m/s] of a force-controlled wall; zero for others.
+@ti.func
+def _add_work(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, velocity, dt):
+    """Add the work on the particles, and of other forces on a free wall, with the mean velocity: exact for it."""
+    velocity_mean = 0.5 * (fields.velocity[r] + velocity)
+    displacement = dt * velocity_mean
+    if fields.was_active[r] == 0:
+        displacement = 0.5 * displacement
+    fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
+    if ti.static(motion.kind == "free"):
+        fields.work[r] = fields.work[r] + (motion.force - motion.damping * velocity_mean) * displacement
 
-    Reads:  offset, velocity
+
+@ti.func
+def _wall_displacements(fields: ti.template(), motions: ti.template(), wall: ti.template(), dt):
+    """Largest displacement of a wall since the rebuild, and in this step [m]."""
+    displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+    for r in ti.static(range(len(motions))):
+        if ti.static(motions[r].wall == wall):
+            displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
+            step_displacement += ti.abs(dt * fields.velocity[r])
+    return displacement, step_displacement
+
+
+@ti.func
+def controlled_vector(state: ti.template(), values: ti.template(), w):
+    """Sum over the force-controlled motions of wall w of a field times the direction; zero for other walls.
+
+    values:  field with an entry per motion, such as `offset` [m] or `velocity` [m/s]
+
+    Reads:  values
     """
-    controlled_motions, fields, real = state.plan.controlled_motions, state.wall_dynamics, state.backend.position_real
-
-    def sum_per_wall(values: Any) -> Any:
-        @ti.func
-        def total_of(w):
-            total = ti.Vector.zero(real, 3)
-            for r in ti.static(range(len(controlled_motions))):
-                if w == controlled_motions[r].wall:
-                    total += ti.cast(values[r] * ti.Vector(controlled_motions[r].direction, dt=ti.f64), real)
-            return total
-
-        return total_of
-
-    return sum_per_wall(fields.offset), sum_per_wall(fields.velocity)
+    motions = ti.static(state.plan.controlled_motions)
+    total = ti.Vector.zero(state.backend.position_real, 3)
+    for r in ti.static(range(len(motions))):
+        if w == motions[r].wall:
+            total += ti.cast(values[r] * ti.Vector(motions[r].direction, dt=ti.f64), state.backend.position_real)
+    return total
 
 
 def upload_running(state: State, times: np.ndarray) -> None:

@@ -1,116 +1,99 @@
 """Walls on the device: distance, normal and surface velocity at a point for the present pose."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import taichi as ti
 
-from granflow.engine.mesh import build_mesh_geometry
+from granflow.engine.mesh import triangle_contact
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
-from granflow.engine.wall_dynamics import build_wall_displacement, upload_running
+from granflow.engine.wall_dynamics import controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.motion import pose
 from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.plan.capacities import WALL_BATCH
 
 
-@dataclass(frozen=True)
 class WallGeometry:
-    """Device functions (face, pose, point); a face is a wall index, or wall count + triangle index.
+    """Device functions of a wall or triangle at a point, for the shapes of a plan; motion only if a wall moves.
 
-    Points are in m in the frame of the scene; `pose` is the index of the poses uploaded by `upload_poses`.
-    """
-
-    to_wall_frame: Any
-    """(wall, pose, point) -> the point in the frame of the wall at rest."""
-    distance: Any
-    """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
-    closest: Any
-    """(distance [m], normal) of the contact."""
-    surface_velocity: Any
-    """Surface velocity [m/s] of the wall at the point."""
-    prescribed_velocity: Any
-    """Part of the surface velocity [m/s] from motions prescribed in the scene, without force-controlled motions."""
-
-
-def build_wall_geometry(state: State) -> WallGeometry:
-    """Functions for the shapes in this plan, with motion only if a wall moves.
-
-    In a periodic box the point is wrapped into the box first.
+    Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face is a wall
+    index, or wall count + triangle index; `pose` is the index of the poses uploaded by `upload_poses`.
 
     Reads:  kind, parameters, pivot, center, rotation, velocity and angular_velocity of walls; wall dynamics; mesh
     """
-    walls, moving, force_controlled = (
-        state.walls,
-        state.plan.features.moving_walls,
-        state.plan.features.force_controlled_walls,
-    )
-    controlled_displacement, controlled_velocity = build_wall_displacement(state) if force_controlled else (None, None)
-    wrap_position = build_wrap_position(state)
-    used = sorted({SHAPE_KINDS.index(wall.shape.kind) for wall in state.plan.walls if isinstance(wall.shape, Shape)})
-    mesh = build_mesh_geometry(state) if state.plan.features.mesh_walls else None
-    wall_count, wall_of, has_mesh = len(state.plan.walls), build_wall_of(state), mesh is not None
+
+    def __init__(self, state: State) -> None:
+        shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
+        self.state, self.walls, self.features = state, state.walls, state.plan.features
+        self.wall_count, self.wall_of = len(state.plan.walls), build_wall_of(state)
+        self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
+        self.wrap_position = build_wrap_position(state)
 
     @ti.func
-    def center(w, pose):
-        """Position [m] of the pivot of a wall at a pose."""
-        center_now = walls.center[pose, w]
-        if ti.static(force_controlled):
-            center_now += controlled_displacement(w)
-        return center_now
-
-    @ti.func
-    def to_wall_frame(w, pose, point):
-        local = wrap_position(point)
-        if ti.static(moving):
-            local = walls.rotation[pose, w].transpose() @ (local - center(w, pose)) + walls.pivot[w]
+    def to_wall_frame(self, w, pose, point):
+        """The point in the frame of the wall at rest."""
+        local = self.wrap_position(point)
+        if ti.static(self.features.moving_walls):
+            rotation = self.walls.rotation[pose, w]
+            local = rotation.transpose() @ (local - self._center(w, pose)) + self.walls.pivot[w]
         return local
 
     @ti.func
-    def distance(w, pose, point):
-        local = to_wall_frame(w, pose, point)
-        parameters = walls.parameters[w]
+    def distance(self, w, pose, point):
+        """Distance [m] to the surface of a wall that is not a mesh, for the neighbor list."""
+        local = self.to_wall_frame(w, pose, point)
+        parameters = self.walls.parameters[w]
         result = 0.0 * point[0] + FAR_AWAY
-        for code in ti.static(used):
-            if walls.kind[w] == code:
+        for code in ti.static(self.kinds):
+            if self.walls.kind[w] == code:
                 result = SHAPE_KINDS[code].surface_distance(local, parameters)
         return result
 
     @ti.func
-    def closest(face, pose, point):
-        w = wall_of(-1 - face)
-        local = to_wall_frame(w, pose, point)
-        parameters = walls.parameters[w]
+    def closest(self, face, pose, point):
+        """Distance [m] and normal of the contact with a face."""
+        w = self.wall_of(-1 - face)
+        local = self.to_wall_frame(w, pose, point)
+        parameters = self.walls.parameters[w]
         gap = 0.0 * point[0]
         normal = 0.0 * point
-        for code in ti.static(used):
-            if walls.kind[w] == code:
+        for code in ti.static(self.kinds):
+            if self.walls.kind[w] == code:
                 gap, normal = SHAPE_KINDS[code].closest(local, parameters)
-        if ti.static(has_mesh):
-            if face >= wall_count:
-                gap, normal = mesh.contact(face - wall_count, local)
-        if ti.static(moving):
-            normal = walls.rotation[pose, w] @ normal
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count:
+                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count, local)
+        if ti.static(self.features.moving_walls):
+            normal = self.walls.rotation[pose, w] @ normal
         return gap, normal
 
     @ti.func
-    def prescribed_velocity(face, pose, point):
+    def prescribed_velocity(self, face, pose, point):
+        """Surface velocity [m/s] at the point from prescribed motions, without force-controlled motions."""
         velocity = 0.0 * point
-        if ti.static(moving):
-            w = wall_of(-1 - face)
-            velocity = walls.velocity[pose, w] + walls.angular_velocity[pose, w].cross(point - center(w, pose))
+        if ti.static(self.features.moving_walls):
+            w = self.wall_of(-1 - face)
+            arm = point - self._center(w, pose)
+            velocity = self.walls.velocity[pose, w] + self.walls.angular_velocity[pose, w].cross(arm)
         return velocity
 
     @ti.func
-    def surface_velocity(face, pose, point):
-        velocity = prescribed_velocity(face, pose, point)
-        if ti.static(force_controlled):
-            velocity += controlled_velocity(wall_of(-1 - face))
+    def surface_velocity(self, face, pose, point):
+        """Surface velocity [m/s] at the point."""
+        velocity = self.prescribed_velocity(face, pose, point)
+        if ti.static(self.features.force_controlled_walls):
+            velocity += controlled_vector(self.state, self.state.wall_dynamics.velocity, self.wall_of(-1 - face))
         return velocity
 
-    return WallGeometry(to_wall_frame, distance, closest, surface_velocity, prescribed_velocity)
+    @ti.func
+    def _center(self, w, pose):
+        """Position [m] of the pivot of a wall at a pose."""
+        center = self.walls.center[pose, w]
+        if ti.static(self.features.force_controlled_walls):
+            center += controlled_vector(self.state, self.state.wall_dynamics.offset, w)
+        return center
 
 
 def build_wall_of(state: State) -> Any:
@@ -131,17 +114,6 @@ def build_wall_of(state: State) -> Any:
         return w
 
     return wall_of
-
-
-def build_triangle_of(state: State) -> Any:
-    """Device function (j): triangle of a partner j < 0, numbered over all meshes; negative for other walls."""
-    wall_count = len(state.plan.walls)
-
-    @ti.func
-    def triangle_of(j):
-        return -1 - j - wall_count
-
-    return triangle_of
 
 
 def walls_of(state: State, partner: np.ndarray) -> np.ndarray:
@@ -171,6 +143,7 @@ def upload_poses(state: State, step: int) -> None:
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
     now = [pose(motions, times) for motions in state.wall_motions]
     middle = [pose(motions, times - 0.5 * clock.time_step) for motions in state.wall_motions]
+    # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
 

@@ -9,7 +9,7 @@ from scene_builders import SOFT, build_scene, particle_group, run_to_end
 from subprocess_runner import in_subprocess
 
 from granflow.contact import theory
-from granflow.engine import stepper
+from granflow.engine.threads import workers
 from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
 from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import choose_time_step
@@ -101,7 +101,7 @@ def test_collisions_with_a_changing_step_reach_their_restitution(taichi_f64):
 def fingerprint(threads, in_parallel):
     """Digest, number of steps and present time step [s] of a run with many contacts."""
     if in_parallel:
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     simulation = Simulation(adaptive(complex_scene(), duration=0.01), threads=threads)
     simulation.run()
     last = simulation.snapshot()

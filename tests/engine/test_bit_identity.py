@@ -8,7 +8,8 @@ import pytest
 from scene_builders import box, build_scene, particle_group, plane, run_to_end
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend, stepper
+from granflow.engine import backend
+from granflow.engine.threads import workers
 
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
@@ -16,8 +17,8 @@ MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
 
 
-def complex_scene():
-    """Rain and a falling lattice in a vibrating box: friction, a moving wall, many rebuilds, several chunks."""
+def falling_lattice(particles=None, **changes):
+    """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall, rebuilds."""
     walls = box(0.06)
     walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
     rng = np.random.default_rng(4)
@@ -25,30 +26,40 @@ def complex_scene():
     lattice = particle_group(
         positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.3, positions.shape)
     )
+    return build_scene(
+        {"lattice": lattice} | (particles or {}), walls=walls, rolling="epsd", gravity=[0.0, 0.0, -9.81],
+        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1}, **changes,
+    )  # fmt: skip
+
+
+def complex_scene():
+    """The falling lattice and rain, in several chunks."""
     region = {"box": {"min": [0.005, 0.005, 0.045], "max": [0.055, 0.055, 0.059]}}
     rain = {
         "material": "glass", "count": 60, "diameter": 0.005,
         "insert": {"kind": "rain", "region": region, "rate": 3000.0},
     }  # fmt: skip
-    return build_scene(
-        {"lattice": lattice, "rain": rain}, walls=walls, rolling="epsd",
-        pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1},
-        gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": 64},
-        run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6}, output={"interval": 1.0, "wall_forces": True},
+    return falling_lattice(
+        {"rain": rain}, numerics={"chunk_size": 64}, run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6},
+        output={"interval": 1.0, "wall_forces": True},
     )  # fmt: skip
+
+
+def digest_of(last, *more):
+    """Digest of the particles of a snapshot and of further arrays."""
+    arrays = (*(np.ascontiguousarray(last.particles[name]) for name in ARRAYS), *more)
+    return hashlib.sha256(b"".join(each.tobytes() for each in arrays)).hexdigest()
 
 
 def fingerprint(threads, in_parallel, precision="f64"):
     """Digest of the final state, number of particles, of contacts and of neighbor-list rebuilds."""
     if in_parallel:  # by default, a scene of this size uses one worker
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     if threads == MORE_THAN_POOL:
         backend.worker_count = lambda requested: (requested, "")
     last, simulation = run_to_end(complex_scene(), threads=threads, precision=precision)
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(last.particles[name]).tobytes() for name in ARRAYS))
-    digest.update(b"".join(each.tobytes() for each in last.impulses.values()))
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.rebuild_count)
-    return [digest.hexdigest(), *counts]
+    return [digest_of(last, *last.impulses.values()), *counts]
 
 
 def test_results_are_bit_identical_for_any_thread_count():
@@ -78,6 +89,30 @@ def fingerprint_on_one_core():
     backend.worker_count = lambda requested: (requested, "")
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     return fingerprint(2, True)
+
+
+def gpu_fingerprint(as_on_gpu):
+    """Digest, iterations per chunk, number of contacts and energy error of a run with one particle per chunk.
+
+    On a GPU each chunk is a task of its own; here that code path is executed on the CPU.
+    """
+    workers.SINGLE_WORKER_PARTICLES = 0
+    if as_on_gpu:
+        backend.Backend.on_cpu = property(lambda self: False)
+    scene = falling_lattice(
+        numerics={"chunk_size": 1}, run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6},
+        output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    last, simulation = run_to_end(scene, threads=2)
+    return digest_of(last), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
+
+
+def test_gpu_code_path_is_bit_identical_to_the_cpu_code_path():
+    cpu, gpu = in_subprocess(gpu_fingerprint, False), in_subprocess(gpu_fingerprint, True)
+    assert gpu[1] == 1 and cpu[1] > 1, "the code paths differ"
+    assert cpu[2] > 20
+    assert gpu[0] == cpu[0]
+    assert gpu[2:] == cpu[2:]
 
 
 @pytest.mark.slow

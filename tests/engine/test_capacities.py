@@ -75,7 +75,7 @@ def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkey
     monkeypatch.setattr(capacities, "SPARE", 0)
     assert capacities.history_capacity(640) == 1
     monkeypatch.setattr(
-        "granflow.engine.stepper.list_capacity_for", lambda saved: raise_history_share(monkeypatch, saved)
+        "granflow.engine.neighbor.rebuild.list_capacity_for", lambda saved: raise_history_share(monkeypatch, saved)
     )
     grown, growing_run = run_and_sample(scene)
     assert growing_run.engine.timing.growth_count > 0

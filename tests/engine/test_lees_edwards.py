@@ -8,8 +8,8 @@ from scene_builders import build_scene, neighbors_of, particle_group, prepared_s
 from sheared_scenes import RATE, SIZE, sheared_gas
 from subprocess_runner import in_subprocess
 
-from granflow.engine import stepper
 from granflow.engine.host_copy import copy_to_host
+from granflow.engine.threads import workers
 
 IMAGE_VELOCITY = RATE * SIZE
 """Velocity of the image above, relative to its particle [m/s]."""
@@ -102,7 +102,7 @@ def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, si
 def fingerprint(threads, precision):
     """Digest of the final state, boundary work [J], and whether the energy error is below 0.5 %."""
     if threads > 1:  # by default, a scene of this size uses one worker
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     scene = sheared_gas(duration=0.004, sizes=(0.002, 0.0065))
     last, _ = run_to_end(scene, threads=threads, precision=precision)
     values = (last.particles[name] for name in ("position", "velocity", "angular_velocity", "force", "torque"))

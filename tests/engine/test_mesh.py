@@ -11,9 +11,10 @@ from resume.runs import last_state
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend, stepper
-from granflow.engine.mesh import build_mesh_geometry
+from granflow.engine import backend
+from granflow.engine.mesh import from_nearest, may_own, triangle_contact
 from granflow.engine.state import State
+from granflow.engine.threads import workers
 from granflow.geometry.mesh.contact import reference_contact, triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
@@ -46,7 +47,6 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
     """Owner, gap and normal agree with the reference to rounding; all possible owners nearby are found."""
     plan = all_meshes(folder)
     state = State(plan, backend.start("cpu", "f64", 2))
-    geometry = build_mesh_geometry(state)
 
     @ti.kernel
     def measure(
@@ -56,9 +56,9 @@ def test_device_contacts_match_the_reference_implementation(taichi_f64, folder):
         for i in range(points.shape[0]):
             point = ti.Vector([points[i, 0], points[i, 1], points[i, 2]])
             for t in range(gap.shape[1]):
-                gap[i, t], direction = geometry.contact(t, point)
-                bare[i, t] = geometry.from_nearest(t, point).norm()
-                near[i, t] = geometry.may_own(t, point, slack)
+                gap[i, t], direction = triangle_contact(state.mesh, t, point)
+                bare[i, t] = from_nearest(state.mesh, t, point).norm()
+                near[i, t] = may_own(state.mesh, t, point, slack)
                 for axis in ti.static(range(3)):
                     normal[i, t, axis] = direction[axis]
 
@@ -133,7 +133,7 @@ def mixing_scene(out):
 
 def run_and_resume(folder, threads, precision):
     """Final states of a run and of one resumed from its first checkpoint, contact and rotation checks, energy error."""
-    stepper.SINGLE_WORKER_PARTICLES = 0
+    workers.SINGLE_WORKER_PARTICLES = 0
     first, resumed_folder = Path(folder) / f"run{threads}{precision}", Path(folder) / f"again{threads}{precision}"
     simulation = Simulation(mixing_scene(first), out=first, threads=threads, precision=precision)
     simulation.run()

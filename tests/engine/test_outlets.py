@@ -9,7 +9,7 @@ from resume.runs import files_of, states_of
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
 from subprocess_runner import in_subprocess
 
-from granflow.engine import stepper
+from granflow.engine.threads import workers
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.outlets import outlet_of, planned_outlets
 from granflow.simulation import Simulation
@@ -75,7 +75,7 @@ def test_outlets_delete_and_count_all_inserted_particles_also_after_restart(tmp_
 def fingerprint(threads, precision):
     """Digest of the state at 45 ms, and the outlet counts."""
     if threads > 1:  # by default, a scene of this size uses one worker
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     last, _ = run_to_end(chute(), until=0.045, threads=threads, precision=precision)
     digest = hashlib.sha256(
         b"".join(last.particles[name].tobytes() for name in ("id", "position", "velocity", "angular_velocity"))

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from subprocess_runner import in_subprocess
 
 from granflow.contact import theory
-from granflow.engine import stepper
+from granflow.engine.threads import workers
 from granflow.errors import RunError, SceneError
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.plan import plan_for
@@ -124,7 +124,7 @@ def compression_scene(duration=0.03, **parts):
 def wall_results(precision, threads=1, until=None, in_parallel=False):
     """Mean pressure on the lid and force on the side wall in the last stage, and a digest of the final state."""
     if in_parallel:
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     simulation = Simulation(compression_scene(), threads=threads, precision=precision)
     result = simulation.run(until).numbers
     last = simulation.snapshot()

@@ -9,7 +9,7 @@ from scene_builders import SOFT
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
-from granflow.engine import stepper
+from granflow.engine.threads import workers
 from granflow.io.checkpoint import read_checkpoint
 from granflow.simulation import Simulation
 
@@ -85,7 +85,7 @@ LAWS = {
 def is_restart_identical(folder, threads, in_parallel, precision, law, friction):
     """Whether a resumed run equals the uninterrupted one; called in a separate process."""
     if in_parallel:  # a scene of this size uses one thread by default
-        stepper.SINGLE_WORKER_PARTICLES = 0
+        workers.SINGLE_WORKER_PARTICLES = 0
     pair = {"friction": friction, "restitution": None if law == "thornton" else 0.7}
     rolling = {"rolling": "epsd", "pair": pair | {"rolling_friction": 0.1}} if friction else {"rolling": "none"}
     materials = {name: SOFT | {"yield_strength": 3e6} for name in ("glass", "steel")}

@@ -28,7 +28,7 @@ from granflow.engine.neighbor.mesh_contact_history import (
 )
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
-from granflow.engine.walls import build_wall_geometry, build_wall_of
+from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK
 
 
@@ -45,7 +45,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     plan, particles, control = state.plan, state.particles, state.control
     features, real = plan.features, state.backend.real
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    pair_number, weight, geometry = build_pair_number(state), build_weight(state), build_wall_geometry(state)
+    pair_number, weight, geometry = build_pair_number(state), build_weight(state), WallGeometry(state)
     add_boundary_work = build_boundary_work(state)
     wall_of, transfers = build_wall_of(state), with_wall and transfers_history(state)
     release_history, acquire_history = (

@@ -10,7 +10,7 @@ from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
-from granflow.engine.walls import build_wall_geometry, triangles_of, walls_of
+from granflow.engine.walls import WallGeometry, triangles_of, walls_of
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit above which a contact counts as sliding."""
@@ -114,7 +114,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     any_kinematics, pair_number, geometry = (
         build_any_kinematics(state),
         build_pair_number(state),
-        build_wall_geometry(state),
+        WallGeometry(state),
     )
     normal_force_of, numbers, wrap_position = complete_force(law), output.numbers, build_wrap_position(state)
 

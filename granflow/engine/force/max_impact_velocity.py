@@ -10,7 +10,7 @@ from granflow.engine.force.pair_force import build_sphere_kinematics
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_number
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
-from granflow.engine.walls import build_wall_geometry
+from granflow.engine.walls import WallGeometry
 
 
 class MaxImpactVelocity:
@@ -87,7 +87,7 @@ def _build_overlap_and_rate(state: State) -> Any:
     Walls are at pose 0. Velocities are half a step behind the positions.
     """
     particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
-    sphere_kinematics, geometry = build_sphere_kinematics(state.plan), build_wall_geometry(state)
+    sphere_kinematics, geometry = build_sphere_kinematics(state.plan), WallGeometry(state)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
 
     @ti.func

@@ -8,7 +8,7 @@ from granflow.engine.force.pair_force import build_in_contact, build_sphere_kine
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
-from granflow.engine.walls import build_wall_geometry, build_wall_of
+from granflow.engine.walls import WallGeometry, build_wall_of
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
@@ -56,7 +56,7 @@ def _build_particle_kinematics(state: State) -> Any:
 def _build_wall_kinematics(state: State) -> Any:
     """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    geometry = build_wall_geometry(state)
+    geometry = WallGeometry(state)
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):

@@ -6,10 +6,8 @@ two chunks.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.state import State
 from granflow.plan.capacities import BOUNDS
@@ -87,6 +85,7 @@ def update_cell_grids(state: State) -> list[CellGrid]:
     )
     grids: list[CellGrid] = []
     for class_index, radius in enumerate(plan.size_classes):
+        # The margin is above rounding, so that a neighbor is never two cells away.
         side, limit = (2.0 * radius + plan.skin) * (1.0 + 1e-6), sorting.cell_capacity >> class_index
         grid = _grid_for_particles(state, lows, highs, side, limit)
         if sorting.class_order is not None:
@@ -126,22 +125,3 @@ def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, lim
     low, high = low.copy(), np.maximum(high, low)
     low[periodic_axes], high[periodic_axes] = plan.domain_low[periodic_axes], plan.domain_high[periodic_axes]
     return CellGrid.over(low, high, side, limit, periodic_axes)
-
-
-def build_cell_number() -> Any:
-    """Device function (x, y, z, cells) -> cell number in block order.
-
-    x, y, z:  cell coordinates, from 0
-    cells:    3-vector, number of cells along each axis
-
-    Blocks are numbered with x fastest, and so are the cells within a block.
-    """
-
-    @ti.func
-    def cell_number(x, y, z, cells):
-        blocks_x, blocks_y = (cells[0] + BLOCK_SIDE - 1) // BLOCK_SIDE, (cells[1] + BLOCK_SIDE - 1) // BLOCK_SIDE
-        block = ((z // BLOCK_SIDE) * blocks_y + y // BLOCK_SIDE) * blocks_x + x // BLOCK_SIDE
-        inside = ((z % BLOCK_SIDE) * BLOCK_SIDE + y % BLOCK_SIDE) * BLOCK_SIDE + x % BLOCK_SIDE
-        return block * BLOCK_CELLS + inside
-
-    return cell_number

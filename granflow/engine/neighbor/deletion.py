@@ -47,7 +47,7 @@ def build_remains(state: State) -> Any:
         p, inside = position[i], True
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
-                inside = inside and p[axis] == p[axis]
+                inside = inside and p[axis] == p[axis]  # false for NaN
             else:
                 inside = inside and p[axis] >= real(lows[axis]) and p[axis] <= real(highs[axis])
         if ti.static(state.plan.features.outlets):

@@ -8,10 +8,10 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.engine.mesh import build_mesh_geometry
+from granflow.engine.mesh import from_nearest
 from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
 from granflow.engine.state import State
-from granflow.engine.walls import build_triangle_of, build_wall_geometry
+from granflow.engine.walls import WallGeometry
 from granflow.geometry.shape import FAR_AWAY
 
 CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
@@ -33,11 +33,11 @@ def build_release_history(state: State) -> Any:
     Writes:  in_contact
     """
     particles, neighbors = state.particles, state.neighbors
-    separation, triangle_of = _build_separation(state), build_triangle_of(state)
+    separation, wall_count = _build_separation(state), len(state.plan.walls)
 
     @ti.func
     def release_history(i, list_index, j, pose):
-        released, t = 0, triangle_of(j)
+        released, t = 0, -1 - j - wall_count
         if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
             if separation(i, t, pose).norm() < particles.radius[i]:
                 neighbors.in_contact[list_index] = RELEASED
@@ -57,15 +57,16 @@ def build_acquire_history(state: State) -> Any:
     Writes:  history, in_contact
     """
     neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
-    separation, triangle_of, names = _build_separation(state), build_triangle_of(state), list(neighbors.history)
+    separation, wall_count, names = _build_separation(state), len(state.plan.walls), list(neighbors.history)
 
     @ti.func
     def released_near(i, t, pose):
         """List index of the nearest released history on the wall of triangle t; -1 if none."""
         found, nearest = -1, ti.cast(FAR_AWAY, real)
+        # A sphere has few wall entries, so that a search among all of them is cheap.
         for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
             if neighbors.in_contact[list_index] == RELEASED:
-                other = triangle_of(neighbors.partner[list_index])
+                other = -1 - neighbors.partner[list_index] - wall_count
                 if mesh.wall[other] == mesh.wall[t]:
                     distance = (separation(i, other, pose) - separation(i, t, pose)).norm()
                     if distance < nearest:
@@ -74,7 +75,7 @@ def build_acquire_history(state: State) -> Any:
 
     @ti.func
     def acquire_history(i, list_index, j, pose):
-        t = triangle_of(j)
+        t = -1 - j - wall_count
         if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
             source = released_near(i, t, pose)
             if source >= 0:
@@ -91,12 +92,10 @@ def _build_separation(state: State) -> Any:
 
     The vector is in the frame of the wall at rest.
     """
-    geometry, wall_geometry = build_mesh_geometry(state), build_wall_geometry(state)
+    geometry, mesh, position = WallGeometry(state), state.mesh, state.particles.position
 
     @ti.func
     def separation(i, t, pose):
-        return geometry.from_nearest(
-            t, wall_geometry.to_wall_frame(state.mesh.wall[t], pose, state.particles.position[i])
-        )
+        return from_nearest(mesh, t, geometry.to_wall_frame(mesh.wall[t], pose, position[i]))
 
     return separation

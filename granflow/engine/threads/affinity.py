@@ -20,17 +20,6 @@ ATTEMPTS = 5
 """Launches that identify the threads: if one thread starts late, another one can run its task."""
 
 
-_of_process: "WorkerAffinity | None" = None
-
-
-def worker_affinity(thread_count: int, launch: Callable[[], object]) -> "WorkerAffinity":
-    """The one WorkerAffinity of this process, which has one pool; the first call identifies its threads."""
-    global _of_process
-    if _of_process is None:
-        _of_process = WorkerAffinity(thread_count, launch)
-    return _of_process
-
-
 class WorkerAffinity:
     """Cores of the pool's threads.
 

@@ -8,7 +8,6 @@ can leave, a launch also ends if the thread pool of Taichi has fewer threads tha
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import taichi as ti
 
@@ -26,50 +25,58 @@ SHORTEST_POLL = 1e-9
 """Lower bound of the time of one poll [s], an atomic operation: two launches can differ by more than the polls take."""
 
 
-def build_barrier(control: Control) -> tuple[Any, Any, Any]:
-    """Device functions (barrier number): arrive, which returns 1 for the last worker; release; wait.
+@ti.func
+def _counter(number):
+    """Index of the counter of a barrier in `arrived`; counters occupy separate cache lines."""
+    return CACHE_LINE * (1 + number % 2)
 
-    The last worker calls `release`; the others call `wait`, which returns 1 if the worker must leave the launch.
-    Barriers are numbered from 1. Two counters alternate, so that a late departure never changes the next barrier.
 
-    arrive:   counts the worker in; the last worker subtracts the workers that left and clears the next counter
-    release:  sets the number of the last complete barrier
-    wait:     polls until the barrier is complete; after `patience` polls the worker leaves unless all have arrived.
-              The first barrier of a launch, whose threads may still be starting, has its own number of polls
+@ti.func
+def arrive(control: ti.template(), number):
+    """Count the worker in; returns 1 for the last worker, which then calls `release`. The others call `wait`.
 
-    Reads:   patience
-    Writes:  arrived, released, worker_count
+    The last worker subtracts the workers that left and clears the next counter. Barriers of a launch are numbered from
+    1. Two counters alternate, so that a late departure never changes the next barrier.
+
+    Reads:   arrived, worker_count
+    Writes:  arrived, worker_count
     """
+    before = ti.atomic_add(control.arrived[_counter(number)], 1)
+    last = ti.cast((before & ARRIVALS) == control.worker_count[0] - 1, ti.i32)
+    if last == 1:
+        control.worker_count[0] = control.worker_count[0] - (before >> ARRIVAL_BITS)
+        control.arrived[_counter(number + 1)] = 0
+    return last
 
-    @ti.func
-    def counter(number):
-        """Index of the counter of a barrier in `arrived`; counters occupy separate cache lines."""
-        return CACHE_LINE * (1 + number % 2)
 
-    @ti.func
-    def arrive(number):
-        before = ti.atomic_add(control.arrived[counter(number)], 1)
-        last = ti.cast((before & ARRIVALS) == control.worker_count[0] - 1, ti.i32)
-        if last == 1:
-            control.worker_count[0] = control.worker_count[0] - (before >> ARRIVAL_BITS)
-            control.arrived[counter(number + 1)] = 0
-        return last
+@ti.func
+def release(control: ti.template(), number):
+    """Set the number of the last complete barrier.
 
-    @ti.func
-    def release(number):
-        ti.atomic_max(control.released[CACHE_LINE], number)
+    Writes:  released
+    """
+    # Atomic, so that the compiler moves no store of the phase behind it.
+    ti.atomic_max(control.released[CACHE_LINE], number)
 
-    @ti.func
-    def wait(number):
-        polls, left, most = 0, 0, control.patience[ti.cast(number == 1, ti.i32)]
-        while left == 0 and ti.atomic_add(control.released[CACHE_LINE], 0) < number:
-            polls += 1
-            if polls == most:
-                before = ti.atomic_add(control.arrived[counter(number)], LEAVE)
-                left = ti.cast((before & ARRIVALS) < control.worker_count[0], ti.i32)
-        return left
 
-    return arrive, release, wait
+@ti.func
+def wait(control: ti.template(), number):
+    """Poll until the barrier is complete; returns 1 if the worker must leave the launch.
+
+    After `patience` polls the worker leaves unless all have arrived. The first barrier of a launch, whose threads may
+    still be starting, has its own number of polls.
+
+    Reads:   released, patience, worker_count
+    Writes:  arrived
+    """
+    # Adding 0 is an atomic read: the compiler cannot move it out of the loop.
+    polls, left, most = 0, 0, control.patience[ti.cast(number == 1, ti.i32)]
+    while left == 0 and ti.atomic_add(control.released[CACHE_LINE], 0) < number:
+        polls += 1
+        if polls == most:
+            before = ti.atomic_add(control.arrived[_counter(number)], LEAVE)
+            left = ti.cast((before & ARRIVALS) < control.worker_count[0], ti.i32)
+    return left
 
 
 def build_poll(control: Control) -> Callable[[int, int], float]:

@@ -1,0 +1,90 @@
+"""Contact history during the sort: saved before the particles are permuted, restored for each new list entry."""
+
+from collections.abc import Callable
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.state import State
+
+
+def build_save_history(state: State) -> Callable[[int], None]:
+    """Kernel (count): copy history entries to `saved`, where `restore_history` finds them.
+
+    `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
+    the host repeats the kernel with a larger capacity.
+
+    Reads:   neighbor lists, in_contact, history
+    Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
+    """
+    neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
+    chunk_size, history_capacity = state.plan.chunk_size, neighbors.history_capacity_per_chunk
+
+    @ti.func
+    def save_entry(list_index, saved_index):
+        neighbors.partner_saved[saved_index] = neighbors.partner[list_index]
+        for name in ti.static(names):
+            neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
+
+    @ti.kernel
+    def save_history(count: ti.i32):
+        state.control.list_length_needed[0] = 0
+        for task in range((count + chunk_size - 1) // chunk_size * stride):
+            if task % stride == 0:
+                chunk = task // stride
+                saved_index = chunk * history_capacity
+                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                    neighbors.list_begin_before[i] = saved_index
+                    for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                        if neighbors.in_contact[list_index] == 1:
+                            if saved_index < (chunk + 1) * history_capacity:
+                                save_entry(list_index, saved_index)
+                            saved_index += 1
+                    neighbors.list_end_before[i] = saved_index
+                ti.atomic_max(state.control.list_length_needed[0], saved_index - chunk * history_capacity)
+
+    return save_history
+
+
+def build_restore_history(state: State) -> Any:
+    """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
+
+    If the pair was in the list of the partner, its vectors change sign. Without a saved history all values are zero.
+
+    Reads:   order, saved, partner_saved
+    Writes:  history, in_contact
+    """
+    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
+    names = list(neighbors.history)
+    is_antisymmetric = [name != "normal" for name in names]
+
+    @ti.func
+    def find_saved(row, partner):
+        """Index in `saved` of a partner of the particle `row`; -1 if none. Both are indices before the sort."""
+        found = -1
+        for list_index in range(neighbors.list_begin_before[row], neighbors.list_end_before[row]):
+            if neighbors.partner_saved[list_index] == partner:
+                found = list_index
+        return found
+
+    @ti.func
+    def restore_history(list_index, i, j):
+        i_before = sorting.order[i]
+        j_before = j
+        if j >= 0:
+            j_before = sorting.order[j]
+        source = find_saved(i_before, j_before)
+        sign = 1.0
+        if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
+            source = find_saved(j_before, i_before)
+            sign = -1.0
+        neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
+        for n in ti.static(range(len(names))):
+            neighbors.history[names[n]][list_index] = 0.0 * neighbors.history[names[n]][list_index]
+            if source >= 0:
+                if ti.static(is_antisymmetric[n]):
+                    neighbors.history[names[n]][list_index] = sign * neighbors.saved[names[n]][source]
+                else:
+                    neighbors.history[names[n]][list_index] = neighbors.saved[names[n]][source]
+
+    return restore_history

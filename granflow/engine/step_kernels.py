@@ -1,0 +1,150 @@
+"""Kernels of the time step: integration, wall motion and contact forces, in one launch for many steps on a CPU.
+
+If a neighbor-list rebuild is due, all further phases of a launch do nothing.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import taichi as ti
+
+from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
+from granflow.engine.threads.barrier import arrive, release, wait
+from granflow.engine.wall_dynamics import move_walls
+
+
+def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+    """Kernel for one step on a GPU; each chunk is a separate task.
+
+    integrate, forces:  device functions of `build_integrate` and `build_forces`
+
+    Arguments: steps and workers (unused), number of chunks, particle count, pose, time step [s], and whether to
+    integrate (`moving`) and compute forces (`forcing`).
+
+    Reads:   as the phases
+    Writes:  as the phases; rebuild_due, steps_done
+    """
+    control, real, plan, wall_dynamics = state.control, state.backend.real, state.plan, state.wall_dynamics
+
+    @ti.kernel
+    def step_on_gpu(
+        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
+    ):  # fmt: skip
+        for chunk in range(moving * chunks):
+            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
+                integrate(chunk, count, dt)
+        if ti.static(plan.features.force_controlled_walls):
+            for _ in range(moving):
+                if control.rebuild_due[0] == 0 and control.abort[0] == 0:
+                    move_walls(wall_dynamics, plan, control, chunks, pose + control.steps_done[0], dt)
+        if moving == 1:
+            control.rebuild_due[0] = control.rebuild_requested[0]
+        for chunk in range(forcing * chunks):
+            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
+                forces(0, chunk, count, pose + control.steps_done[0], dt)
+        if forcing == 1 and control.rebuild_due[0] == 0 and control.abort[0] == 0:
+            control.steps_done[0] = control.steps_done[0] + 1
+
+    return step_on_gpu
+
+
+def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+    """Kernel for up to `steps` steps on a CPU, with the arguments of `build_gpu_step`.
+
+    Reads:   as the phases
+    Writes:  as the phases; rebuild_due, steps_done, running, and the fields of the barrier
+    """
+    control, real, cpu_steps = state.control, state.backend.real, CpuSteps(state, integrate, forces)
+
+    @ti.kernel
+    def step_on_cpu(
+        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
+    ):  # fmt: skip
+        control.worker_count[0] = workers
+        control.next_chunk[CACHE_LINE] = 0
+        control.arrived[CACHE_LINE] = 0
+        control.arrived[2 * CACHE_LINE] = 0
+        control.released[CACHE_LINE] = 0
+        control.running[0] = ti.cast(steps > 0 and control.rebuild_due[0] == 0 and control.abort[0] == 0, ti.i32)
+        for task in range(workers * CPU_STRIDE):
+            if task % CPU_STRIDE == 0:
+                launch = ti.Struct(
+                    worker=task // CPU_STRIDE, steps=steps, chunks=chunks, count=count, pose=pose, dt=dt,
+                    moving=moving, forcing=forcing,
+                )  # fmt: skip
+                cpu_steps.work(launch)
+
+    return step_on_cpu
+
+
+class CpuSteps:
+    """Device functions of one worker in a launch; `launch` is a struct of its number and the arguments of the kernel.
+
+    Workers process one chunk after the other; a barrier separates the phases. Taking chunks dynamically balances the
+    load, and does not affect the results, because each chunk writes to its particles only.
+    """
+
+    def __init__(self, state: State, integrate: Any, forces: Any) -> None:
+        self.control, self.plan, self.wall_dynamics = state.control, state.plan, state.wall_dynamics
+        self.integrate, self.forces = integrate, forces
+
+    @ti.func
+    def work(self, launch: ti.template()):
+        """Steps of one worker, until the launch ends or the worker leaves it."""
+        barrier_number, left = 0, 0
+        while left == 0 and self.control.running[0] == 1:
+            if launch.moving == 1:
+                chunk = self._next_chunk()
+                while chunk < launch.chunks:
+                    self.integrate(chunk, launch.count, launch.dt)
+                    chunk = self._next_chunk()
+                barrier_number += 1
+                left = self._barrier(launch, barrier_number, 0)
+            if launch.forcing == 1 and left == 0 and self.control.running[0] == 1:
+                pose_now = launch.pose + self.control.steps_done[0]
+                chunk = self._next_chunk()
+                while chunk < launch.chunks:
+                    self.forces(launch.worker, chunk, launch.count, pose_now, launch.dt)
+                    chunk = self._next_chunk()
+                barrier_number += 1
+                left = self._barrier(launch, barrier_number, 1)
+
+    @ti.func
+    def _next_chunk(self):
+        """Index of the next chunk of this phase; at least the number of chunks if none is left."""
+        return ti.atomic_add(self.control.next_chunk[CACHE_LINE], 1)
+
+    @ti.func
+    def _barrier(self, launch: ti.template(), number, computes_forces):
+        """Wait for all workers; the last one prepares the next phase. Returns 1 if this worker leaves the launch.
+
+        Polling atomic counters takes 1 us; waking the threads of Taichi for each phase takes 60 us.
+        """
+        left = 0
+        if arrive(self.control, number) == 1:
+            self._prepare_phase(launch, number, computes_forces)
+            release(self.control, number)
+        else:
+            left = wait(self.control, number)
+        return left
+
+    @ti.func
+    def _prepare_phase(self, launch: ti.template(), number, computes_forces):
+        """Move the walls after the integration, count the step after the forces, and decide whether to continue."""
+        self.control.next_chunk[CACHE_LINE] = 0
+        if ti.static(self.plan.features.force_controlled_walls):
+            if computes_forces == 0:
+                pose = launch.pose + self.control.steps_done[0]
+                move_walls(self.wall_dynamics, self.plan, self.control, launch.chunks, pose, launch.dt)
+        if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
+            self.control.steps_done[0] = self.control.steps_done[0] + 1
+        self.control.rebuild_due[0] = self.control.rebuild_requested[0]
+        continues = self.control.steps_done[0] < launch.forcing * launch.steps
+        continues = continues and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0
+        if number == 1:
+            self.control.started_count[0] = self.control.worker_count[0]
+        if computes_forces == 1 and self.control.worker_count[0] < self.control.started_count[0]:
+            continues = False  # without a worker the rest of a launch costs more than the start of the next one
+        self.control.running[0] = ti.cast(continues, ti.i32)
