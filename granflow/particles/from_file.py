@@ -31,7 +31,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
         raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
     if not path.exists():
         key = f"particles.{name}.insert.file"
-        raise SceneError(f"{location}: {key} is {insertion.file}, but there is no such file in {folder}.")
+        raise SceneError(f"{location}: {key} is {insertion.file}, but the scene's folder has no such file.")
     return read_table(scene.folder / insertion.file)
 
 
