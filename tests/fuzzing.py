@@ -258,9 +258,13 @@ def text_of(tree):
 
 def hypothesis_files(count):
     """`count` files: random trees, scenes with a random tree in place of one value, random text and random bytes."""
-    found = []
     grafted = st.builds(graft, st.sampled_from(SCENES), st.integers(0, 10**6), structure())
-    files = st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary())
+    return drawn(st.one_of(structure().map(text_of), grafted.map(text_of), st.text().map(text_of), st.binary()), count)
+
+
+def drawn(files, count):
+    """`count` files from a strategy, the same ones in every run."""
+    found = []
 
     @seed(6)
     @settings(

@@ -26,9 +26,12 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
         path = resolved(folder / insertion.file)
     except OSError as error:
         raise SceneError(f"{scene.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
+    location = scene.locate("particles", name, "insert", "file")
     if not path.is_relative_to(folder):
-        location = scene.locate("particles", name, "insert", "file")
         raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
+    if not path.exists():
+        key = f"particles.{name}.insert.file"
+        raise SceneError(f"{location}: {key} is {insertion.file}, but the scene's folder has no such file.")
     return read_table(scene.folder / insertion.file)
 
 

@@ -15,13 +15,15 @@ def json_schema() -> dict[str, Any]:
     as a missing pair. The result contains plain Python data only and can be written as JSON.
     """
     schema = Scene.model_json_schema(by_alias=True)
-    return {"$schema": _DIALECT, **_without_titles(schema), "title": _TITLE}
+    return {"$schema": _DIALECT, **_simplified(schema), "title": _TITLE}
 
 
-def _without_titles(value: Any) -> Any:
-    """Remove the titles that pydantic derives from names: they add no information to the help of an editor."""
+def _simplified(value: Any) -> Any:
+    """The schema without the titles that pydantic derives from names; mappings by name accept no other names."""
     if isinstance(value, list):
-        return [_without_titles(each) for each in value]
+        return [_simplified(each) for each in value]
     if not isinstance(value, dict):
         return value
-    return {key: _without_titles(each) for key, each in value.items() if not (key == "title" and isinstance(each, str))}
+    closed = {"additionalProperties": False} if "patternProperties" in value else {}
+    titles = {"title"} if isinstance(value.get("title"), str) else set()
+    return {key: _simplified(each) for key, each in value.items() if key not in titles} | closed

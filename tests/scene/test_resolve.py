@@ -136,7 +136,9 @@ CONFLICTS = {
 @pytest.mark.parametrize("beads", CONFLICTS)
 def test_conflicts_between_file_and_group_are_rejected(tmp_path, beads):
     assert problems(tmp_path, beads, start=ROWS) == [f"beads.yaml:{CONFLICTS[beads]}"]
-    assert problems(tmp_path, FILE.replace("start", "none")) == ["none.csv: there is no such file."]
+    assert problems(tmp_path, FILE.replace("start", "none")) == [
+        "beads.yaml:18:32: particles.beads.insert.file is none.csv, but the scene's folder has no such file."
+    ]
 
 
 def test_link_out_of_the_scene_folder_is_rejected(tmp_path):

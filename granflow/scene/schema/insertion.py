@@ -8,7 +8,7 @@ from pydantic import Field
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.fields import Fault, ListOf, Model, choose_by_first_key, choose_by_key, redundant, whole
 from granflow.scene.schema.numbers import Number
-from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, side_faults
+from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, Rectangular
 
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 """Random displacement over the free gap: 0 to 1."""
@@ -82,17 +82,12 @@ class RainInsertion(TimedInsertion):
     region: Region = Field(description="region of the insertion: a box or a cylinder")
 
 
-class RectangleOutline(Model):
+class RectangleOutline(Rectangular):
     """A flat rectangle."""
 
-    corner: q.Point = Field(description="one corner [m]")
     sides: q.Sides = Field(
         description="the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
     )
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the edges have lengths above 0 and are perpendicular."""
-        yield from side_faults(self.sides)
 
 
 class DiscOutline(Model):

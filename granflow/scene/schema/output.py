@@ -41,7 +41,7 @@ class FlowMeterSpec(Model):
         pairs = (a, b), (a, self.normal), (b, self.normal)
         if not any(a) or not any(b):
             yield Fault(("sides",), "a side must not be the zero vector")
-        elif max(abs(dot(u, v)) / (math.hypot(*u) * math.hypot(*v)) for u, v in pairs) > RIGHT_ANGLE_COSINE:
+        elif max(abs(dot(u, v)) / math.hypot(*u) / math.hypot(*v) for u, v in pairs) > RIGHT_ANGLE_COSINE:
             yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 

@@ -59,16 +59,23 @@ class CylinderShape(Axial):
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
-def side_faults(sides: tuple[q.Vector3, q.Vector3]) -> Iterator[Fault]:
-    """Faults of the two `sides` of a rectangle, vectors [m]: they must have lengths above 0 and be perpendicular."""
-    a, b = sides
-    lengths = math.hypot(*a), math.hypot(*b)
-    for i, length in enumerate(lengths):
-        if length == 0:
-            yield Fault(("sides", i), "a side must not be the zero vector")
-    if all(lengths) and abs(dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
-        angle = math.degrees(math.acos(dot(a, b) / (lengths[0] * lengths[1])))
-        yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
+class Rectangular(Model):
+    """A flat rectangle with one corner and two edge vectors [m]."""
+
+    corner: q.Point = Field(description="one corner [m]")
+    sides: q.Sides = Field(description="the two edge vectors from that corner, perpendicular [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the edges have lengths above 0 and are perpendicular."""
+        yield from super().faults()
+        a, b = self.sides
+        lengths = math.hypot(*a), math.hypot(*b)
+        for i, length in enumerate(lengths):
+            if length == 0:
+                yield Fault(("sides", i), "a side must not be the zero vector")
+        if all(lengths) and abs(dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+            angle = math.degrees(math.acos(dot(a, b) / (lengths[0] * lengths[1])))
+            yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
 
 
 def dot(a: q.Vector3, b: q.Vector3) -> float:

@@ -9,7 +9,7 @@ from granflow.scene.schema import quantities as q
 from granflow.scene.schema.fields import Fault, ListOf, Model, Names, Text, choose_by_key, redundant, whole
 from granflow.scene.schema.motions import MotionSpec
 from granflow.scene.schema.numbers import Number
-from granflow.scene.schema.shapes import Axial, FileBelow, side_faults
+from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
 """Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
@@ -52,17 +52,10 @@ class Plane(Wall):
     normal: q.Direction = Field(description="normal, toward the particles; its length does not matter")
 
 
-class Rectangle(Wall):
+class Rectangle(Rectangular, Wall):
     """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
 
     shape: Literal["rectangle"] = Field(description="shape of the wall")
-    corner: q.Point = Field(description="one corner [m]")
-    sides: q.Sides = Field(description="the two edge vectors from that corner, perpendicular [m]")
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the edges have lengths above 0 and are perpendicular."""
-        yield from super().faults()
-        yield from side_faults(self.sides)
 
 
 class AxialWall(Axial, Wall):
