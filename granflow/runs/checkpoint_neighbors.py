@@ -3,7 +3,8 @@
 import numpy as np
 
 from granflow.io.checkpoint_parts import Part
-from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
+from granflow.io.machine import available_memory
+from granflow.plan.memory_check import MAX_LIST_ENTRIES
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 

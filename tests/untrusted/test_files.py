@@ -16,6 +16,7 @@ from granflow.cli.main import main
 from granflow.cli.messages import say
 from granflow.errors import SceneError
 from granflow.geometry.mesh.file import MeshFileError, read_triangles
+from granflow.io.log import run_log
 from granflow.io.regular_files import open_regular, read_regular, resolved
 from granflow.io.vtu_reader import read_vtu
 from granflow.particles.table import read_table
@@ -199,10 +200,19 @@ def test_commands_print_only_through_say():
     assert [each for each in found if each[1]] == [("messages.py", 1)]
 
 
-def test_messages_escape_file_names(tmp_path, capsys):
-    assert main(["check", str(tmp_path / "a\x1b[2J\u202e.yaml")]) == 2
+@pytest.mark.parametrize("verb", ["check", "beverloo --diameter 1mm --bulk-density 1500", "report"])
+def test_messages_escape_file_names(tmp_path, capsys, verb):
+    assert main([*verb.split(), str(tmp_path / "a\x1b[2J\u202e\n.yaml")]) == 2
     error = capsys.readouterr().err
-    assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e.yaml" in error
+    assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e\\n.yaml" in error
+
+
+def test_log_escapes_newlines(tmp_path):
+    with pytest.raises(SceneError), run_log(tmp_path) as log:
+        log.info("out\nput")
+        raise SceneError(["a\nb", "c"])
+    lines = [line.partition(": ")[2] for line in (tmp_path / "run.log").read_text().splitlines()]
+    assert lines == ["out\\nput", "ended by SceneError: a\\nb", "ended by SceneError: c"]
 
 
 FUZZ = """

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from granflow.scene.schema.fields import (
+    AngularVelocity,
     AnySpeed,
     Direction,
     Fault,
@@ -206,6 +207,7 @@ class FileSummary(Model):
     diameter_min: UnscaledLength = Field(description="smallest diameter [m]")
     diameter_max: UnscaledLength = Field(description="largest diameter [m]")
     speed_max: AnySpeed = Field(description="largest speed [m/s]")
+    angular_velocity_max: AngularVelocity = Field(description="largest angular velocity [rad/s]")
     overlap_max: Share = Field(description="largest overlap of two particles over the smaller radius")
 
 
