@@ -1,9 +1,8 @@
 """Writes `timeseries.csv`: one row of numbers per due time."""
 
-import csv
 import os
 from collections.abc import Mapping
-from io import FileIO, StringIO
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from granflow.fields import (
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
+from granflow.io.tables import csv_line
 from granflow.observers.base import PARTICLES, TOTALS
 from granflow.observers.flow_meters import FlowCount, FlowMeter
 from granflow.observers.metrics.meter import MetricMeter
@@ -154,9 +154,7 @@ class TimeSeries:
 
     def _write_row(self, row: list[Any]) -> None:
         """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
-        line = StringIO()
-        csv.writer(line, lineterminator="\n").writerow(row)
-        self._unwritten += line.getvalue().encode()
+        self._unwritten += csv_line(row).encode()
         assert self.path is not None
         self._file = self._file or self._open(self.path)
         while self._unwritten:

@@ -7,7 +7,7 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.io.regular_files import resolved
 from granflow.particles.particle_data import ParticleData, particles_of
-from granflow.particles.table import ParticleTable, read_table
+from granflow.particles.table import ParticleTable, read_particles
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.scene import Scene
 
@@ -29,7 +29,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
     if not path.is_relative_to(folder):
         location = scene.locate("particles", name, "insert", "file")
         raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
-    return read_table(scene.folder / insertion.file)
+    return read_particles(scene.folder / insertion.file)
 
 
 def rows_of(scene: Scene, name: str) -> ParticleTable:

@@ -19,7 +19,7 @@ from granflow.geometry.mesh.file import MeshFileError, read_triangles
 from granflow.io.log import run_log
 from granflow.io.regular_files import open_regular, read_regular, resolved
 from granflow.io.vtu_reader import read_vtu
-from granflow.particles.table import read_table
+from granflow.particles.table import read_particles
 from granflow.visible_text import visible
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
@@ -99,7 +99,7 @@ def test_crafted_vtu_is_rejected_within_256_mib(tmp_path, name):
     with limited_memory(2**28), pytest.raises(MeshFileError, match=message):
         read_triangles(tmp_path / "a.vtu")
     with pytest.raises(SceneError, match=message):
-        read_table(tmp_path / "a.vtu")
+        read_particles(tmp_path / "a.vtu")
 
 
 class limited_memory:
@@ -221,7 +221,7 @@ from pathlib import Path
 import numpy as np
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 from granflow.errors import GranflowError
-from granflow.particles.table import read_table
+from granflow.particles.table import read_particles
 from granflow.geometry.mesh.file import MeshFileError, read_triangles
 random, folder = np.random.default_rng(5), Path(sys.argv[1])
 for path in sorted(folder.iterdir()):
@@ -233,7 +233,7 @@ for path in sorted(folder.iterdir()):
         target = folder / ("flipped" + path.suffix)
         target.write_bytes(bytes(data))
         try:
-            read_table(target) if path.stem == "table" else read_triangles(target)
+            read_particles(target) if path.stem == "table" else read_triangles(target)
         except (GranflowError, MeshFileError):
             pass
         target.unlink()
