@@ -12,7 +12,8 @@ import numpy as np
 
 from granflow.geometry.mesh.obj_file import ObjError, read_obj
 from granflow.io.regular_files import read_regular
-from granflow.io.vtu_reader import VtuError, read_vtu
+from granflow.io.vtu_arrays import VtuError
+from granflow.io.vtu_reader import read_vtu
 
 LARGEST_FILE = 256 * 2**20
 """Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
