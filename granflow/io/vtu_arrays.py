@@ -14,6 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from granflow.io.regular_files import FormatError
+
 DTYPES = {
     **{f"Float{8 * size}": f"f{size}" for size in (4, 8)},
     **{f"Int{8 * size}": f"i{size}" for size in (1, 2, 4, 8)},
@@ -30,10 +32,6 @@ DECOMPRESSORS: dict[str | None, Callable[[memoryview, int], bytes] | None] = {
     "vtkLZMADataCompressor": lambda block, most: lzma.LZMADecompressor(memlimit=2**28).decompress(block, most),
 }
 """Function (block, largest length) -> bytes by compressor of VTK."""
-
-
-class VtuError(Exception):
-    """An invalid VTU file; the message continues the sentence "FILE ..."."""
 
 
 @dataclass
@@ -71,16 +69,16 @@ class ArraySource:
     def array(self, element: ElementTree.Element, count: int, components: int) -> np.ndarray:
         """Array (count, components) in native byte order.
 
-        Raises VtuError if the length differs, or if the limits on arrays, components or bytes are exceeded.
+        Raises FormatError if the length differs, or if the limits on arrays, components or bytes are exceeded.
         """
         dtype = np.dtype(self.order + DTYPES[element.attrib["type"]])
         size = count * components * dtype.itemsize
         self.count += 1
         self.bytes_left -= size
         if self.count > MAX_ARRAYS or not 1 <= components <= MAX_COMPONENTS:
-            raise VtuError("has too many arrays, or an array with too many components")
+            raise FormatError("has too many arrays, or an array with too many components")
         if self.bytes_left < 0:
-            raise VtuError(f"declares arrays larger than the limit of {(self.bytes_left + size) / 2**20:.0f} MiB")
+            raise FormatError(f"declares arrays larger than the limit of {(self.bytes_left + size) / 2**20:.0f} MiB")
         form = element.attrib.get("format", "ascii")
         if form == "ascii":
             with warnings.catch_warnings():
@@ -92,7 +90,7 @@ class ArraySource:
             found = self._bytes(memoryview("".join((element.text or "").split()).encode()), False, size)
         if len(found) != size:
             more = "more" if len(found) > size else "fewer"
-            raise VtuError(
+            raise FormatError(
                 f"has an array of {more} than the {size} bytes that follow from its numbers of points and cells"
             )
         return np.frombuffer(found, dtype).reshape(count, components).astype(dtype.newbyteorder("="))
@@ -104,20 +102,22 @@ class ArraySource:
         first = int(self._lengths(number, 1)[0])
         if self.decompress is None:
             if first != size:
-                raise VtuError(f"has an array of {first} bytes, but {size} follow from its numbers of points and cells")
+                raise FormatError(
+                    f"has an array of {first} bytes, but {size} follow from its numbers of points and cells"
+                )
             separate = raw or (bytes(data[: _encoded(width)]).endswith(b"=") and len(rest))
             return _split(rest, raw, size)[0] if separate else _split(data, raw, width + size)[0][width:]
         if first > len(data):
-            raise VtuError("declares more compressed blocks than it contains bytes")
+            raise FormatError("declares more compressed blocks than it contains bytes")
         numbers, rest = _split(data, raw, width * (3 + first))
         lengths = self._lengths(numbers, 3 + first)[3:].astype(np.int64)
         body = rest if raw else memoryview(_split(rest, raw, int(lengths.sum()))[0])
         return b"".join(self._decompressed(body, lengths.tolist(), size))
 
     def _lengths(self, found: bytes, count: int) -> np.ndarray:
-        """The `count` integers before an array. Raises VtuError if truncated."""
+        """The `count` integers before an array. Raises FormatError if truncated."""
         if len(found) != count * self.header.itemsize:
-            raise VtuError("is truncated in the header of an array")
+            raise FormatError("is truncated in the header of an array")
         return np.frombuffer(found, self.header)
 
     def _decompressed(self, body: memoryview, lengths: list[int], size: int) -> Iterator[bytes]:
@@ -126,11 +126,11 @@ class ArraySource:
         assert self.decompress is not None
         for length in lengths:
             if length < 0 or begin + length > len(body):
-                raise VtuError("is truncated in a compressed block")
+                raise FormatError("is truncated in a compressed block")
             try:
                 piece = self.decompress(body[begin : begin + length], left) if left else b""
             except (zlib.error, lzma.LZMAError) as error:
-                raise VtuError(f"has a damaged compressed block: {error}") from None
+                raise FormatError(f"has a damaged compressed block: {error}") from None
             left, begin = left - len(piece), begin + length
             yield piece
 

@@ -14,8 +14,8 @@ from xml.parsers import expat
 import meshio
 import numpy as np
 
-from granflow.io.regular_files import read_regular
-from granflow.io.vtu_arrays import ArraySource, VtuError
+from granflow.io.regular_files import FormatError, read_regular
+from granflow.io.vtu_arrays import ArraySource
 
 CELLS = {
     1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4), 12: ("hexahedron", 8),
@@ -34,13 +34,13 @@ def read_vtu(path: Path, largest: int) -> meshio.Mesh:
 
     largest:  maximum size [bytes] of all decoded arrays
     Returns:  points (n, 3), cells by type, and arrays of points and cells
-    Raises:   VtuError for an invalid or unsupported file, OSError if the file cannot be read
+    Raises:   FormatError for an invalid or unsupported file, OSError if the file cannot be read
     """
     text, appended = _split_appended_data(read_regular(path, LARGEST_FILE))
     try:
         return _mesh_of(_tree(text), appended, largest)
     except (KeyError, ValueError, TypeError, ArithmeticError, MemoryError, binascii.Error) as error:
-        raise VtuError(f"cannot be read as VTU: {_sentence(error)}") from None
+        raise FormatError(f"cannot be read as VTU: {_sentence(error)}") from None
 
 
 def _sentence(error: Exception) -> str:
@@ -50,29 +50,29 @@ def _sentence(error: Exception) -> str:
 
 
 def _split_appended_data(raw: bytes) -> tuple[bytes, bytes]:
-    """The XML without the raw appended data, and these data. Raises VtuError if they are truncated."""
+    """The XML without the raw appended data, and these data. Raises FormatError if they are truncated."""
     start = re.search(rb'<AppendedData[^>]*encoding\s*=\s*["\']raw["\'][^>]*>\s*_', raw)
     if start is None:
         return raw, b""
     end = raw.rfind(b"</AppendedData>")
     if end < start.end():
-        raise VtuError("is truncated: its appended data are incomplete")
+        raise FormatError("is truncated: its appended data are incomplete")
     return raw[: start.end() - 1] + raw[end:], raw[start.end() : end]
 
 
 def _tree(text: bytes) -> ElementTree.Element:
-    """XML elements. Raises VtuError for a document type, before any entity expands, and for deep nesting."""
+    """XML elements. Raises FormatError for a document type, before any entity expands, and for deep nesting."""
     builder, depth = ElementTree.TreeBuilder(), 0
     parser = expat.ParserCreate()
 
     def refuse(*_: object) -> None:
-        raise VtuError("declares a document type or entities, which VTU files must not contain")
+        raise FormatError("declares a document type or entities, which VTU files must not contain")
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > MAX_DEPTH:
-            raise VtuError(f"has more than {MAX_DEPTH} nested elements")
+            raise FormatError(f"has more than {MAX_DEPTH} nested elements")
         builder.start(name, attributes)
 
     def end(name: str) -> None:
@@ -86,31 +86,31 @@ def _tree(text: bytes) -> ElementTree.Element:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise VtuError(f"cannot be read as VTU: it is not XML: {error}") from None
+        raise FormatError(f"cannot be read as VTU: it is not XML: {error}") from None
     return builder.close()
 
 
 def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> meshio.Mesh:
-    """Mesh of the elements; `raw`: appended data, `largest`: bytes that may be decoded. Raises VtuError."""
+    """Mesh of the elements; `raw`: appended data, `largest`: bytes that may be decoded. Raises FormatError."""
     if root.tag != "VTKFile" or root.attrib.get("type") != "UnstructuredGrid":
-        raise VtuError("is not a VTU file: it contains no UnstructuredGrid")
+        raise FormatError("is not a VTU file: it contains no UnstructuredGrid")
     source = ArraySource.of(root, raw, largest)
     pieces = root.findall("./UnstructuredGrid/Piece")
     if not 1 <= len(pieces) <= MAX_PIECES:
-        raise VtuError(f"has {len(pieces)} pieces; the number must be from 1 to {MAX_PIECES}")
+        raise FormatError(f"has {len(pieces)} pieces; the number must be from 1 to {MAX_PIECES}")
     meshes = [_piece(piece, source) for piece in pieces]
     return meshes[0] if len(meshes) == 1 else _merged(meshes)
 
 
 def _piece(piece: ElementTree.Element, source: ArraySource) -> meshio.Mesh:
-    """Mesh of one piece. Raises VtuError if its arrays contradict each other."""
+    """Mesh of one piece. Raises FormatError if its arrays contradict each other."""
     point_count, cell_count = (int(piece.attrib[name]) for name in ("NumberOfPoints", "NumberOfCells"))
     if point_count < 0 or cell_count < 0:
-        raise VtuError("declares a negative number of points or cells")
+        raise FormatError("declares a negative number of points or cells")
     points_element = piece.find("./Points/DataArray")
     points = np.zeros((0, 3)) if points_element is None else source.array(points_element, point_count, 3)
     if points.shape != (point_count, 3):
-        raise VtuError(f"declares {point_count} points, but has {points.shape[0]} of {points.shape[1:]} coordinates")
+        raise FormatError(f"declares {point_count} points, but has {points.shape[0]} of {points.shape[1:]} coordinates")
     blocks = _blocks(piece, source, cell_count)
     point_data = dict(_data(piece.find("PointData"), source, point_count))
     cell_data = {
@@ -120,14 +120,14 @@ def _piece(piece: ElementTree.Element, source: ArraySource) -> meshio.Mesh:
     }
     for _, corners in blocks:
         if corners.size and not 0 <= corners.min() <= corners.max() < point_count:
-            raise VtuError("refers to points that it does not contain")
+            raise FormatError("refers to points that it does not contain")
     return meshio.Mesh(points, blocks, point_data=point_data, cell_data=cell_data)
 
 
 def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list[tuple[str, np.ndarray]]:
     """Consecutive cells of one type in the order of the file: name and corners (cells, corners) int64.
 
-    Raises VtuError for unsupported cell types and inconsistent offsets.
+    Raises FormatError for unsupported cell types and inconsistent offsets.
     """
     found = {each.attrib.get("Name"): each for each in piece.findall("./Cells/DataArray")}
     if not count or not found:
@@ -136,11 +136,11 @@ def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list
     ends = source.array(found["offsets"], count, 1).ravel().astype(np.int64)
     unknown = set(np.unique(kinds).tolist()) - set(CELLS)
     if unknown:
-        raise VtuError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")
+        raise FormatError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")
     sizes = np.zeros(max(CELLS) + 1, np.int64)
     sizes[list(CELLS)] = [corners for _, corners in CELLS.values()]
     if not np.array_equal(ends, np.cumsum(sizes[kinds])):
-        raise VtuError("has cell offsets that do not match the cell types")
+        raise FormatError("has cell offsets that do not match the cell types")
     corners = source.array(found["connectivity"], int(ends[-1]), 1).ravel().astype(np.int64)
     starts = np.flatnonzero(np.diff(kinds, prepend=-1))
     firsts, lasts = starts, [*starts[1:], count]

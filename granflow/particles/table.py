@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, SceneError
-from granflow.io.regular_files import read_regular_text
+from granflow.io.regular_files import FormatError, read_regular_text
 from granflow.io.tables import Table, is_number, table_in
-from granflow.io.vtu_arrays import VtuError
 from granflow.io.vtu_reader import read_vtu
 from granflow.scene.schema.units import UnitError, to_si
 
@@ -134,7 +133,7 @@ def _frame(path: Path) -> ParticleTable:
     """
     try:
         mesh = read_vtu(path, LARGEST_FILE)
-    except VtuError as error:
+    except FormatError as error:
         raise SceneError(f"{path}: this file {error}.") from None
     data = mesh.point_data
     known = [name for name in ("radius", "diameter") if name in data]

@@ -1,7 +1,8 @@
-"""Distance and contact of a point with a triangle of a mesh in numpy: reference implementation of `device/mesh.py`."""
+"""Distance and contact of a point with a triangle of a mesh in numpy: reference implementation of `engine/mesh.py`."""
 
 import numpy as np
 
+from granflow.geometry.compressed_rows import row_entries
 from granflow.geometry.mesh.adjacency import NOT_OWNED, OPEN_EDGE, SHARED_EDGE, MeshAdjacency
 from granflow.geometry.shape import FAR_AWAY
 
@@ -51,25 +52,12 @@ def reference_contact(
     return np.where(not_owner, FAR_AWAY, gap), normal
 
 
-def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All entries of rows of a table in compressed rows.
-
-    start:    (rows + 1,) start of each row
-    wanted:   (n,) indices of the rows
-    Returns:  positions in `wanted` (r,) and entries (r,), ordered by position
-    """
-    counts = start[wanted + 1] - start[wanted]
-    query = np.repeat(np.arange(len(wanted)), counts)
-    rank = np.arange(len(query)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return query, start[wanted][query] + rank
-
-
 def reference_contact_alone(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Same as `reference_contact`, without the comparison with competing triangles.
 
-    Device equivalent: `contact_alone` in `device/mesh.py`.
+    Device equivalent: `contact_alone` in `engine/mesh.py`.
     """
     gap, normal = np.full(len(points), FAR_AWAY), adjacency.normal[triangles].copy()
     from_vertex = points[:, None, :] - adjacency.vertex[triangles]
