@@ -48,4 +48,4 @@ def test_flow_meters_have_columns(tmp_path):
     assert header[2:] == ["flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]"]
     assert first[2:] == ["0.0", "0", "0.0"]
     assert last[2:] == ["3.0", "1", "6.0"]
-    assert series.results()["outlet"]["flow_count"] == 1
+    assert series.results_by_kind()["flow_meters"]["outlet"]["flow_count"] == 1

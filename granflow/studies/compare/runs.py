@@ -15,7 +15,7 @@ from granflow.errors import GranflowError, RunError, SceneError
 from granflow.io.tables import read_table
 from granflow.observers.build import stage_durations
 from granflow.observers.flow_meters import steady_flow
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.plan import Plan, pair_cases_of
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
@@ -101,8 +101,8 @@ def run_variant(
     bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
     output = scene.output
     observers = [
-        every(output.timeseries_interval, heights.update),
-        every(output.interval, forces.update, ("contacts",)),
+        on_interval(output.timeseries_interval, heights.update),
+        on_interval(output.interval, forces.update, ("contacts",)),
         bursts_observer,
     ]
     try:
