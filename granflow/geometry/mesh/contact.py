@@ -3,7 +3,7 @@
 import numpy as np
 
 from granflow.geometry.compressed_rows import row_entries
-from granflow.geometry.mesh.adjacency import NOT_OWNED, OPEN_EDGE, SHARED_EDGE, MeshAdjacency
+from granflow.geometry.mesh.adjacency import OPEN_EDGE, SHARED_EDGE, MeshAdjacency
 from granflow.geometry.shape import FAR_AWAY
 
 ROUNDING = 16.0
@@ -15,7 +15,7 @@ def triangle_distances(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
 
     vertex:   (n, 3, 3) corners [m]
     points:   (n, 3) [m]
-    Returns:  (n,) [m], without regard to the owner of the contact
+    Returns:  (n,) [m]; without the comparison of owners
     """
     sides = np.roll(vertex, -1, axis=1) - vertex
     from_vertex = points[:, None, :] - vertex
@@ -73,20 +73,10 @@ def reference_contact_alone(
         is_owner = above[:, k] & (adjacency.owner[adjacency.point[triangles, k]] == triangles)
         _set_contact(gap, normal, is_owner & ~on_face, from_vertex[:, k])
         t, role = _dot(from_vertex[:, k], adjacency.edge_direction[triangles, k]), adjacency.role[triangles, k]
-        is_edge_contact = (
-            ~above_any_vertex
-            & ~is_inside[:, k]
-            & (role != NOT_OWNED)
-            & (t > 0.0)
-            & (t < adjacency.length[triangles, k])
-        )
-        is_edge_contact &= (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_other[:, k] <= 0.0))
-        _set_contact(
-            gap,
-            normal,
-            is_edge_contact & ~on_face,
-            from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k],
-        )
+        owned = (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_other[:, k] <= 0.0))
+        over_edge = ~above_any_vertex & ~is_inside[:, k] & (t > 0.0) & (t < adjacency.length[triangles, k])
+        from_edge = from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k]
+        _set_contact(gap, normal, owned & over_edge & ~on_face, from_edge)
     return gap, normal
 
 
