@@ -59,7 +59,7 @@ class Simulation:
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
     out:            directory for the files of the scene's output block; without it no files are written
-    observers:      additional observers, such as `granflow.observers.interval.every(interval, function)`
+    observers:      additional observers, such as `granflow.observers.interval.on_interval(interval, function)`
     progress:       display the progress
     resume:         checkpoint from which to continue
     allow_changes:  resume even if the scene has changes that are not permitted

@@ -2,7 +2,8 @@ r"""Text for terminals, logs and pages: control, bidirectional and zero-width ch
 
 Titles, headers and file names are untrusted input: unescaped, ESC would control the terminal, and a right-to-left
 override would display another text than the file contains. `visible` replaces each such character by \x1b or \u202e;
-newlines and tabs remain.
+newlines and tabs remain. In messages, which are one line each, `visible_line` replaces newlines as well: a file name
+may contain one.
 """
 
 import logging
@@ -24,13 +25,22 @@ def visible(text: object) -> str:
     return HIDDEN.sub(lambda found: _escape(ord(found[0])), str(text))
 
 
+def visible_line(text: object) -> str:
+    """Return the text as one visible line: newlines are replaced as well."""
+    return visible(text).replace("\n", "\\n")
+
+
 def _escape(code: int) -> str:
     """Escape of a code point, with the fewest digits that Python accepts."""
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 class VisibleFormatter(logging.Formatter):
-    """Formats log records as visible text."""
+    """Formats log records as visible text: the message as one line, a traceback below it."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """Return the line of the record."""
+        return visible_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the text of the record."""

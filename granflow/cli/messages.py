@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.errors import FileError, GranflowError
-from granflow.visible_text import visible
+from granflow.visible_text import visible, visible_line
 
 if TYPE_CHECKING:
     from granflow.runs.result import Result
@@ -55,21 +55,21 @@ def print_refusal(error: GranflowError) -> int:
     if not problems:
         return print_error(str(error), error.exit_code)
     for problem in problems:
-        say(problem.replace("\n", "\\n"), file=sys.stderr)  # a file name may contain a newline
+        say(visible_line(problem), file=sys.stderr)
     say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} found.", file=sys.stderr)
     return error.exit_code
 
 
 def print_error(sentence: str, exit_code: int = GranflowError.exit_code) -> int:
     """Print one sentence to stderr and return the exit code."""
-    say(f"granflow: {sentence}", file=sys.stderr)
+    say(visible_line(f"granflow: {sentence}"), file=sys.stderr)
     return exit_code
 
 
 def warn(sentences: Iterable[str]) -> None:
     """Print warnings to stderr, each with the prefix "granflow: warning:"."""
     for sentence in sentences:
-        say(f"granflow: warning: {sentence}", file=sys.stderr)
+        say(visible_line(f"granflow: warning: {sentence}"), file=sys.stderr)
 
 
 def exit_code_of(stop: KeyboardInterrupt) -> int:

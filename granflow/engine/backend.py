@@ -14,8 +14,8 @@ from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from granflow.engine.compilation import guarded
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
-from granflow.engine.threads.cores import worker_count
 from granflow.errors import GranflowError
+from granflow.io.machine import worker_count
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
 """Requested architecture; with "gpu" Taichi selects an available GPU architecture."""

@@ -2,9 +2,9 @@
 
 import logging
 import os
-import sys
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,16 +30,12 @@ class CacheContents:
 
 def cache_folder() -> Path:
     """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the platform."""
+    from platformdirs import user_cache_path
+
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named).expanduser().absolute()
-    if sys.platform == "win32":
-        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        home = Path.home() / "Library" / "Caches"
-    else:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return home / "granflow" / "kernels"
+    return user_cache_path("granflow", appauthor=False, opinion=False) / "kernels"
 
 
 def usable_folder() -> Path:
@@ -61,14 +57,16 @@ def usable_folder() -> Path:
             folder, VARIABLE,
         )  # fmt: skip
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
-    _remove_stale_lock(folder / LOCK)
+    with suppress(OSError):
+        if time.time() - (folder / LOCK).stat().st_mtime > STALE_LOCK:
+            (folder / LOCK).unlink()
     return folder
 
 
 def cache_contents() -> CacheContents:
     """Number of kernels and size of the folder; zeros without a folder."""
-    sizes = [_size(path) for path in _files()]
-    return CacheContents(sum(path.suffix == Path(KERNELS).suffix for path in _files()), sum(sizes))
+    files = _files()
+    return CacheContents(sum(path.match(KERNELS) for path in files), sum(map(_size, files)))
 
 
 def clear_cache() -> CacheContents:
@@ -91,12 +89,3 @@ def _size(path: Path) -> int:
         return path.stat().st_size
     except FileNotFoundError:  # another process has deleted it
         return 0
-
-
-def _remove_stale_lock(lock: Path) -> None:
-    """Remove a lock that is older than STALE_LOCK; errors of the file system are ignored."""
-    try:
-        if time.time() - lock.stat().st_mtime > STALE_LOCK:
-            lock.unlink()
-    except OSError:
-        return

@@ -86,19 +86,17 @@ class Poses:
     velocity `velocity + angular_velocity x (x - pivot - offset)`.
     """
 
-    offset: np.ndarray  # (k, 3) [m]
-    rotation: np.ndarray  # (k, 3, 3)
-    velocity: np.ndarray  # (k, 3) [m/s] of the pivot
-    angular_velocity: np.ndarray  # (k, 3) [rad/s]
-    pivot: np.ndarray  # (3,) [m] at rest
+    offset: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    pivot: np.ndarray
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
-    """Pose of a wall at given times; the rest pose without motions.
+    """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
 
-    motions:  all motions of the wall; force-controlled motions are ignored, the device integrates them
-    times:    (k,) [s], or one time
-    Raises:   ValueError for two rotations
+    Force-controlled motions are ignored: the device integrates them. Raises ValueError for two rotations.
     """
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
@@ -113,10 +111,9 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
 
 
 def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and velocity of one motion without rotation.
+    """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion at `times` (k,) [s].
 
-    times:    (k,) [s]
-    Returns:  displacement (k, 3) [m]; velocity (k, 3) [m/s], zero outside start <= t < end
+    The velocity is zero outside start <= t < end.
     """
     time_active, running = elapsed(motion, times), is_running(motion, times)
     if isinstance(motion, Translation):
@@ -130,11 +127,7 @@ def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) ->
 
 
 def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation of a wall; the identity and zero velocity without a rotation.
-
-    times:    (k,) [s]
-    Returns:  rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m]
-    """
+    """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,) [s]."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)
@@ -178,11 +171,9 @@ def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
 def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
 
-    motions:  all motions of the wall; force-controlled motions are ignored
-    reach:    largest distance [m] from the rotation axis of geometry that moves (`catalog.reach_about`); unused without
-              a rotation
-
-    The sum of |velocity| of translations, A w of vibrations and |angular velocity| reach of the rotation.
+    The sum of |velocity| of translations, A w of vibrations and |angular velocity| `reach` of the rotation, with the
+    largest distance [m] from its axis of geometry that moves (`catalog.reach_about`). Force-controlled motions are
+    ignored.
     """
     bound = 0.0
     for motion in motions:

@@ -53,28 +53,18 @@ class PeriodicBox:
 
     def speeds(self, times: np.ndarray) -> np.ndarray:
         """Velocities (n,) [m/s] of the image above at times (n,) [s]; 0 up to the start of the shear."""
-        return (
-            np.zeros(len(times))
-            if self.image_motion is None
-            else np.where(times > self.image_motion.start, self.image_motion.speed, 0.0)
-        )
+        motion = self.image_motion
+        return np.zeros(len(times)) if motion is None else np.where(times > motion.start, motion.speed, 0.0)
 
     def strain(self, time: float) -> float:
         """Shear strain at a time [s]: shear rate times the time since the start of the shear.
 
         Negative for a negative shear rate, 0 without shear.
         """
-        return (
-            0.0
-            if self.image_motion is None
-            else self.image_motion.speed * max(time - self.image_motion.start, 0.0) / self._height
-        )
-
-    @property
-    def _height(self) -> float:
-        """Width of the box along the gradient axis [m]."""
-        assert self.image_motion is not None
-        return float(self.width[self.image_motion.gradient])
+        motion = self.image_motion
+        if motion is None:
+            return 0.0
+        return motion.speed * max(time - motion.start, 0.0) / float(self.width[motion.gradient])
 
     def wrap(self, points: np.ndarray) -> np.ndarray:
         """Points (n, 3) [m] wrapped into the box; Lees-Edwards faces also shift them by the offset.

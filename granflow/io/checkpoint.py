@@ -19,9 +19,9 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.io.checkpoint_archive import ARRAYS, HEADER, ArchiveError, read_archive
+from granflow.io.checkpoint_archive import ARRAYS, HEADER, read_archive
 from granflow.io.log import version_of
-from granflow.io.regular_files import open_regular
+from granflow.io.regular_files import FormatError, open_regular
 
 FORMAT = 3
 """Version of the content of a checkpoint. Files of other versions are refused."""
@@ -96,7 +96,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):
                 raise DamagedCheckpoint(f"{path} is damaged: it is truncated, or its bytes have changed.")
             return _from_archive(path, *read_archive(file))
-    except ArchiveError as error:
+    except FormatError as error:
         raise DamagedCheckpoint(f"{path} {error}. Remove it to use the checkpoint before it.") from None
     except OSError as error:
         raise CheckpointError(
@@ -140,7 +140,7 @@ def remove_old_checkpoints(directory: Path, count: int) -> None:
 
 
 def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
-    """Return the checkpoint with its arrays. Raises ArchiveError if the header has unexpected keys or types."""
+    """Return the checkpoint with its arrays. Raises FormatError if the header has unexpected keys or types."""
     version, scene, time = header.get("granflow"), header.get("scene"), header.get("time")
     if header.get("format") != FORMAT:
         raise CheckpointError(
@@ -149,9 +149,9 @@ def _from_archive(path: Path, header: dict[str, Any], arrays: dict[str, np.ndarr
         )
     saved = header.get("saved")
     if not (isinstance(version, str) and isinstance(scene, str) and isinstance(saved, dict)):
-        raise ArchiveError("lacks the version, the scene or the state of the run")
+        raise FormatError("lacks the version, the scene or the state of the run")
     if not (isinstance(time, int | float) and isfinite(time)):
-        raise ArchiveError("lacks the time of the run")
+        raise FormatError("lacks the time of the run")
     for name, array in arrays.items():
         _insert_array(saved, name, array)
     return Checkpoint(path, version, scene, time, saved)
@@ -183,12 +183,12 @@ def _split_arrays(saved: dict[str, Any], path: str = "") -> tuple[dict[str, Any]
 
 
 def _insert_array(saved: dict[str, Any], path: str, array: np.ndarray) -> None:
-    """Insert the array at the key path. Raises ArchiveError for a path that does not exist or is taken."""
+    """Insert the array at the key path. Raises FormatError for a path that does not exist or is taken."""
     *parents, key = path.split("/")
     for name in parents:
         saved = saved.get(name)  # type: ignore[assignment]
         if not isinstance(saved, dict):
-            raise ArchiveError(f"has the unexpected entry {path[:80]}")
+            raise FormatError(f"has the unexpected entry {path[:80]}")
     if key in saved:
-        raise ArchiveError(f"has two values for {path[:80]}")
+        raise FormatError(f"has two values for {path[:80]}")
     saved[key] = array

@@ -14,6 +14,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from granflow.io.regular_files import FormatError
+
 HEADER, ARRAYS = "header.json", ".npy"
 """Name of the JSON entry, and suffix of the entries of arrays."""
 
@@ -31,17 +33,13 @@ LARGEST_ITEM = 8
 """Largest size of one number [bytes]."""
 
 
-class ArchiveError(Exception):
-    """An archive that granflow did not write; the message is a predicate that follows the file name."""
-
-
 def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the JSON header and the arrays by name, without the suffix ".npy".
 
     `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or real type of
     at most 8 bytes.
 
-    Raises ArchiveError if the archive differs from what `write_checkpoint` writes, or OSError if the file is
+    Raises FormatError if the archive differs from what `write_checkpoint` writes, or OSError if the file is
     unreadable.
     """
     try:
@@ -52,28 +50,28 @@ def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]
     except OSError:
         raise
     except RecursionError:
-        raise ArchiveError("has a header that is nested too deeply") from None
+        raise FormatError("has a header that is nested too deeply") from None
     except (zipfile.BadZipFile, struct.error, KeyError, ValueError, ArithmeticError) as error:
-        raise ArchiveError(f"is not a checkpoint: {error}") from None
+        raise FormatError(f"is not a checkpoint: {error}") from None
     except (RuntimeError, EOFError, MemoryError, SyntaxError, TypeError, tokenize.TokenError) as error:
-        raise ArchiveError(f"is not a checkpoint: {error}") from None
+        raise FormatError(f"is not a checkpoint: {error}") from None
     if not isinstance(header, dict):
-        raise ArchiveError("has a header that is not a mapping")
+        raise FormatError("has a header that is not a mapping")
     return header, arrays
 
 
 def _entries(archive: zipfile.ZipFile, file_size: int) -> dict[str, zipfile.ZipInfo]:
     """Return the entries by name, without ".npy".
 
-    Raises ArchiveError for compressed, oversized or duplicate entries.
+    Raises FormatError for compressed, oversized or duplicate entries.
     """
     found: dict[str, zipfile.ZipInfo] = {}
     for problem in _problems(archive.infolist(), file_size):
-        raise ArchiveError(problem)
+        raise FormatError(problem)
     for entry in archive.infolist():
         name = entry.filename if entry.filename == HEADER else entry.filename.removesuffix(ARRAYS)
         if name in found or (name == entry.filename) != (name == HEADER):
-            raise ArchiveError(f"has the unexpected entry {entry.filename[:80]}")
+            raise FormatError(f"has the unexpected entry {entry.filename[:80]}")
         found[name] = entry
     return found
 
@@ -97,12 +95,12 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(entry) as member:
         version = np.lib.format.read_magic(member)
         if version != (1, 0):
-            raise ArchiveError(f"has the entry {entry.filename[:80]} in npy version {version}, not (1, 0)")
+            raise FormatError(f"has the entry {entry.filename[:80]} in npy version {version}, not (1, 0)")
         shape, by_column, dtype = np.lib.format.read_array_header_1_0(member)
         numbers = dtype.kind in "bif" and dtype.itemsize <= LARGEST_ITEM and dtype.isnative and dtype.shape == ()
         if not numbers or len(shape) > MOST_AXES or by_column or min(shape, default=0) < 0:
-            raise ArchiveError(f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}")
+            raise FormatError(f"has the entry {entry.filename[:80]} with the unexpected type {dtype} or shape {shape}")
         size = math.prod(shape) * dtype.itemsize
         if size != entry.file_size - member.tell():
-            raise ArchiveError(f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}")
+            raise FormatError(f"has the entry {entry.filename[:80]} whose length does not match its shape {shape}")
         return np.frombuffer(bytearray(member.read()), dtype).reshape(shape)

@@ -1,4 +1,8 @@
-"""Directory lock for one run at a time; the operating system releases it when the process ends for any reason."""
+"""Directory lock for one run at a time; the operating system releases it when the process ends for any reason.
+
+filelock is not used: its import (asyncio, sqlite3) delays each start by about 80 ms, and on file systems without flock
+it falls back to a lock file that remains when a process is killed.
+"""
 
 import os
 import sys

@@ -34,7 +34,8 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
     try:
         yield logger
     except BaseException as error:
-        logger.error("ended by %s: %s", type(error).__name__, error)
+        for problem in getattr(error, "problems", (error,)):
+            logger.error("ended by %s: %s", type(error).__name__, problem)
         raise
     finally:
         logger.removeHandler(handler)

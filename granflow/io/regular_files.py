@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 
+class FormatError(Exception):
+    """Content that cannot be used; the message is a predicate that follows the name of the file."""
+
+
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; never blocks.
 

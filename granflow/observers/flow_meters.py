@@ -22,10 +22,6 @@ class _Sample:
     part: np.ndarray
 
 
-_SAMPLE_FIELDS = ("id", "mass", "position", "distance", "part")
-"""Arrays of the previous sample in checkpoints."""
-
-
 class FlowCount:
     """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg]).
 
@@ -48,9 +44,9 @@ class FlowCount:
         (time_before, _, mass_before), (time_now, _, mass_now) = self.history[-2:]
         return (mass_now - mass_before) / (time_now - time_before)
 
-    def readings(self) -> list[float]:
-        """Return mass [kg], number, mass flow rate [kg/s] since the previous sample, as in FLOW_METER_QUANTITIES."""
-        return [self.mass, self.count, self.mass_flow()]
+    def readings(self) -> dict[str, float]:
+        """Return `flow_mass` [kg], `flow_count`, and `mass_flow` [kg/s] since the previous sample."""
+        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": self.mass_flow()}
 
     def result(self) -> dict[str, float]:
         """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`."""
@@ -58,7 +54,7 @@ class FlowCount:
 
     def state_dict(self) -> dict[str, Any]:
         """Return mass, number and history."""
-        return {"mass": self.mass, "count": self.count, "history": self.history}
+        return dict(vars(self))
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
@@ -103,21 +99,6 @@ class FlowMeter:
         self.parts = {name: FlowCount() for name in parts}
         self._last: _Sample | None = None
 
-    @property
-    def mass(self) -> float:
-        """Net mass so far [kg]."""
-        return self.total.mass
-
-    @property
-    def count(self) -> int:
-        """Net number of particles so far."""
-        return self.total.count
-
-    @property
-    def history(self) -> list[tuple[float, str, float]]:
-        """Time [s], stage and mass [kg] at each sample."""
-        return self.total.history
-
     def flow_counts(self) -> dict[str, FlowCount]:
         """Return the total count under "", and the counts of the parts by name."""
         return {"": self.total, **self.parts}
@@ -135,21 +116,10 @@ class FlowMeter:
         for flow_count in self.flow_counts().values():
             flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
 
-    def mass_flow(self) -> float:
-        """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
-        return self.total.mass_flow()
-
-    def result(self) -> dict[str, float]:
-        """Return the final numbers of the total count, as in FlowCount."""
-        return self.total.result()
-
     def state_dict(self) -> dict[str, Any]:
         """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles present."""
-        last = {} if self._last is None else {name: getattr(self._last, name) for name in _SAMPLE_FIELDS}
-        return {
-            "tallies": {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()},
-            "last": last,
-        }
+        tallies = {name: flow_count.state_dict() for name, flow_count in self.flow_counts().items()}
+        return {"tallies": tallies, "last": {} if self._last is None else vars(self._last)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""

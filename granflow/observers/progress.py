@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from granflow.observers.schedule import Schedule
+from granflow.observers.schedule import ScheduledObserver
 from granflow.snapshot import Snapshot
 
 # Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not affect a run.
@@ -19,7 +19,7 @@ SECONDS_BETWEEN_LINES = 10.0
 RATE_SAMPLES = 25
 
 
-class ProgressDisplay:
+class ProgressDisplay(ScheduledObserver):
     """Shows simulated time, stage, steps per second, particle-steps per second and time left.
 
     `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `console`: standard
@@ -27,18 +27,12 @@ class ProgressDisplay:
     and at the end.
     """
 
-    wants: frozenset[str] = frozenset()
-
     def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)
         self._stage_plan = StagePlan(stages)
-        self._schedule = Schedule(self._stage_plan.end / UPDATE_COUNT)
+        super().__init__(self._stage_plan.end / UPDATE_COUNT)
         self._rates = StepRates()
         self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
-
-    def next_time(self) -> float:
-        """Return the time of the next update [s]."""
-        return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
         """Update the display with time, step, stage and the total `particle_count` of a snapshot."""
@@ -49,15 +43,12 @@ class ProgressDisplay:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the time of the last update, the stage, and the latest end of the run; updates affect the steps."""
-        return {"last_time": self._schedule.last_time, "stage": self._stage_plan.stage, "end": self._stage_plan.end}
+        return super().state_dict() | {"stage": self._stage_plan.stage, "end": self._stage_plan.end}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue after the saved time; changed stages may extend the end."""
-        self._schedule.resume_after(saved["last_time"])
+        super().load_state_dict(saved)
         self._stage_plan.resume_in(saved["stage"], saved["end"])
-
-    def truncate(self) -> None:
-        """Do nothing: this observer has no files."""
 
     def finish(self) -> None:
         """Close the display and restore the terminal."""

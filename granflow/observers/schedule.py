@@ -1,6 +1,7 @@
 """Due times at a regular interval."""
 
 import math
+from typing import Any
 
 # A time that precedes a due time by less than this fraction of the interval counts as due: the simulated clock is
 # rounded, and a frame one step later would duplicate the state.
@@ -46,3 +47,30 @@ class Schedule:
         passed = math.floor((time - self.start) / self.interval + EARLY_FRACTION) + 1
         self._count = max(self._count, passed)
         return True
+
+
+class ScheduledObserver:
+    """Base class of observers with a schedule: due times from `start` [s], every `interval` [s]; no files."""
+
+    wants: frozenset[str] = frozenset()
+
+    def __init__(self, interval: float, start: float = 0.0) -> None:
+        self._schedule = Schedule(interval, start)
+
+    def next_time(self) -> float:
+        """Return the time of the next snapshot [s]."""
+        return self._schedule.next_time()
+
+    def finish(self) -> None:
+        """Do nothing: no file is open."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the last time [s]."""
+        return {"last_time": self._schedule.last_time}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue after the saved time."""
+        self._schedule.resume_after(saved["last_time"])
+
+    def truncate(self) -> None:
+        """Do nothing: this observer has no files."""

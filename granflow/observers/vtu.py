@@ -11,7 +11,7 @@ from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.geometry.mesh.mesh import triangle_areas
 from granflow.io.frames import FrameSeries, mesh_of_cells, mesh_of_points
 from granflow.observers.base import CONTACTS, PARTICLES, WALLS
-from granflow.observers.schedule import Schedule
+from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.wall_traction import traction_and_pressure
 from granflow.snapshot import Snapshot
 
@@ -22,23 +22,18 @@ _CONTACT_POINTS = ("position_i", "position_j")
 """Arrays of contacts that become the points of the mesh."""
 
 
-class Frames:
+class Frames(ScheduledObserver):
     """Base class of frames: a schedule and a series of files.
 
     Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
     `start` [s]: of the frames, in simulated time. Raises ValueError for an interval that is not positive.
     """
 
-    wants: frozenset[str] = frozenset()
     stem = ""
 
     def __init__(self, directory: Path, interval: float, start: float = 0.0) -> None:
+        super().__init__(interval, start)
         self.series = FrameSeries(directory, self.stem)
-        self._schedule = Schedule(interval, start)
-
-    def next_time(self) -> float:
-        """Return the time of the next frame [s]."""
-        return self._schedule.next_time()
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one frame, due or not; a second snapshot of the same time has no effect."""
@@ -46,18 +41,15 @@ class Frames:
             self.series.write(self.mesh(snapshot), snapshot.time)
             self._schedule.mark_done(snapshot.time)
 
-    def finish(self) -> None:
-        """Do nothing: after `observe`, each frame is complete on disk."""
-
     def state_dict(self) -> dict[str, Any]:
         """Flush the frames to the disk; return their list and number."""
         series = self.series
         series.sync()
-        return {"last_time": self._schedule.last_time, "frames": list(series.frames), "frame_count": series.frame_count}
+        return super().state_dict() | {"frames": list(series.frames), "frame_count": series.frame_count}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the list of frames; the next frame follows them."""
-        self._schedule.resume_after(saved["last_time"])
+        super().load_state_dict(saved)
         self.series.frames = [(time, name) for time, name in saved["frames"]]
         self.series.frame_count = saved["frame_count"]
 

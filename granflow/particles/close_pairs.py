@@ -9,6 +9,8 @@ from itertools import product
 
 import numpy as np
 
+from granflow.geometry.compressed_rows import expanded
+
 
 def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once.
@@ -94,9 +96,8 @@ def cell_neighbors(
     for shift in key_of.adjacent_rows():
         start = np.searchsorted(keys, query + (shift - 1), side="left")
         count = np.searchsorted(keys, query + (shift + 1), side="right") - start
-        querying = np.repeat(np.arange(len(query)), count)
-        within = np.arange(len(querying)) - np.repeat(np.cumsum(count) - count, count)
-        yield querying, order[np.repeat(start, count) + within]
+        querying, entry = expanded(start, count)
+        yield querying, order[entry]
 
 
 def close_pairs(

@@ -7,7 +7,7 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.io.regular_files import resolved
 from granflow.particles.particle_data import ParticleData, particles_of
-from granflow.particles.table import ParticleTable, read_table
+from granflow.particles.table import ParticleTable, read_particles
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.scene import Scene
 
@@ -32,7 +32,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
     if not path.exists():
         key = f"particles.{name}.insert.file"
         raise SceneError(f"{location}: {key} is {insertion.file}, but the scene's folder has no such file.")
-    return read_table(scene.folder / insertion.file)
+    return read_particles(scene.folder / insertion.file)
 
 
 def rows_of(scene: Scene, name: str) -> ParticleTable:

@@ -211,12 +211,8 @@ def separation(
     contact_distance = radius[first] + radius[second]
     squared = np.einsum("ij,ij->i", branch, branch)
     overlapping = squared < contact_distance * contact_distance
-    first, second, branch, contact_distance = (
-        first[overlapping],
-        second[overlapping],
-        branch[overlapping],
-        contact_distance[overlapping],
-    )
+    first, second, branch = first[overlapping], second[overlapping], branch[overlapping]
+    contact_distance = contact_distance[overlapping]
     distance = np.maximum(np.sqrt(squared[overlapping]), 1e-12 * contact_distance)
     displacement = branch * ((contact_distance - distance) / distance / (mobility[first] + mobility[second]))[:, None]
     shift = np.empty_like(position)

@@ -68,10 +68,8 @@ def random_for(scene: Scene, group_name: str) -> np.random.Generator:
 def shortfall(scene: Scene, group_name: str, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
     group = scene.particles[group_name]
-    location, where = (
-        scene.locate("particles", group_name, "count"),
-        "face" if group.insert.kind == "inlet" else "region",
-    )
+    location = scene.locate("particles", group_name, "count")
+    where = "face" if group.insert.kind == "inlet" else "region"
     return (
         f"{location}: particles.{group_name}.count is {group.count}, but "
         f"{error.shortfall} in its {where}. {error.remedy}"

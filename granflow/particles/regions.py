@@ -17,7 +17,7 @@ class RegionSampler(Protocol):
     """
 
     volume: float
-    radius_max: float  # of the largest sphere that fits
+    radius_max: float
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
         """Uniformly distributed centers (n, 3) [m] with each sphere entirely inside.
@@ -53,19 +53,14 @@ class BoxSampler:
         self.radius_max = float((self.high - self.low).min()) / 2
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Uniformly distributed centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         margin = radius[:, None]
         return self.low + margin + random.random((len(radius), 3)) * (self.high - self.low - 2 * margin)
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (n, 3) and displacement vectors (3, 3) [m] as in `PackingRegion`.
-
-        The cells are stretched to fill the box.
-        """
+        """As in `PackingRegion`; the cells are stretched to fill the box."""
         size = self.high - self.low
         cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
         cell = size / np.maximum(cells, 1)
@@ -74,7 +69,6 @@ class BoxSampler:
         return centers, np.diag(jitter * np.maximum(cell / 2 - margin, 0.0))
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) [m] may intersect the box, enlarged by each radius."""
         margin = reach[:, None]
         return np.all((points > self.low - margin) & (points < self.high + margin), axis=1)
 
@@ -103,7 +97,7 @@ class CylinderSampler:
         return self.start + local @ self.frame
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """See `PackingRegion`; the distance from the axis is (R - r) sqrt(u), with u uniform in [0, 1]."""
+        """As in `RegionSampler`; the distance from the axis is (R - r) sqrt(u), with u uniform in [0, 1]."""
         share, turn, height = random.random((3, len(radius)))
         r = (self.radius - radius) * np.sqrt(share)
         angle = 2 * np.pi * turn
@@ -111,7 +105,6 @@ class CylinderSampler:
         return self.from_local(np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1))
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         local = self.to_local(points)
         r = np.linalg.norm(local[:, :2], axis=1)
         clearance = self.radius - radius
@@ -121,10 +114,7 @@ class CylinderSampler:
         return self.from_local(local)
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (n, 3) and displacement vectors (3, 3) [m] as in `PackingRegion`.
-
-        Layers are square lattices around the axis, stretched to fill the length.
-        """
+        """As in `PackingRegion`; layers are square lattices around the axis, stretched to fill the length."""
         axes = int(2 * self.radius / spacing * (1 + SLACK))
         layers = int(self.length / spacing * (1 + SLACK))
         height = self.length / max(layers, 1)
@@ -136,7 +126,6 @@ class CylinderSampler:
         return self.from_local(np.stack([x, y, z], axis=-1)[fits]), shift[:, None] * self.frame
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) [m] may intersect the cylinder, enlarged by each radius."""
         local = self.to_local(points)
         is_within_radius = np.linalg.norm(local[:, :2], axis=1) < self.radius + reach
         return is_within_radius & (local[:, 2] > -reach) & (local[:, 2] < self.length + reach)
@@ -156,11 +145,9 @@ class SlabSampler:
         self.volume, self.radius_max = self.box.volume, self.box.radius_max
 
     def sample(self, radius: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Uniformly distributed centers (n, 3) [m] with spheres of `radius` (n,) [m] entirely inside."""
         return np.asarray(self.corner + self.box.sample(radius, random) @ self.frame)
 
     def reaches(self, points: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Whether spheres of radius `reach` (n,) [m] may intersect the slab, enlarged by each radius."""
         return self.box.reaches((points - self.corner) @ self.frame.T, reach)
 
 

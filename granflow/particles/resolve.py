@@ -181,11 +181,15 @@ def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group
     if problems:
         raise SceneError(problems)
     overlap, remarks = _overlap(scene, name, rows)
-    speed = 0.0 if rows.velocity is None else float(np.linalg.norm(rows.velocity, axis=1).max())
+    speed, angular_velocity = (
+        0.0 if vectors is None else float(np.linalg.norm(vectors, axis=1).max())
+        for vectors in (rows.velocity, rows.angular_velocity)
+    )
     diameters = 2.0 * float(rows.radius.min()), 2.0 * float(rows.radius.max())
     summary = FileSummary(
-        count=len(rows), diameter_min=diameters[0], diameter_max=diameters[1], speed_max=speed, overlap_max=overlap
-    )
+        count=len(rows), diameter_min=diameters[0], diameter_max=diameters[1], speed_max=speed,
+        angular_velocity_max=angular_velocity, overlap_max=overlap,
+    )  # fmt: skip
     read_insertion = insertion.model_copy(update={"found": summary})
     return group.model_copy(update={"count_given": len(rows), "insert": read_insertion}), remarks
 

@@ -2,16 +2,16 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import SceneError
-from granflow.io.regular_files import read_regular_text
-from granflow.io.vtu_reader import VtuError, read_vtu
+from granflow.errors import FileError, SceneError
+from granflow.io.regular_files import FormatError, read_regular_text
+from granflow.io.tables import Table, is_number, table_in
+from granflow.io.vtu_reader import read_vtu
 from granflow.scene.schema.units import UnitError, to_si
 
 LARGEST_FILE = 2**30
@@ -23,7 +23,9 @@ MOST_SHOWN = 20
 RowProblem = tuple[int, str]
 """Line number and error message."""
 
-AXES = "xyz"
+SEPARATORS = (";", ",", "\t", None)
+"""Separators of text files, in the order in which they are tried; None stands for white space."""
+
 COLUMN_NAMES = {
     "position": ("", "p", "pos", "position", "point", "points", "coord", "coordinate", "coordinates", "center"),
     "velocity": ("v", "vel", "velocity"),
@@ -31,18 +33,15 @@ COLUMN_NAMES = {
 }
 """Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis alone."""
 
-SIZE_NAMES = {"radius": ("r", "rad", "radius"), "diameter": ("d", "dia", "diam", "diameter")}
-"""Names of the column with the size of the particles."""
+SCALAR_NAMES = {
+    "radius": ("r", "rad", "radius"),
+    "diameter": ("d", "dia", "diam", "diameter"),
+    "material": ("material", "mat", "materialname", "materialid"),
+}
+"""Names of the columns with the size of the particles, and with the material: its name, or its number in the scene."""
 
-MATERIAL_NAMES = ("material", "mat", "materialname", "materialid")
-"""Names of the column with the material: its name, or its number in the scene."""
-
-DIMENSIONS = {
-    "position": "length",
-    "radius": "length",
-    "diameter": "length",
-    "velocity": "velocity",
-    "angular_velocity": "angular_velocity",
+DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") | {
+    name: name for name in ("velocity", "angular_velocity")
 }
 """Dimension of each quantity, in which the unit of its columns is converted to SI."""
 
@@ -71,20 +70,11 @@ class ParticleTable:
 
     def subset(self, selection: np.ndarray) -> "ParticleTable":
         """The rows selected by indices (k,) or by a mask (n,) bool, as a new table."""
-        optional = (self.velocity, self.angular_velocity, self.material)
-        velocity, angular_velocity, material = (None if each is None else each[selection] for each in optional)
-        return ParticleTable(
-            self.path,
-            self.position[selection],
-            self.radius[selection],
-            velocity,
-            angular_velocity,
-            material,
-            self.line[selection],
-        )
+        arrays = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        return replace(self, **{name: each[selection] for name, each in arrays.items()})
 
 
-def read_table(path: Path) -> ParticleTable:
+def read_particles(path: Path) -> ParticleTable:
     """The particles in a file: text (CSV or columns separated by semicolons, tabs or spaces), or a VTU frame.
 
     Numbers are converted to SI by the units in the header; without a unit they are SI. A file is read once per
@@ -100,6 +90,8 @@ def read_table(path: Path) -> ParticleTable:
         if status.st_size > LARGEST_FILE:
             raise SceneError(f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table.")
         return _read(path, status.st_mtime_ns, status.st_size)
+    except FileError as error:
+        raise SceneError(error.problems) from None
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.") from None
     except OSError as error:
@@ -112,8 +104,9 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
 
     Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
     """
-    table, problems = _frame(path) if path.suffix.lower() == ".vtu" else _text(path)
-    problems = [*problems, *_value_problems(table)]
+    table, problems = (_frame(path), []) if path.suffix.lower() == ".vtu" else _text(path)
+    reported = {line for line, _ in problems}
+    problems = [*problems, *(each for each in _value_problems(table) if each[0] not in reported)]
     if problems:
         shown = [f"{path}:{line}: {sentence}" for line, sentence in problems[:MOST_SHOWN]]
         more = len(problems) - MOST_SHOWN
@@ -133,14 +126,14 @@ def _value_problems(table: ParticleTable) -> Iterator[RowProblem]:
     yield from ((int(line), "the radius must be above 0.") for line in table.line[table.radius <= 0.0])
 
 
-def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
+def _frame(path: Path) -> ParticleTable:
     """Particles of a VTU file: points with `radius` or `diameter`, optionally velocities and `material`.
 
     `radius` has priority. Raises SceneError for a missing array or one with another number of components.
     """
     try:
         mesh = read_vtu(path, LARGEST_FILE)
-    except VtuError as error:
+    except FormatError as error:
         raise SceneError(f"{path}: this file {error}.") from None
     data = mesh.point_data
     known = [name for name in ("radius", "diameter") if name in data]
@@ -148,124 +141,60 @@ def _frame(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
         raise SceneError(f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}.")
     count = len(mesh.points)
     for name in (known[0], *COLUMN_NAMES):
-        if name in data and data[name].size != count * (3 if name in COLUMN_NAMES else 1):
+        components = 3 if name in COLUMN_NAMES else 1
+        if name in data and data[name].size != count * components:
             raise SceneError(
                 f"{path}: the array {name} has {data[name].size // max(count, 1)} components per point, "
-                f"but {3 if name in COLUMN_NAMES else 1} are expected."
+                f"but {components} are expected."
             )
     radius = np.asarray(data[known[0]], float).reshape(count) * (0.5 if known[0] == "diameter" else 1.0)
-    vectors = {name: np.asarray(data[name], float).reshape(count, 3) if name in data else None for name in COLUMN_NAMES}
-    material = np.asarray(data["material"]).astype(str) if "material" in data else None
-    position = np.asarray(mesh.points, float)
-    table = ParticleTable(
-        path, position, radius, vectors["velocity"], vectors["angular_velocity"], material, np.arange(count)
+    velocity, angular_velocity = (
+        np.asarray(data[name], float).reshape(count, 3) if name in data else None
+        for name in ("velocity", "angular_velocity")
     )
-    return table, []
-
-
-@dataclass(frozen=True)
-class _Heading:
-    """Content of the header line: separator, column names, columns of each quantity, and factors to SI.
-
-    `separator`: None for white space; `columns`, `factors`: quantity -> one entry per component.
-    """
-
-    separator: str | None
-    names: list[str]
-    columns: dict[str, list[int]]
-    factors: dict[str, list[float]]
-
-    def cells(self, line: str) -> list[str]:
-        """The cells of a line, without an empty last cell."""
-        cells = [cell.strip().strip('"') for cell in line.strip().split(self.separator)]
-        return cells[:-1] if len(cells) == len(self.names) + 1 and not cells[-1] else cells
+    material = np.asarray(data["material"]).astype(str) if "material" in data else None
+    return ParticleTable(
+        path, np.asarray(mesh.points, float), radius, velocity, angular_velocity, material, np.arange(count)
+    )
 
 
 def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
-    """Particles of a text file, and the problems of its rows, sorted by line. Lines that begin with # are comments."""
-    lines = read_regular_text(path, LARGEST_FILE).splitlines()
-    heading, first = _heading(path, lines)
-    numbered = [(n, line) for n, line in enumerate(lines[first:], first + 1) if line.strip() and line.strip()[0] != "#"]
-    rows = [(n, heading.cells(line)) for n, line in numbered]
-    width = len(heading.names)
-    problems = [
-        (n, f"the row has {len(row)} values, but the header has {width} columns.")
-        for n, row in rows
-        if len(row) != width
-    ]
-    complete_rows = [(n, row) for n, row in rows if len(row) == width]
-    cells = [row for _, row in complete_rows]
-    numbers = {}
-    for name, columns in heading.columns.items():
-        if name != "material":
-            found = [_column(complete_rows, column, heading, problems) for column in columns]
-            numbers[name] = np.stack(found, axis=1) * heading.factors[name]
-    radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
-    material_names = [row[heading.columns["material"][0]] for row in cells] if "material" in heading.columns else None
-    line = np.array([n for n, _ in complete_rows], dtype=np.int64)
-    material = None if material_names is None else np.array(material_names, dtype=str)
-    motion_columns = numbers.get("velocity"), numbers.get("angular_velocity")
-    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion_columns, material, line), sorted(
-        problems
-    )
-
-
-def _column(
-    rows: Sequence[tuple[int, list[str]]], column: int, heading: _Heading, problems: list[RowProblem]
-) -> np.ndarray:
-    """One column as numbers (n,), not yet in SI; an invalid cell becomes 0 and adds a problem.
-
-    If the separator is not a comma, a decimal comma is accepted.
-    """
-    cells = [row[column] for _, row in rows]
-    if heading.separator != ",":
-        cells = [cell.replace(",", ".") for cell in cells]
-    try:
-        return np.array(cells, dtype=str).astype(float)
-    except ValueError:
-        return np.array(
-            [_number(cell, row, heading.names[column], problems) for cell, row in zip(cells, rows, strict=True)]
+    """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the header."""
+    table = table_in(read_regular_text(path, LARGEST_FILE), path, SEPARATORS, _is_header)
+    if table is None:
+        raise SceneError(f"{path}: the file contains no particles.")
+    columns, width = _columns(table.names), len(table.names)
+    if not _is_header(table.names):
+        raise SceneError(
+            f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r (or radius, "
+            f"or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
         )
+    problems = [
+        (line, f"the row has {len(cells)} values, but the header has {width} columns.")
+        for line, cells in table.rows
+        if len(cells) != width
+    ]
+    table = table.complete()
+    material = np.array(table.texts(columns.pop("material")[0]), dtype=str) if "material" in columns else None
+    numbers = {}
+    for quantity, indices in columns.items():
+        factors = [_factor(path, table, index, quantity) for index in indices]
+        values = [_numbers(table, index, problems) for index in indices]
+        numbers[quantity] = np.stack(values, axis=1) * factors
+    radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
+    motion = numbers.get("velocity"), numbers.get("angular_velocity")
+    line = np.array([line for line, _ in table.rows], dtype=np.int64)
+    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(problems)
 
 
-def _number(cell: str, row: tuple[int, list[str]], name: str, problems: list[RowProblem]) -> float:
-    """A cell as a number; 0 and a problem if it is none."""
-    try:
-        return float(cell)
-    except ValueError:
-        problems.append((row[0], f"{name} is {cell or 'empty'}, but a number is expected."))
-        return 0.0
-
-
-def _heading(path: Path, lines: Sequence[str]) -> tuple[_Heading, int]:
-    """The header line, with or without a leading #, and the number of lines up to and including it.
-
-    Separators are tried in the order semicolon, comma, tab, white space. Raises SceneError if the first line that is
-    not a comment is not a header, or if a unit is invalid.
-    """
-    nonempty = [(n, line) for n, line in enumerate(lines) if line.strip()]
-    for n, line in islice(nonempty, 100):
-        text = line.strip().lstrip("#")
-        for separator in (";", ",", "\t", None):
-            names = _names(text, separator)
-            columns = _columns(names)
-            if "position" in columns and ("radius" in columns or "diameter" in columns):
-                factors = {key: [_factor(path, n + 1, names[c], key) for c in each] for key, each in columns.items()}
-                return _Heading(separator, names, columns, factors), n + 1
-        if not line.strip().startswith("#"):
-            shown = " ".join(line.split())[:60]
-            required = "x, y, z and r (or radius, or diameter)"
-            raise SceneError(
-                f"{path}:{n + 1}: the first line must be a header with the columns {required}, but it is {shown}."
-            )
-    raise SceneError(f"{path}: the file contains no particles.")
-
-
-def _names(text: str, separator: str | None) -> list[str]:
-    """Column names, each with its unit in brackets."""
-    joined = re.sub(r"\s+(?=[\[(])", "", text.strip())
-    names = [name.strip().strip('"') for name in joined.split(separator)]
-    return names[:-1] if len(names) > 1 and not names[-1] else names
+def _numbers(table: Table, index: int, problems: list[RowProblem]) -> np.ndarray:
+    """A column as numbers (n,), not yet in SI; each cell that is not a number adds a problem."""
+    numbers = table.numbers(index)
+    for k in np.flatnonzero(np.isnan(numbers)):
+        line, cells = table.rows[k]
+        if not is_number(cells[index]):
+            problems.append((line, f"{table.names[index]} is {cells[index] or 'empty'}, but a number is expected."))
+    return numbers
 
 
 def _columns(names: Sequence[str]) -> dict[str, list[int]]:
@@ -275,14 +204,14 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
     recognized; see COLUMN_NAMES.
     """
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", name).lower()) for name in names]
-    wanted = {
+    wanted: dict[str, list[Sequence[str]]] = {
         quantity: [
             [name for word in words for name in (word + axis, axis + word, *([f"{word}{k}"] if word else []))]
-            for k, axis in enumerate(AXES)
+            for k, axis in enumerate("xyz")
         ]
         for quantity, words in COLUMN_NAMES.items()
     }
-    wanted |= {name: [list(words)] for name, words in SIZE_NAMES.items()} | {"material": [list(MATERIAL_NAMES)]}
+    wanted |= {name: [words] for name, words in SCALAR_NAMES.items()}
     found = {}
     for quantity, components in wanted.items():
         columns = [next((c for c, name in enumerate(plain) if name in words), None) for words in components]
@@ -291,15 +220,22 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
-def _factor(path: Path, line: int, name: str, quantity: str) -> float:
+def _is_header(names: Sequence[str]) -> bool:
+    """Whether the columns with these names define position and size."""
+    columns = _columns(names)
+    return "position" in columns and ("radius" in columns or "diameter" in columns)
+
+
+def _factor(path: Path, table: Table, index: int, quantity: str) -> float:
     """Factor of a column to SI, from the unit after its name; 1 without a unit.
 
     Raises SceneError for an invalid unit.
     """
+    name = table.names[index]
     unit = _UNIT.search(name)
-    if unit is None or quantity == "material" or not unit[1].strip():
+    if unit is None or not unit[1].strip():
         return 1.0
     try:
         return to_si(f"1 {unit[1].strip()}", DIMENSIONS[quantity])
     except UnitError as error:
-        raise SceneError(f"{path}:{line}: the unit of {name} is invalid: {error}.") from None
+        raise SceneError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None

@@ -71,20 +71,24 @@ def initial_speed(scene: Scene) -> float:
 
 def initial_speeds(scene: Scene) -> dict[str, float]:
     """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles."""
-    return {name: _initial_speed(group) for name, group in scene.particles.items()}
-
-
-def _initial_speed(group: Group) -> float:
-    """Largest initial speed [m/s] of a group, from the scene or from the file with its particles."""
-    file_speeds = (
-        group.insert.found.speed_max if isinstance(group.insert, FileInsertion) and group.insert.found else 0.0
-    )
-    return max(file_speeds, _largest_norm(group.velocity))
+    return {
+        name: max(_largest_norm(group.velocity), _in_file(group, "speed_max"))
+        for name, group in scene.particles.items()
+    }
 
 
 def initial_rotation_rates(scene: Scene) -> dict[str, float]:
-    """Largest initial angular velocity [rad/s] of each group, by name; those of particle files are not included."""
-    return {name: _largest_norm(group.angular_velocity) for name, group in scene.particles.items()}
+    """Largest initial angular velocity [rad/s] of each group, by name, from the scene or from its particle file."""
+    return {
+        name: max(_largest_norm(group.angular_velocity), _in_file(group, "angular_velocity_max"))
+        for name, group in scene.particles.items()
+    }
+
+
+def _in_file(group: Group, name: str) -> float:
+    """The quantity `name` of the summary of the particle file of a group, in SI units; 0 without a file."""
+    found = group.insert.found if isinstance(group.insert, FileInsertion) else None
+    return getattr(found, name, 0.0)
 
 
 def _largest_norm(vectors: ArrayLike) -> float:

@@ -1,10 +1,7 @@
 """Compares the memory that a run needs with the available memory, before any array is allocated."""
 
-import os
-from collections.abc import Iterator
-from pathlib import Path
-
 from granflow.errors import SceneError
+from granflow.io.machine import available_memory
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 
@@ -20,9 +17,6 @@ MAX_LIST_ENTRIES = 2**31 - 1
 WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
 
-PROC, CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
-"""Directories of the kernel with the memory of the machine and of control groups; tests replace them."""
-
 
 def required_memory(plan: Plan) -> int:
     """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts.
@@ -31,15 +25,6 @@ def required_memory(plan: Plan) -> int:
     """
     host = HOST_PER_PARTICLE * plan.particle_capacity
     return estimate_memory(plan, plan.scene.run.precision).total + host + RUNTIME
-
-
-def available_memory() -> int | None:
-    """Memory [bytes] available to this process: free memory of the machine, limited by its control groups.
-
-    None if neither can be read; without /proc, the total memory of the machine.
-    """
-    known = [*_machine(), *_control_groups()]
-    return min(known) if known else None
 
 
 def memory_warning(plan: Plan) -> str | None:
@@ -96,46 +81,3 @@ def _remedies(plan: Plan, needed: int, available: int) -> str:
     precision_remedy = ", set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
     count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
     return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
-
-
-def _machine() -> Iterator[int]:
-    """Memory [bytes] available without swapping, or the total memory."""
-    try:
-        lines = (PROC / "meminfo").read_text().splitlines()
-        yield from (1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    except OSError:
-        if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
-            yield os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-def _control_groups() -> Iterator[int]:
-    """Remaining memory [bytes] of each control group of this process, version 1 or 2."""
-    try:
-        lines = (PROC / "self" / "cgroup").read_text().splitlines()
-    except OSError:
-        return
-    for line in lines:
-        _, controllers, path = line.split(":", 2)
-        if controllers == "":
-            yield from _available_in(CGROUPS, path, "memory.max", "memory.current", "inactive_file")
-        elif "memory" in controllers.split(","):
-            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
-            yield from _available_in(CGROUPS / "memory", path, *names)
-
-
-def _available_in(root: Path, path: str, limit: str, usage: str, cached: str) -> Iterator[int]:
-    """Limit minus usage [bytes] of a group and of its parents; cached files count as free.
-
-    `root`: mount point of the controller; `path`: group; `limit`, `usage`: file names; `cached`: key in memory.stat.
-    Groups without a limit are skipped.
-    """
-    group = root / path.strip("/")
-    for folder in (group, *group.parents):
-        try:
-            limit_bytes, used = int((folder / limit).read_text()), int((folder / usage).read_text())
-            pages = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
-            yield max(limit_bytes - used + int(pages.get(cached, 0)), 0)
-        except (OSError, ValueError):  # not a group, or one without a limit ("max")
-            pass
-        if folder == root:
-            return

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.geometry.mesh.file import MeshFileError, read_triangles
+from granflow.geometry.mesh.file import read_triangles
 from granflow.geometry.mesh.mesh import Mesh, mesh_of
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
-from granflow.io.regular_files import resolved
+from granflow.io.regular_files import FormatError, resolved
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.quantities import Vector3
 from granflow.scene.schema.scene import Scene
@@ -53,7 +53,7 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
                 mesh = _mesh(scene, wall)
                 _refuse_size(scene, wall, mesh)
                 found[name] = mesh
-            except (MeshFileError, ValueError) as error:
+            except (FormatError, ValueError) as error:
                 location = scene.locate("walls", name, "file")
                 problems.append(f"{location}: walls.{name}.file is {wall.file}, which {error}.")
     if problems:
@@ -64,21 +64,21 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
 def mesh_path(scene: Scene, wall: MeshWall) -> Path:
     """Path of a mesh file, with symbolic links resolved.
 
-    Raises MeshFileError if it is outside the folder of the scene, also by a symbolic link, or if the folder cannot be
+    Raises FormatError if it is outside the folder of the scene, also by a symbolic link, or if the folder cannot be
     read.
     """
     try:
         folder = resolved(scene.folder)
         path = resolved(folder / wall.file)
     except OSError as error:
-        raise MeshFileError(f"cannot be read: {error.strerror}") from None
+        raise FormatError(f"cannot be read: {error.strerror}") from None
     if not path.is_relative_to(folder):
-        raise MeshFileError("leads out of the scene's folder by a symbolic link; put the file itself there")
+        raise FormatError("leads out of the scene's folder by a symbolic link; put the file itself there")
     return path
 
 
 def _mesh(scene: Scene, wall: MeshWall) -> Mesh:
-    """The mesh of a wall at rest, in m. Raises MeshFileError or ValueError."""
+    """The mesh of a wall at rest, in m. Raises FormatError or ValueError."""
     path = mesh_path(scene, wall)
     try:
         modified = path.stat()
@@ -100,15 +100,15 @@ def _mesh_once(
 
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
-    """Raise MeshFileError for a mesh that is much larger than the domain or much smaller than the smallest particle."""
+    """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest particle."""
     share = _size(mesh) / _domain_size(scene)
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
         share = _size(mesh) / smallest
         statement = f"is {_size(mesh):.3g} m large, {share:.3g} times the smallest particle ({smallest:.3g} m)"
-        raise MeshFileError(f"{statement}: increase scale, which is {wall.scale:g} now")
+        raise FormatError(f"{statement}: increase scale, which is {wall.scale:g} now")
     if share > REFUSED_SIZE_RATIO:
-        raise MeshFileError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
+        raise FormatError(f"is {_size(mesh):.3g} m large, {share:.3g} times the domain: {_remedy(wall)}")
 
 
 def _remedy(wall: Wall) -> str:

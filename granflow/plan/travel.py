@@ -44,7 +44,8 @@ def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) 
     """
     for name, rate in rates.items():
         if rate * step > STEP_SHARE:
-            place = scene.locate("particles", name, "angular_velocity")
+            given = scene.is_given("particles", name, "angular_velocity")
+            place = scene.locate("particles", name, *(["angular_velocity"] if given else []))
             raise SceneError(
                 f"{place}: particles.{name} starts with {rate:.3g} rad/s, "
                 f"which is {rate * step:.3g} rad per step of {step:.3g} s, above the limit of {STEP_SHARE:g} rad. Use "

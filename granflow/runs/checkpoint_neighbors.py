@@ -3,8 +3,9 @@
 import numpy as np
 
 from granflow.io.checkpoint_parts import Part
+from granflow.io.machine import available_memory
 from granflow.plan.capacities import grown_capacity
-from granflow.plan.memory_check import MAX_LIST_ENTRIES, available_memory
+from granflow.plan.memory_check import MAX_LIST_ENTRIES
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 

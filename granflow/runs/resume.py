@@ -87,9 +87,9 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
-        named = "\n".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
+        named = " ".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
         raise GranflowError(
-            f"{named}\nRun the scene from the start, or continue despite the change with --allow-changes."
+            f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
         )
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)

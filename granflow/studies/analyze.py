@@ -1,15 +1,14 @@
 """Metrics and fields of a finished run, computed from its frames."""
 
-import csv
 from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import GranflowError
+from granflow.errors import FileError, GranflowError
 from granflow.fields import CONTACT_QUANTITIES, METRIC_QUANTITIES, PARTICLE_QUANTITIES
-from granflow.io.regular_files import read_regular_text
+from granflow.io.tables import read_table, write_table
 from granflow.observers.base import CONTACTS
 from granflow.observers.build import field_frames
 from granflow.observers.coarse_graining.field_frames import FieldFrames
@@ -85,14 +84,14 @@ def _stages(path: Path, scene: Scene) -> "_StageAt":
 
     Without a time series, the first stage. Raises GranflowError if the file cannot be read.
     """
-    if not path.exists():
-        return _StageAt([0.0], [scene.schedule[0].name])
     try:
-        lines = read_regular_text(path).splitlines()
-        rows = [(float(row["time [s]"]), row["stage"]) for row in csv.DictReader(lines)]
-    except (csv.Error, ValueError, TypeError, KeyError) as error:
+        table = read_table(path) if path.exists() else None
+        if table is None:
+            return _StageAt([0.0], [scene.schedule[0].name])
+        time, stage = table.names.index("time [s]"), table.names.index("stage")
+        return _StageAt([float(cells[time]) for _, cells in table.rows], [cells[stage] for _, cells in table.rows])
+    except (FileError, ValueError, IndexError) as error:
         raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
-    return _StageAt([time for time, _ in rows], [stage for _, stage in rows])
 
 
 class _StageAt:
@@ -125,8 +124,4 @@ def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
 
 def _write(path: Path, rows: list[MetricRow]) -> None:
     """Write rows as CSV; the directory is created if necessary."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else ["time [s]"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(path, rows[0] if rows else ["time [s]"], (row.values() for row in rows))

@@ -7,7 +7,6 @@ have the same weight as large ones; for each k the best C, and the best exponent
 line.
 """
 
-import csv
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.regular_files import read_regular_text
+from granflow.io.tables import read_table
 from granflow.scene.schema.units import UnitError, to_si
 
 EXPONENT = 2.5
@@ -175,21 +175,20 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
 
 def _of_table(source: Path) -> list[tuple[float, float]]:
     """Orifices [m] and mass flow rates [kg/s] of a CSV file. Raises GranflowError with the line number."""
-    reader = csv.DictReader(read_regular_text(source).splitlines())
-    try:
-        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-        if missing:
-            raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
-        found = []
-        for row in reader:
-            try:
-                orifice, flow = (to_si(row[name] or "", dimension) for name, dimension in COLUMNS.items())
-                found.append((orifice, flow))
-            except UnitError as error:
-                raise GranflowError(f"{source}:{reader.line_num}: {error}.") from None
-        return found
-    except csv.Error as error:
-        raise GranflowError(f"{source}:{reader.line_num}: this row cannot be read: {error}.") from None
+    table = read_table(source)
+    names = table.names if table else ()
+    missing = [name for name in COLUMNS if name not in names]
+    if table is None or missing:
+        raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
+    found = []
+    for line, cells in table.rows:
+        row = dict(zip(names, cells, strict=False))
+        try:
+            orifice, flow = (to_si(row.get(name, ""), dimension) for name, dimension in COLUMNS.items())
+            found.append((orifice, flow))
+        except UnitError as error:
+            raise GranflowError(f"{source}:{line}: {error}.") from None
+    return found
 
 
 def beverloo_rows(fits: Sequence[BeverlooFit]) -> list[tuple[str, ...]]:

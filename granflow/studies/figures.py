@@ -1,6 +1,5 @@
 """Style and output of the figures of all studies, and CSV output of their data. Requires the extra `plot`."""
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.io.tables import write_table
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
 """Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
@@ -82,7 +82,4 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
     `columns`: name -> array (rows,). Raises ValueError for columns of different length.
     """
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+    write_table(path, columns, zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))

@@ -1,6 +1,5 @@
 """Measured restitution as a function of velocity, read from a CSV file; all invalid rows are reported."""
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -10,6 +9,7 @@ import numpy as np
 
 from granflow.errors import FileError, GranflowError
 from granflow.io.regular_files import read_regular
+from granflow.io.tables import table_in
 from granflow.scene.schema.units import UnitError, to_si
 
 HEADINGS = {
@@ -54,13 +54,14 @@ def read_measurements(path: Path) -> Measurements:
 
     Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not UTF-8 text.
     """
-    rows = list(_rows(path, _text(path)))
-    if not rows:
+    table_read = table_in(_text(path), path, SEPARATORS)
+    if table_read is None:
         raise FileError(f"{path}: the file has no rows; the first row must name the columns: velocity,restitution.")
-    columns, width = _columns(path, *rows[0]), len(rows[0][1])
+    width = len(table_read.names)
+    columns = _columns(path, table_read.heading_line, table_read.names)
     problems: list[str] = []
     values: list[dict[str, float]] = []
-    for line, cells in rows[1:]:
+    for line, cells in table_read.rows:
         problems_of_row = _extra_cells(cells, width) or list(_read_row(cells, columns, values))
         problems.extend(f"{path}:{line}: {fault}." for fault in problems_of_row)
     if problems:
@@ -84,25 +85,6 @@ def _text(path: Path) -> str:
         return read_regular(path, LARGEST_FILE).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise GranflowError(f"{path} is not UTF-8 text; save it as CSV in UTF-8.") from None
-
-
-def _rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and stripped cells of each row; the separator is that of the header.
-
-    Empty lines and lines that begin with # are skipped. Raises FileError for a row that is not CSV.
-    """
-    nonempty = [
-        (n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip()[0] == "#"
-    ]
-    if not nonempty:
-        return
-    separator = next((mark for mark in SEPARATORS if mark in nonempty[0][1]), ",")
-    for number, line in nonempty:
-        try:
-            cells = next(csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True))
-        except csv.Error as error:
-            raise FileError(f"{path}:{number}: this row cannot be read: {error}.") from None
-        yield number, [cell.strip() for cell in cells]
 
 
 def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:

@@ -2,19 +2,25 @@
 
 import pytest
 
-from granflow.engine.threads.cores import allowed_cores, quota_cores, worker_count
+from granflow.io import machine
+from granflow.io.machine import allowed_cores, quota_cores, worker_count
 
 V2, V1 = "0::/user/job\n", "5:memory:/job\n4:cpu,cpuacct:/job\n"
 
 
-def write_system_files(root, groups, texts):
-    """Writes the files of /proc and /sys from which the quota is read; returns their root directory."""
+@pytest.fixture
+def write_system_files(tmp_path, monkeypatch):
+    """Writes the files of /proc and /sys from which the quota is read."""
+    monkeypatch.setattr(machine, "ROOT", tmp_path)
+    return lambda groups, texts: _write(tmp_path, groups, texts)
+
+
+def _write(root, groups, texts):
     group_files = {f"sys/fs/cgroup/{name}": text for name, text in texts.items()}
     for name, text in {"proc/self/cgroup": groups, **group_files}.items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    return root
 
 
 @pytest.mark.parametrize(
@@ -30,26 +36,28 @@ def write_system_files(root, groups, texts):
         ({}, None),
     ],
 )
-def test_cgroup_v2_quota_limits_the_cores(tmp_path, texts, cores):
-    assert quota_cores(write_system_files(tmp_path, V2, texts), {}) == cores
+def test_cgroup_v2_quota_limits_the_cores(write_system_files, texts, cores):
+    write_system_files(V2, texts)
+    assert quota_cores({}) == cores
 
 
 @pytest.mark.parametrize(("quota", "cores"), [("300000", 3), ("-1", None), ("0", None)])
 @pytest.mark.parametrize("folder", ["cpu", "cpu,cpuacct"])
-def test_cgroup_v1_quota_limits_the_cores(tmp_path, folder, quota, cores):
+def test_cgroup_v1_quota_limits_the_cores(write_system_files, folder, quota, cores):
     texts = {f"{folder}/job/cpu.cfs_quota_us": quota, f"{folder}/job/cpu.cfs_period_us": "100000"}
-    assert quota_cores(write_system_files(tmp_path, V1, texts), {}) == cores
+    write_system_files(V1, texts)
+    assert quota_cores({}) == cores
 
 
 @pytest.mark.parametrize(("value", "cores"), [("3", 3), ("0", None), ("-2", None), ("many", None), ("", None)])
-def test_slurm_limits_the_cores(tmp_path, value, cores):
-    assert quota_cores(tmp_path, {"SLURM_CPUS_PER_TASK": value}) == cores
+def test_slurm_limits_the_cores(write_system_files, value, cores):
+    assert quota_cores({"SLURM_CPUS_PER_TASK": value}) == cores
 
 
-def test_the_smaller_of_quota_and_slurm_applies(tmp_path):
-    root = write_system_files(tmp_path, V2, {"cpu.max": "200000 100000"})
-    assert quota_cores(root, {"SLURM_CPUS_PER_TASK": "7"}) == 2
-    assert quota_cores(root, {"SLURM_CPUS_PER_TASK": "1"}) == 1
+def test_the_smaller_of_quota_and_slurm_applies(write_system_files):
+    write_system_files(V2, {"cpu.max": "200000 100000"})
+    assert quota_cores({"SLURM_CPUS_PER_TASK": "7"}) == 2
+    assert quota_cores({"SLURM_CPUS_PER_TASK": "1"}) == 1
 
 
 @pytest.mark.parametrize(("affinity", "quota", "count"), [(8, 3, 3), (2, 5, 2), (4, 4, 4)])

@@ -17,7 +17,7 @@ def scene_of(**output):
         "interval": 0.01, "timeseries_interval": None, "particles": True, "contacts": False, "walls": True,
         "energy_budget": False, "flow_meters": {"outlet": meter}, "fields": {}, "metrics": {}, **output,
     }  # fmt: skip
-    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic=(), lees_edwards=None, on_exit="error")
+    domain = SimpleNamespace(min=(-1, -1, -3), max=(1, 1, 1), periodic_box=lambda: None, on_exit="error")
     return SimpleNamespace(
         output=SimpleNamespace(**block), domain=domain, walls={}, measured_walls=(), flow_meter_parts=lambda name: ()
     )

@@ -5,6 +5,7 @@ import csv
 import numpy as np
 from observers.snapshots import snapshot_of
 
+from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.flow_meters import FlowMeter
 from granflow.observers.timeseries import TimeSeries
 
@@ -48,4 +49,21 @@ def test_flow_meters_have_columns(tmp_path):
     assert header[2:] == ["flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]"]
     assert first[2:] == ["0.0", "0", "0.0"]
     assert last[2:] == ["3.0", "1", "6.0"]
-    assert series.results()["outlet"]["flow_count"] == 1
+    assert series.results_by_kind()["flow_meters"]["outlet"]["flow_count"] == 1
+
+
+def test_tables_are_read_back_exactly_and_without_an_incomplete_row(tmp_path):
+    path, numbers = tmp_path / "new" / "a.csv", np.random.default_rng(1).normal(size=7)
+    write_table(path, ["time [s]", "stage"], ([number, 'fill, "slow"'] for number in numbers.tolist()))
+    path.write_text(path.read_text() + "\n# note\n1.5\n")
+    table = read_table(path)
+    assert table.names == ("time [s]", "stage") and [line for line, _ in table.rows][-1] == 11
+    assert table.complete().numbers(0).tolist() == numbers.tolist()
+    assert set(table.complete().texts(1)) == {'fill, "slow"'}
+
+
+def test_header_and_separator_of_tables(tmp_path):
+    table = table_in("# made by hand\n\na;b [mm];\n1,5;x;\n", tmp_path, (";", ","))
+    assert (table.names, table.separator, table.heading_line) == (("a", "b [mm]"), ";", 3)
+    assert table.numbers(0).tolist() == [1.5] and np.isnan(table.numbers(1)).all()
+    assert table_in("# only\n# comments\n", tmp_path) is None

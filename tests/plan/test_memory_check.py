@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from plan.scenes import TEXT, line_of
@@ -20,13 +21,12 @@ GIB = 2**30
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
     """A synthetic machine: builds its available memory [bytes] and the files of its control groups."""
-    proc, groups = tmp_path / "proc", tmp_path / "cgroup"
-    monkeypatch.setattr(memory_check, "PROC", proc)
-    monkeypatch.setattr(memory_check, "CGROUPS", groups)
+    proc, groups = tmp_path / "proc", tmp_path / "sys" / "fs" / "cgroup"
+    monkeypatch.setattr("granflow.io.machine.ROOT", tmp_path)
 
     def build(available, membership="0::/", **files):
         (proc / "self").mkdir(parents=True)
-        (proc / "meminfo").write_text(f"MemTotal: {2 * available // 1024} kB\nMemAvailable:   {available // 1024} kB\n")
+        monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=available))
         (proc / "self" / "cgroup").write_text(membership + "\n")
         for name, text in files.items():
             path = groups / name.replace("__", "/")

@@ -6,7 +6,7 @@ from observers.snapshots import particles_of, snapshot_of
 
 from granflow.errors import SceneError
 from granflow.observers.vtu import ParticleFrames
-from granflow.particles.table import MOST_SHOWN, read_table
+from granflow.particles.table import MOST_SHOWN, read_particles
 
 POSITION = np.array([[0.1, -0.2, 0.3], [0.0, 1.5e-3, -4.0]])
 RADIUS = np.array([0.002, 0.0035])
@@ -32,7 +32,7 @@ def written(tmp_path, text, name="start.csv"):
 
 @pytest.mark.parametrize("text", FORMATS.values(), ids=FORMATS)
 def test_all_formats_give_the_same_particles(tmp_path, text):
-    table = read_table(written(tmp_path, text))
+    table = read_particles(written(tmp_path, text))
     np.testing.assert_allclose(table.position, POSITION, rtol=1e-15)
     np.testing.assert_allclose(table.radius, RADIUS, rtol=1e-15)
     assert table.velocity is None and table.angular_velocity is None
@@ -40,7 +40,7 @@ def test_all_formats_give_the_same_particles(tmp_path, text):
 
 def test_velocity_angular_velocity_and_material_are_read(tmp_path):
     heads = "x,y,z,r,vx[cm/s],vy[cm/s],vz[cm/s],spin_x,spin_y,spin_z,material"
-    table = read_table(written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n"))
+    table = read_particles(written(tmp_path, f"{heads}\n0,0,0,1,100,0,-50,1,2,3,glass\n3,0,0,1,0,0,0,0,0,0,steel\n"))
     np.testing.assert_allclose(table.velocity, [[1, 0, -0.5], [0, 0, 0]])
     np.testing.assert_allclose(table.angular_velocity[0], [1, 2, 3])
     assert table.material.tolist() == ["glass", "steel"] and table.line.tolist() == [2, 3]
@@ -71,7 +71,7 @@ BAD = {
 def test_invalid_rows_are_reported_with_their_line(tmp_path, text):
     path = written(tmp_path, text)
     with pytest.raises(SceneError) as caught:
-        read_table(path)
+        read_particles(path)
     for found, message in zip(caught.value.problems, BAD[text], strict=True):
         assert found.startswith(f"{path}:{message}")
 
@@ -79,20 +79,20 @@ def test_invalid_rows_are_reported_with_their_line(tmp_path, text):
 def test_unreadable_files_are_rejected(tmp_path, monkeypatch):
     for path, message in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "this is not a regular file")):
         with pytest.raises(SceneError, match=message):
-            read_table(path)
+            read_particles(path)
     broken = written(tmp_path, "<VTKFile", "broken.vtu")
     with pytest.raises(SceneError, match="this file cannot be read as VTU"):
-        read_table(broken)
+        read_particles(broken)
     monkeypatch.setattr("granflow.particles.table.LARGEST_FILE", 10)
     with pytest.raises(SceneError, match="too large for a table"):
-        read_table(written(tmp_path, FORMATS["commas"]))
+        read_particles(written(tmp_path, FORMATS["commas"]))
 
 
 def test_vtu_frame_of_granflow_is_read_back(tmp_path):
     """In the precision of the file, float32."""
     snapshot = snapshot_of(particles=particles_of(50))
     ParticleFrames(tmp_path, 0.1).observe(snapshot)
-    table = read_table(tmp_path / "particles_0000.vtu")
+    table = read_particles(tmp_path / "particles_0000.vtu")
     for name in ("position", "radius", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(getattr(table, name), snapshot.particles[name].astype(np.float32))
     assert table.material.tolist() == [str(number) for number in snapshot.particles["material"]]

@@ -111,6 +111,19 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     assert again.particles == scene.particles, "the resolved scene does not need the file"
 
 
+@pytest.mark.parametrize(("rate", "rejected"), [(199.0, False), (201.0, True)])
+def test_angular_velocity_of_a_file_above_the_limit_per_step_is_rejected(tmp_path, rate, rejected):
+    """The limit is 0.2 rad per step."""
+    scene = scene_with(
+        tmp_path, FILE, "run.time_step=1e-6", start=f"x,y,z,r,wx,wy,wz\n0.005,0,0,0.002,0,{1e3 * rate},0\n"
+    )
+    if rejected:
+        with pytest.raises(SceneError, match=r"particles.beads starts with 2.01e.05 rad/s, which is 0.201 rad per st"):
+            plan_for(scene)
+    else:
+        plan_for(scene)
+
+
 def test_rows_are_assigned_to_the_group_of_their_material(tmp_path):
     rows = "x,y,z,d,material\n0,0,0,4e-3,steel\n0.01,0,0,4e-3,glass\n0.02,0,0,4e-3,1\n"
     both = FILE + "  shot: {material: steel, insert: {kind: file, file: start.csv}}\n"

@@ -15,10 +15,11 @@ import pytest
 from granflow.cli.main import main
 from granflow.cli.messages import say
 from granflow.errors import SceneError
-from granflow.geometry.mesh.file import MeshFileError, read_triangles
-from granflow.io.regular_files import open_regular, read_regular, resolved
+from granflow.geometry.mesh.file import read_triangles
+from granflow.io.log import run_log
+from granflow.io.regular_files import FormatError, open_regular, read_regular, resolved
 from granflow.io.vtu_reader import read_vtu
-from granflow.particles.table import read_table
+from granflow.particles.table import read_particles
 from granflow.visible_text import visible
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
@@ -95,10 +96,10 @@ VTUS = {
 def test_crafted_vtu_is_rejected_within_256_mib(tmp_path, name):
     text, message = VTUS[name]
     (tmp_path / "a.vtu").write_text(text)
-    with limited_memory(2**28), pytest.raises(MeshFileError, match=message):
+    with limited_memory(2**28), pytest.raises(FormatError, match=message):
         read_triangles(tmp_path / "a.vtu")
     with pytest.raises(SceneError, match=message):
-        read_table(tmp_path / "a.vtu")
+        read_particles(tmp_path / "a.vtu")
 
 
 class limited_memory:
@@ -145,7 +146,7 @@ def test_negative_indices_of_obj_count_from_the_preceding_vertex(tmp_path):
 )
 def test_invalid_lines_of_obj_are_reported(tmp_path, face, message):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
-    with pytest.raises(MeshFileError, match=message):
+    with pytest.raises(FormatError, match=message):
         read_triangles(tmp_path / "a.obj")
 
 
@@ -174,7 +175,7 @@ def test_circular_links_are_rejected_without_traceback(tmp_path, capsys):
         assert "Traceback" not in capsys.readouterr().err
     for suffix in ("stl", "obj", "vtu", "ply", "vtk"):
         (tmp_path / f"loop.{suffix}").symlink_to(tmp_path / f"loop.{suffix}")
-        with pytest.raises(MeshFileError, match="cannot be read"):
+        with pytest.raises(FormatError, match="cannot be read"):
             read_triangles(tmp_path / f"loop.{suffix}")
 
 
@@ -199,10 +200,19 @@ def test_commands_print_only_through_say():
     assert [each for each in found if each[1]] == [("messages.py", 1)]
 
 
-def test_messages_escape_file_names(tmp_path, capsys):
-    assert main(["check", str(tmp_path / "a\x1b[2J\u202e.yaml")]) == 2
+@pytest.mark.parametrize("verb", ["check", "beverloo --diameter 1mm --bulk-density 1500", "report"])
+def test_messages_escape_file_names(tmp_path, capsys, verb):
+    assert main([*verb.split(), str(tmp_path / "a\x1b[2J\u202e\n.yaml")]) == 2
     error = capsys.readouterr().err
-    assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e.yaml" in error
+    assert "\x1b" not in error and "\u202e" not in error and "\\x1b[2J\\u202e\\n.yaml" in error
+
+
+def test_log_escapes_newlines(tmp_path):
+    with pytest.raises(SceneError), run_log(tmp_path) as log:
+        log.info("out\nput")
+        raise SceneError(["a\nb", "c"])
+    lines = [line.partition(": ")[2] for line in (tmp_path / "run.log").read_text().splitlines()]
+    assert lines == ["out\\nput", "ended by SceneError: a\\nb", "ended by SceneError: c"]
 
 
 FUZZ = """
@@ -211,8 +221,9 @@ from pathlib import Path
 import numpy as np
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 from granflow.errors import GranflowError
-from granflow.particles.table import read_table
-from granflow.geometry.mesh.file import MeshFileError, read_triangles
+from granflow.io.regular_files import FormatError
+from granflow.particles.table import read_particles
+from granflow.geometry.mesh.file import read_triangles
 random, folder = np.random.default_rng(5), Path(sys.argv[1])
 for path in sorted(folder.iterdir()):
     whole = path.read_bytes()
@@ -223,8 +234,8 @@ for path in sorted(folder.iterdir()):
         target = folder / ("flipped" + path.suffix)
         target.write_bytes(bytes(data))
         try:
-            read_table(target) if path.stem == "table" else read_triangles(target)
-        except (GranflowError, MeshFileError):
+            read_particles(target) if path.stem == "table" else read_triangles(target)
+        except (GranflowError, FormatError):
             pass
         target.unlink()
 print("done")

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.compressed_rows import row_entries, starts_of
 from granflow.geometry.shape import unit
 
 COPLANAR_ANGLE = 1e-4
@@ -42,8 +43,8 @@ NOT_OWNED, OPEN_EDGE, SHARED_EDGE = range(3)
 class MeshAdjacency:
     """Arrays over triangles (t, ...), over their edges and corners (t, 3, ...), and over points (n, ...).
 
-    Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The device reads
-    the same arrays (`device/mesh_fields.py`) and `mesh_contact.py` is the reference implementation that uses them.
+    Edge k of a triangle runs from corner k to the next corner. Lengths are in m, real arrays float64. The kernels read
+    the same arrays (`engine/mesh_fields.py`); `contact.py` is the reference implementation that uses them.
     """
 
     vertex: np.ndarray
@@ -86,14 +87,44 @@ class MeshAdjacency:
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """The 3 t edges of all triangles, grouped by their two end points."""
+    """The 3 t edges of all triangles, numbered 3 triangle + edge, with their roles as in MeshAdjacency."""
 
-    number: np.ndarray
-    """(3 t,) index of the edge between two points."""
-    count: int
-    """Number of different edges."""
-    base: np.ndarray
-    """(3 t,) corner 0 to 2 with the lower index of the two points."""
+    inward: np.ndarray
+    owns_tie: np.ndarray
+    role: np.ndarray
+    inward_other: np.ndarray
+
+    def share(self, first: np.ndarray, second: np.ndarray) -> None:
+        """Assign edges of two triangles, (p,) and (p,), to the first; edges of coplanar triangles have no contact."""
+        coplanar = is_coplanar(self.inward[first], self.inward[second])
+        self.make_coplanar(first[coplanar], second[coplanar])
+        first, second = first[~coplanar], second[~coplanar]
+        self.role[first] = SHARED_EDGE
+        self.inward_other[first] = self.inward[second]
+
+    def share_nonmanifold(self, edges: np.ndarray) -> None:
+        """Assign an edge of k > 2 triangles (k,) to the two at the widest free angle, if it exceeds 180 degrees."""
+        for position, one in enumerate(edges):
+            for other in edges[position + 1 :]:
+                if is_coplanar(self.inward[one], self.inward[other]) and not self.owns_tie[edges].any():
+                    self.make_coplanar(np.array([one]), np.array([other]))
+        inward = self.inward[edges]
+        first = inward[0]
+        non_parallel = [each for each in inward if np.linalg.norm(np.cross(first, each)) > COPLANAR_ANGLE]
+        axis = unit(np.cross(first, [*non_parallel, np.roll(first, 1) + 0.5 * np.roll(first, 2)][0]))
+        angle = np.arctan2(inward @ np.cross(axis, first), inward @ first) % (2 * np.pi)
+        ordered = edges[np.argsort(angle, kind="stable")]
+        gaps = np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi)
+        widest = int(np.argmax(gaps))
+        if gaps[widest] > np.pi + COPLANAR_ANGLE:
+            one, other = sorted((ordered[widest], ordered[(widest + 1) % len(ordered)]))
+            self.role[one], self.inward_other[one] = SHARED_EDGE, self.inward[other]
+
+    def make_coplanar(self, first: np.ndarray, second: np.ndarray) -> None:
+        """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the first."""
+        mean = normalized(self.inward[first] - self.inward[second])
+        self.inward[first], self.inward[second] = mean, -mean
+        self.owns_tie[first] = True
 
 
 def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
@@ -107,41 +138,38 @@ def adjacency_of(points: np.ndarray, corners: np.ndarray) -> MeshAdjacency:
     length = np.linalg.norm(sides, axis=2)
     edge_direction = sides / length[:, :, None]
     normal = normalized(np.cross(sides[:, 0], -sides[:, 2]))
-    inward = normalized(np.cross(normal[:, None, :], edge_direction))
-    edges = edges_of(corners)
-    pairs, nonmanifold, open_edges = classify_edges(edges)
-    owns_tie, role, inward_other = (
-        np.zeros((3 * len(corners)), bool),
-        np.full(3 * len(corners), NOT_OWNED),
-        np.zeros_like(inward),
-    )
-    inward, inward_other = inward.reshape(-1, 3), inward_other.reshape(-1, 3)
-    role[open_edges] = OPEN_EDGE
-    assign_shared_edges(pairs, inward, owns_tie, role, inward_other)
+    inward = normalized(np.cross(normal[:, None, :], edge_direction)).reshape(-1, 3)
+    pairs, nonmanifold, open_edges = classify_edges(corners)
+    count = 3 * len(corners)
+    edges = _Edges(inward, np.zeros(count, bool), np.full(count, NOT_OWNED), np.zeros_like(inward))
+    edges.role[open_edges] = OPEN_EDGE
+    edges.share(*pairs.T)
     for edge_group in nonmanifold:
-        assign_nonmanifold_edge(edge_group, inward, owns_tie, role, inward_other)
+        edges.share_nonmanifold(edge_group)
     vertex_edge_start, vertex_edge, longest = vertex_edges_of(points, corners)
     competitor_start, competitor = competitors_of(points, corners, normal)
+    owner = np.full(len(points), len(corners))
+    np.minimum.at(owner, corners.reshape(-1), np.repeat(np.arange(len(corners)), 3))
     by_edge = (len(corners), 3)
     return MeshAdjacency(
-        vertex,
-        normal,
-        edge_direction,
-        length,
-        inward.reshape(*by_edge, 3),
-        edges.base.reshape(by_edge),
-        owns_tie.reshape(by_edge),
-        role.reshape(by_edge),
-        inward_other.reshape(*by_edge, 3),
-        owners_of(corners, len(points)),
-        corners,
-        vertex_edge_start,
-        vertex_edge,
-        longest,
-        competitor_start,
-        competitor,
-        len(open_edges),
-        len(nonmanifold),
+        vertex=vertex,
+        normal=normal,
+        edge_direction=edge_direction,
+        length=length,
+        inward=edges.inward.reshape(*by_edge, 3),
+        base=([0, 1, 2] + (np.roll(corners, -1, axis=1) < corners)) % 3,
+        owns_tie=edges.owns_tie.reshape(by_edge),
+        role=edges.role.reshape(by_edge),
+        inward_other=edges.inward_other.reshape(*by_edge, 3),
+        owner=owner,
+        point=corners,
+        vertex_edge_start=vertex_edge_start,
+        vertex_edge=vertex_edge,
+        longest=longest,
+        competitor_start=competitor_start,
+        competitor=competitor,
+        open_count=len(open_edges),
+        nonmanifold_count=len(nonmanifold),
     )
 
 
@@ -150,117 +178,29 @@ def normalized(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def edges_of(corners: np.ndarray) -> _Edges:
-    """Edges of triangles (t, 3), numbered by their unordered pairs of points."""
-    following = np.roll(corners, -1, axis=1)
-    ends = np.sort(np.stack([corners, following], axis=2).reshape(-1, 2), axis=1)
-    keys = ends[:, 0] * (int(corners.max()) + 1) + ends[:, 1]
-    found, number = np.unique(keys, return_inverse=True)
-    lower_is_second = (following < corners).reshape(-1)
-    base = (np.tile([0, 1, 2], len(corners)) + lower_is_second) % 3
-    return _Edges(number.reshape(-1), len(found), base)
+def is_coplanar(inward_a: np.ndarray, inward_b: np.ndarray) -> np.ndarray:
+    """Whether (...,) two triangles at an edge are coplanar and do not overlap; arguments (..., 3) as `inward`."""
+    return np.linalg.norm(inward_a + inward_b, axis=-1) <= COPLANAR_ANGLE
 
 
-def classify_edges(edges: _Edges) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Group the 3 t triangle edges by the number of triangles that have the same end points.
+def classify_edges(corners: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Group the edges of triangles (t, 3) by the number of triangles with the same end points.
 
     Returns:  pairs (p, 2) of edges with two triangles; one array (k,) for each non-manifold edge; open edges (o,).
               Entries are 3 triangle + edge.
     """
-    order = np.argsort(edges.number, kind="stable")
-    sizes = np.bincount(edges.number, minlength=edges.count)
+    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    keys = ends[:, 0] * (int(corners.max()) + 1) + ends[:, 1]
+    order = np.argsort(keys, kind="stable")
+    _, sizes = np.unique(keys, return_counts=True)
     starts = np.cumsum(sizes) - sizes
     pairs = order[starts[sizes == 2][:, None] + np.arange(2)]
     nonmanifold = [order[start : start + size] for start, size in zip(starts[sizes > 2], sizes[sizes > 2], strict=True)]
     return pairs, nonmanifold, order[starts[sizes == 1]]
 
 
-def assign_shared_edges(
-    pairs: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray, role: np.ndarray, inward_other: np.ndarray
-) -> None:
-    """Assign the edges (p, 2) of two triangles to one owner each; edges of coplanar triangles have none.
-
-    pairs:         (p, 2), entries 3 triangle + edge
-    inward:        (3 t, 3) unit vectors, made exactly opposite for coplanar triangles
-    owns_tie:      (3 t,) bool, set for the first of two coplanar triangles
-    role:          (3 t,), set to SHARED_EDGE for the owner, the triangle with the lower index
-    inward_other:  (3 t, 3), set to `inward` of the other triangle
-    """
-    first, second = pairs[:, 0], pairs[:, 1]
-    coplanar = is_coplanar(inward[first], inward[second])
-    make_coplanar(first[coplanar], second[coplanar], inward, owns_tie)
-    first, second = first[~coplanar], second[~coplanar]
-    role[first] = SHARED_EDGE
-    inward_other[first] = inward[second]
-
-
-def assign_nonmanifold_edge(
-    edge_group: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray, role: np.ndarray, inward_other: np.ndarray
-) -> None:
-    """Assign an edge of more than two triangles to the two triangles at the widest free angle.
-
-    edge_group:  (k,), entries 3 triangle + edge of one non-manifold edge
-
-    The other arguments are those of `assign_shared_edges`. If no free angle exceeds 180 degrees, the edge has no
-    contact.
-    """
-    for position, one in enumerate(edge_group):
-        for other in edge_group[position + 1 :]:
-            if is_coplanar(inward[one], inward[other]) and not owns_tie[edge_group].any():
-                make_coplanar(np.array([one]), np.array([other]), inward, owns_tie)
-    first = inward[edge_group[0]]
-    axis = next(unit(np.cross(first, each)) for each in _non_parallel_directions(first, inward[edge_group]))
-    angle = np.arctan2(inward[edge_group] @ np.cross(axis, first), inward[edge_group] @ first) % (2 * np.pi)
-    ordered = edge_group[np.argsort(angle, kind="stable")]
-    gaps = np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi)
-    widest = int(np.argmax(gaps))
-    if gaps[widest] > np.pi + COPLANAR_ANGLE:
-        one, other = sorted((ordered[widest], ordered[(widest + 1) % len(ordered)]))
-        role[one], inward_other[one] = SHARED_EDGE, inward[other]
-
-
-def _non_parallel_directions(first: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
-    """Directions of (k, 3) that are not parallel to `first` (3,), followed by one arbitrary direction."""
-    non_parallel = [each for each in directions if np.linalg.norm(np.cross(first, each)) > COPLANAR_ANGLE]
-    return [*non_parallel, np.roll(first, 1) + 0.5 * np.roll(first, 2)]
-
-
-def is_coplanar(inward_a: np.ndarray, inward_b: np.ndarray) -> np.ndarray:
-    """Whether two triangles at an edge are coplanar and do not overlap.
-
-    inward_a, inward_b:  (..., 3) unit vectors into the faces, perpendicular to the edge
-    Returns:             (...,) bool
-    """
-    return np.linalg.norm(inward_a + inward_b, axis=-1) <= COPLANAR_ANGLE
-
-
-def make_coplanar(first: np.ndarray, second: np.ndarray, inward: np.ndarray, owns_tie: np.ndarray) -> None:
-    """Make `inward` of both triangles of each edge exactly opposite; ties on the edge belong to the first triangle.
-
-    first, second:  (p,), entries 3 triangle + edge
-    inward:         (3 t, 3), changed in place
-    owns_tie:       (3 t,) bool, changed in place
-    """
-    inward_mean = normalized(inward[first] - inward[second])
-    inward[first], inward[second] = inward_mean, -inward_mean
-    owns_tie[first] = True
-
-
-def owners_of(corners: np.ndarray, point_count: int) -> np.ndarray:
-    """Owner (n,) of the contacts at each point: the triangle with the lowest index that has the point as a corner."""
-    owner = np.full(point_count, len(corners))
-    np.minimum.at(owner, corners.reshape(-1), np.repeat(np.arange(len(corners)), 3))
-    return owner
-
-
 def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges at each point.
-
-    points:   (n, 3) [m]
-    corners:  (t, 3) as indices of the points
-    Returns:  start (n + 1,) of the edges of each point; unit vectors (e, 3) away from the points; length (n,) [m] of
-              the longest edge at each point
-    """
+    """Edges at each point: `vertex_edge_start`, `vertex_edge` and `longest` of MeshAdjacency."""
     ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
     both = np.concatenate([ends, ends[:, ::-1]])
     start_point, end_point = np.divmod(np.unique(both[:, 0] * len(points) + both[:, 1]), len(points))
@@ -269,18 +209,11 @@ def vertex_edges_of(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray
     return start, along / length[:, None], np.maximum.reduceat(length, start[:-1])
 
 
-def starts_of(sorted_numbers: np.ndarray, count: int) -> np.ndarray:
-    """Start (count + 1,) of each of the numbers 0 to `count` - 1 in a sorted array (compressed rows)."""
-    return np.searchsorted(sorted_numbers, np.arange(count + 1))
-
-
 def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Competing triangles by triangle and side: common point, angle up to SMOOTH_ANGLE, concave toward the particle.
 
-    points:   (n, 3) [m]
-    corners:  (t, 3) as indices of the points
     normal:   (t, 3) unit normals
-    Returns:  start (2 t + 1,) and indices (r,) as in MeshAdjacency
+    Returns:  `competitor_start` and `competitor` of MeshAdjacency
 
     A triangle completely behind the plane of another cannot be nearer to a particle in front of that plane.
     """
@@ -290,29 +223,18 @@ def competitors_of(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) 
     one, other = one[smooth], other[smooth]
     height = np.sum((points[corners[other]] - points[corners[one, 0]][:, None, :]) * normal[one][:, None, :], axis=2)
     size = np.abs(height).max(axis=1)
-    keys, competitors = [], []
-    for side, heights_above in enumerate((height.max(axis=1), -height.min(axis=1))):
-        is_concave = heights_above > COPLANAR_ANGLE * size
-        keys.append(2 * one[is_concave] + side)
-        competitors.append(other[is_concave])
-    key, competitor = np.concatenate(keys), np.concatenate(competitors)
+    concave = [above > COPLANAR_ANGLE * size for above in (height.max(axis=1), -height.min(axis=1))]
+    key = np.concatenate([2 * one[is_concave] + side for side, is_concave in enumerate(concave)])
+    competitor = np.concatenate([other[is_concave] for is_concave in concave])
     order = np.lexsort((competitor, key))
     return starts_of(key[order], 2 * len(corners)), competitor[order]
 
 
 def neighbors_of(corners: np.ndarray, point_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ordered pairs (p,), (p,) of different triangles with a common point, without duplicates.
-
-    corners:      (t, 3) as indices of the points
-    point_count:  number of points
-    """
-    triangle = np.repeat(np.arange(len(corners)), 3)
-    order = np.argsort(corners.reshape(-1), kind="stable")
-    start = starts_of(corners.reshape(-1)[order], point_count)
+    """Ordered pairs (p,), (p,) of different triangles with a common point, without duplicates."""
     corner_points = corners.reshape(-1)
-    size = np.diff(start)[corner_points]
-    first = np.repeat(triangle, size)
-    rank = np.arange(len(first)) - np.repeat(np.cumsum(size) - size, size)
-    second = triangle[order[np.repeat(start[corner_points], size) + rank]]
+    order = np.argsort(corner_points, kind="stable")
+    corner, entry = row_entries(starts_of(corner_points[order], point_count), corner_points)
+    first, second = corner // 3, order[entry] // 3
     pairs = np.unique(first[first != second] * len(corners) + second[first != second])
     return pairs // len(corners), pairs % len(corners)

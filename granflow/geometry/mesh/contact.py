@@ -1,8 +1,9 @@
-"""Distance and contact of a point with a triangle of a mesh in numpy: reference implementation of `device/mesh.py`."""
+"""Distance and contact of a point with a triangle of a mesh in numpy: reference implementation of `engine/mesh.py`."""
 
 import numpy as np
 
-from granflow.geometry.mesh.adjacency import NOT_OWNED, OPEN_EDGE, SHARED_EDGE, MeshAdjacency
+from granflow.geometry.compressed_rows import row_entries
+from granflow.geometry.mesh.adjacency import OPEN_EDGE, SHARED_EDGE, MeshAdjacency
 from granflow.geometry.shape import FAR_AWAY
 
 ROUNDING = 16.0
@@ -14,7 +15,7 @@ def triangle_distances(vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
 
     vertex:   (n, 3, 3) corners [m]
     points:   (n, 3) [m]
-    Returns:  (n,) [m], without regard to the owner of the contact
+    Returns:  (n,) [m]; without the comparison of owners
     """
     sides = np.roll(vertex, -1, axis=1) - vertex
     from_vertex = points[:, None, :] - vertex
@@ -51,25 +52,12 @@ def reference_contact(
     return np.where(not_owner, FAR_AWAY, gap), normal
 
 
-def row_entries(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All entries of rows of a table in compressed rows.
-
-    start:    (rows + 1,) start of each row
-    wanted:   (n,) indices of the rows
-    Returns:  positions in `wanted` (r,) and entries (r,), ordered by position
-    """
-    counts = start[wanted + 1] - start[wanted]
-    query = np.repeat(np.arange(len(wanted)), counts)
-    rank = np.arange(len(query)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return query, start[wanted][query] + rank
-
-
 def reference_contact_alone(
     adjacency: MeshAdjacency, triangles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Same as `reference_contact`, without the comparison with competing triangles.
 
-    Device equivalent: `contact_alone` in `device/mesh.py`.
+    Device equivalent: `contact_alone` in `engine/mesh.py`.
     """
     gap, normal = np.full(len(points), FAR_AWAY), adjacency.normal[triangles].copy()
     from_vertex = points[:, None, :] - adjacency.vertex[triangles]
@@ -85,20 +73,10 @@ def reference_contact_alone(
         is_owner = above[:, k] & (adjacency.owner[adjacency.point[triangles, k]] == triangles)
         _set_contact(gap, normal, is_owner & ~on_face, from_vertex[:, k])
         t, role = _dot(from_vertex[:, k], adjacency.edge_direction[triangles, k]), adjacency.role[triangles, k]
-        is_edge_contact = (
-            ~above_any_vertex
-            & ~is_inside[:, k]
-            & (role != NOT_OWNED)
-            & (t > 0.0)
-            & (t < adjacency.length[triangles, k])
-        )
-        is_edge_contact &= (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_other[:, k] <= 0.0))
-        _set_contact(
-            gap,
-            normal,
-            is_edge_contact & ~on_face,
-            from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k],
-        )
+        owned = (role == OPEN_EDGE) | ((role == SHARED_EDGE) & (s_other[:, k] <= 0.0))
+        over_edge = ~above_any_vertex & ~is_inside[:, k] & (t > 0.0) & (t < adjacency.length[triangles, k])
+        from_edge = from_vertex[:, k] - t[:, None] * adjacency.edge_direction[triangles, k]
+        _set_contact(gap, normal, owned & over_edge & ~on_face, from_edge)
     return gap, normal
 
 

@@ -1,4 +1,8 @@
-"""Reads the triangles of a mesh file: STL (binary and text), OBJ, PLY, VTK, VTU. meshio reads text STL, PLY and VTK."""
+"""Reads the triangles of a mesh file: STL, OBJ, PLY, VTK, VTU. meshio reads text STL, PLY and VTK.
+
+trimesh is not used: it accepts truncated STL and PLY files and vertices with two coordinates, splits polygons and drops
+invalid faces silently, gives no line numbers, and its import takes longer than that of meshio.
+"""
 
 import io
 import warnings
@@ -10,9 +14,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from granflow.geometry.mesh.obj_file import ObjError, read_obj
-from granflow.io.regular_files import read_regular
-from granflow.io.vtu_reader import VtuError, read_vtu
+from granflow.geometry.mesh.obj_file import read_obj
+from granflow.io.regular_files import FormatError, read_regular
+from granflow.io.vtu_reader import read_vtu
 
 LARGEST_FILE = 256 * 2**20
 """Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
@@ -31,10 +35,6 @@ MAX_REASON_LENGTH = 200
 
 IGNORED_CELLS = ("vertex", "line")
 """Cells without a surface; ignored."""
-
-
-class MeshFileError(Exception):
-    """A file that contains no valid triangles for a wall; the message continues the sentence "FILE ..."."""
 
 
 @dataclass(frozen=True)
@@ -56,41 +56,28 @@ def read_triangles(path: Path) -> RawTriangles:
 
     path:     STL, OBJ, PLY, VTK or VTU file of at most LARGEST_FILE bytes
     Returns:  1 to MAX_TRIANGLES triangles with finite coordinates; they may be degenerate or duplicate
-    Raises:   MeshFileError if the file is missing, damaged, too large or of another format, or contains cells other
-              than triangles, quadrilaterals, lines and vertices
+    Raises:   FormatError if the file is missing, damaged, too large or of another format, or contains cells other than
+              triangles, quadrilaterals, lines and vertices
     """
-    raw = _read_bytes(path)
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in FORMATS:
-        raise MeshFileError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
-    return _validated(_read_format(path, kind, raw))
-
-
-def _read_format(path: Path, kind: str, raw: bytes) -> RawTriangles:
-    """Triangles of a file of the format `kind`, one of FORMATS. Raises MeshFileError."""
-    try:
-        if kind == "obj":
-            return RawTriangles(*read_obj(raw))
-        if kind == "vtu":
-            return _raw_triangles(read_vtu(path, LARGEST_FILE))
-    except (ObjError, VtuError) as error:
-        raise MeshFileError(str(error)) from None
-    if kind == "stl" and not _is_text_stl(raw):
-        return _binary_stl(raw)
-    return _raw_triangles(_by_meshio(path, kind))
-
-
-def _read_bytes(path: Path) -> bytes:
-    """All bytes of the file. Raises MeshFileError if it is missing, empty, too large or not a regular file."""
     try:
         raw = read_regular(path, LARGEST_FILE)
     except FileNotFoundError:
-        raise MeshFileError("does not exist") from None
+        raise FormatError("does not exist") from None
     except OSError as error:
-        raise MeshFileError(f"cannot be read: {error.strerror or error}") from None
+        raise FormatError(f"cannot be read: {error.strerror or error}") from None
+    kind = path.suffix.lower().lstrip(".")
     if not raw:
-        raise MeshFileError("is empty")
-    return raw
+        raise FormatError("is empty")
+    if kind not in FORMATS:
+        raise FormatError(f"has an unsupported format; the supported formats are {', '.join(FORMATS)}")
+    if kind == "obj":
+        found = RawTriangles(*read_obj(raw))
+    elif kind == "stl" and not _is_text_stl(raw):
+        found = _binary_stl(raw)
+    else:
+        found = _raw_triangles(read_vtu(path, LARGEST_FILE) if kind == "vtu" else _by_meshio(path, kind))
+    _check(found)
+    return found
 
 
 def _is_text_stl(raw: bytes) -> bool:
@@ -106,19 +93,19 @@ def _stl_count(raw: bytes) -> int:
 
 
 def _binary_stl(raw: bytes) -> RawTriangles:
-    """Triangles of a binary STL file, three points each. Raises MeshFileError if the file is truncated."""
+    """Triangles of a binary STL file, three points each. Raises FormatError if the file is truncated."""
     count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
-        raise MeshFileError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
+        raise FormatError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
     if count > capacity:
-        raise MeshFileError(f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged")
+        raise FormatError(f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged")
     records = np.frombuffer(raw, STL_RECORD, min(count, MAX_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)
     return RawTriangles(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
-    """Read a file with meshio; every exception of meshio becomes a MeshFileError."""
+    """Read a file with meshio; every exception of meshio becomes a FormatError."""
     read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
@@ -127,50 +114,38 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
     except (Exception, SystemExit) as error:
         reason = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:MAX_REASON_LENGTH]
         reason = reason or "it is damaged or has another format"
-        raise MeshFileError(f"cannot be read as {kind.upper()}: {reason}") from None
+        raise FormatError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
 def _raw_triangles(mesh: meshio.Mesh) -> RawTriangles:
-    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises MeshFileError for other cells."""
+    """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises FormatError for other cells."""
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
-    triangles, quads = _cells(mesh, "triangle", 3), _cells(mesh, "quad", 4)
     others = {block.type: len(block.data) for block in mesh.cells}
     for known in ("triangle", "quad", *IGNORED_CELLS):
         others.pop(known, None)
     if any(others.values()):
         named = ", ".join(f"{count} {name}" for name, count in others.items())
-        raise MeshFileError(f"contains {named}, but a wall consists of triangles; export the surface only")
-    triangles_of_quads = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return RawTriangles(points, np.concatenate([triangles, triangles_of_quads]), len(quads))
+        raise FormatError(f"contains {named}, but a wall consists of triangles; export the surface only")
+    triangles, quads = (
+        np.concatenate(
+            [np.empty((0, count), np.int64), *(b.data.astype(np.int64) for b in mesh.cells if b.type == kind)]
+        )
+        for kind, count in (("triangle", 3), ("quad", 4))
+    )
+    return RawTriangles(points, np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), len(quads))
 
 
-def _cells(mesh: meshio.Mesh, kind: str, corner_count: int) -> np.ndarray:
-    """Corners (c, corner_count) of all cells of one type of meshio, int64."""
-    blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == kind]
-    return np.concatenate([np.empty((0, corner_count), dtype=np.int64), *blocks])
-
-
-def _validated(triangles_read: RawTriangles) -> RawTriangles:
-    """Check the number of triangles, the point indices and the coordinates; return the triangles unchanged.
-
-    Raises MeshFileError for no or too many triangles, invalid indices, or coordinates that are not finite.
-    """
-    count = len(triangles_read.corners)
-    if not count:
-        raise MeshFileError("contains no triangles")
-    if count > MAX_TRIANGLES:
-        raise MeshFileError(f"contains more than {MAX_TRIANGLES} triangles, the maximum for a mesh")
-    if (
-        triangles_read.points.ndim != 2
-        or triangles_read.points.shape[1] != 3
-        or triangles_read.corners.max() >= len(triangles_read.points)
-    ):
-        raise MeshFileError("refers to vertices that it does not contain: it is damaged")
-    if triangles_read.corners.min() < 0:
-        raise MeshFileError("refers to vertices that it does not contain: it is damaged")
-    not_finite = ~np.isfinite(triangles_read.points[triangles_read.corners]).all(axis=(1, 2))
+def _check(found: RawTriangles) -> None:
+    """Raise FormatError for no or too many triangles, invalid indices, or coordinates that are not finite."""
+    points, corners = found.points, found.corners
+    if not len(corners):
+        raise FormatError("contains no triangles")
+    if len(corners) > MAX_TRIANGLES:
+        raise FormatError(f"contains more than {MAX_TRIANGLES} triangles, the maximum for a mesh")
+    if points.ndim != 2 or points.shape[1] != 3 or not 0 <= corners.min() <= corners.max() < len(points):
+        raise FormatError("refers to vertices that it does not contain: it is damaged")
+    not_finite = ~np.isfinite(points[corners]).all(axis=(1, 2))
     if not_finite.any():
-        raise MeshFileError(f"has {int(not_finite.sum())} triangles with coordinates that are not finite")
-    return triangles_read
+        raise FormatError(f"has {int(not_finite.sum())} triangles with coordinates that are not finite")

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.geometry.mesh.contact import row_entries, triangle_distances
+from granflow.geometry.compressed_rows import expanded, row_entries, starts_of
+from granflow.geometry.mesh.contact import triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 
 CELLS_PER_TRIANGLE, MIN_CELLS = 8.0, 4096
@@ -55,7 +56,7 @@ def grid_over(vertex: np.ndarray, reach: float) -> MeshGrid:
     cell, triangle = overlaps(vertex, reach, low, side, shape)
     cell, triangle = within_reach(vertex, reach, low, side, shape, cell, triangle)
     order = np.lexsort((triangle, cell))
-    start = np.searchsorted(cell[order], np.arange(int(np.prod(shape)) + 1))
+    start = starts_of(cell[order], int(np.prod(shape)))
     return MeshGrid(low, side, shape, start, triangle[order])
 
 
@@ -104,9 +105,7 @@ def overlaps(
     first = np.clip(np.floor((vertex.min(axis=1) - reach - low) / side).astype(np.int64), 0, shape - 1)
     last = np.clip(np.floor((vertex.max(axis=1) + reach - low) / side).astype(np.int64), 0, shape - 1)
     spans = last - first + 1
-    count = np.prod(spans, axis=1)
-    triangle = np.repeat(np.arange(len(vertex)), count)
-    rank = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    triangle, rank = expanded(np.zeros(len(vertex), np.int64), np.prod(spans, axis=1))
     span_x, span_y = spans[triangle, 0], spans[triangle, 1]
     x, y, z = rank % span_x, rank // span_x % span_y, rank // (span_x * span_y)
     x, y, z = x + first[triangle, 0], y + first[triangle, 1], z + first[triangle, 2]

@@ -16,12 +16,7 @@ WELD_TOLERANCE = 1e-6
 
 
 def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Area of triangles.
-
-    points:   (n, 3) [m]
-    corners:  (t, 3) as indices of the points
-    Returns:  (t,) [m2]
-    """
+    """Areas (t,) [m2] of triangles (t, 3), indices of the points (n, 3) [m]."""
     sides = points[corners[:, 1:]] - points[corners[:, :1]]
     return 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
 
@@ -47,12 +42,10 @@ class Mesh:
 
     @cached_property
     def adjacency(self) -> MeshAdjacency:
-        """Adjacency that determines the owning triangle of a contact."""
         return adjacency_of(self.points, self.corners)
 
     @property
     def triangle_count(self) -> int:
-        """Number of triangles."""
         return len(self.corners)
 
     @property
@@ -80,13 +73,7 @@ class Mesh:
         return float(distance_from_axis(self.points, point, axis).max())
 
     def placed(self, scale: float, rotation: np.ndarray, offset: np.ndarray) -> "Mesh":
-        """Transformed mesh.
-
-        scale:     factor, applied first
-        rotation:  (3, 3) rotation matrix, applied second
-        offset:    (3,) [m] translation, applied last
-        Returns:   a new mesh with the same triangles; adjacency and areas are computed again at first use
-        """
+        """The mesh after scaling, rotation by a matrix (3, 3), and translation (3,) [m], in this order."""
         points = self.points * scale
         if not np.array_equal(rotation, np.eye(3)):
             points = points @ rotation.T
@@ -96,9 +83,7 @@ class Mesh:
 def mesh_of(triangles_read: RawTriangles) -> Mesh:
     """Merge points, remove triangles without area and duplicates, and split triangles at hanging points.
 
-    triangles_read:  triangles of a file; coordinates in the unit of the file
-    Returns:         mesh in the same unit, with contiguous point indices
-    Raises:          ValueError if no triangle remains
+    The mesh is in the unit of the file and has contiguous point indices. Raises ValueError if no triangle remains.
 
     The tolerance is WELD_TOLERANCE times the diagonal of the bounding box: points within it are one point (see
     `welded`), and a triangle whose smallest height is not above it has no area.
@@ -129,14 +114,10 @@ def first_occurrences(rows: np.ndarray) -> np.ndarray:
 
 
 def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Merge points that are nearer than a tolerance; chains of such points become one point.
+    """Index (n,) of the point that replaces each point (n, 3) [m]: the lowest of those nearer than a tolerance [m].
 
-    points:     (n, 3) [m]
-    tolerance:  largest distance [m] of merged points
-    Returns:    (n,), index of the representative point, the lowest index of the merged points
-
-    All points that share a cell of at least one of eight grids are merged: cell size 2 `tolerance`, shifted by half a
-    cell along each axis. This includes all pairs of points within `tolerance` of each other.
+    Chains of such points become one point. All points that share a cell of at least one of eight grids are merged: cell
+    size 2 `tolerance`, shifted by half a cell along each axis. This includes all pairs of points within `tolerance`.
     """
     label = np.arange(len(points))
     if tolerance == 0.0:
@@ -153,13 +134,7 @@ def welded(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def cell_labels(points: np.ndarray, side: float, shift: np.ndarray) -> np.ndarray:
-    """Label of the cubic cell of each point; points in the same cell have the same label.
-
-    points:   (n, 3) [m]
-    side:     cell size [m]
-    shift:    (3,) [m], offset of the grid
-    Returns:  (n,), integers from 0
-    """
+    """Number (n,) of the cubic cell with this side [m] around each point (n, 3) [m]; the grid is shifted by `shift`."""
     cells = np.floor((points - points.min(axis=0) + shift) / side).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]

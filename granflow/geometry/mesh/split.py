@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from granflow.geometry.mesh.adjacency import classify_edges, edges_of
+from granflow.geometry.mesh.adjacency import classify_edges
 
 MAX_PAIRS = 2 * 10**8
 """Maximum number of (open edge, point) pairs; a mesh with more is not split, because its parts do not match."""
@@ -41,7 +41,7 @@ def hanging_points(
     Returns:  triangles (h,) in ascending order, their sides 0 to 2 (h,), and the points on these sides (h,); empty if
               the mesh has more than MAX_PAIRS pairs of open edges and end points
     """
-    _, _, open_edges = classify_edges(edges_of(corners))
+    _, _, open_edges = classify_edges(corners)
     open_edges = np.sort(open_edges)
     start, end = corners.reshape(-1)[open_edges], np.roll(corners, -1, axis=1).reshape(-1)[open_edges]
     candidate_points = np.unique(start)

@@ -6,7 +6,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model, choose_by_first_key, choose_by_key, redundant, whole
+from granflow.scene.schema.fields import (
+    Fault,
+    ListOf,
+    Model,
+    choose_by_first_key,
+    choose_by_key,
+    redundant,
+    whole,
+)
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, Rectangular
 
@@ -136,6 +144,7 @@ class FileSummary(Model):
     diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
     diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
     speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
+    angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
     overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.errors import RunError, SceneError
 from granflow.load import load as load_scene
 from granflow.observers.build import stage_durations
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.plan import pair_cases_of, plan_for
 from granflow.plan.time_step import shortest_phase
 from granflow.scene.schema.scene import Scene
@@ -140,7 +140,7 @@ def run_task(task: SceneTask) -> RunOutcome:
     total_duration = sum(duration for _, duration in stage_durations(scene))
     interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
-        simulation = Simulation(scene, observers=[every(interval, means.update, ("particles", "totals"))])
+        simulation = Simulation(scene, observers=[on_interval(interval, means.update, ("particles", "totals"))])
         result = simulation.run(until=task.until)
     except SceneError as error:
         return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study

@@ -3,7 +3,6 @@
 The output of each run is that of `granflow run`, in a separate directory.
 """
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,9 +12,10 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.errors import GranflowError, RunError, SceneError
+from granflow.io.tables import read_table
 from granflow.observers.build import stage_durations
 from granflow.observers.flow_meters import steady_flow
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.plan import Plan, pair_cases_of
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
@@ -101,8 +101,8 @@ def run_variant(
     bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
     output = scene.output
     observers = [
-        every(output.timeseries_interval, heights.update),
-        every(output.interval, forces.update, ("contacts",)),
+        on_interval(output.timeseries_interval, heights.update),
+        on_interval(output.interval, forces.update, ("contacts",)),
         bursts_observer,
     ]
     try:
@@ -150,13 +150,10 @@ def read_time_series(path: Path) -> dict[str, np.ndarray]:
 
     Empty cells become nan.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        heads, *rows = csv.reader(file)
-    found = {}
-    for head, cells in zip(heads, zip(*rows, strict=True), strict=True):
-        name = head.partition(" [")[0]
-        found[name] = np.array(cells) if name == "stage" else np.array([float(cell or "nan") for cell in cells])
-    return found
+    table = read_table(path)
+    assert table is not None
+    names = [name.partition(" [")[0] for name in table.names]
+    return {name: np.array(table.texts(k)) if name == "stage" else table.numbers(k) for k, name in enumerate(names)}
 
 
 def run_all(

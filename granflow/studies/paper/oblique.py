@@ -4,16 +4,17 @@ Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Kharaz,
 10.1016/S0032-5910(01)00283-2. The published data are in `published/`.
 """
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
+from granflow.io.tables import table_in
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.figures import COLORS, POINTS
@@ -208,7 +209,9 @@ def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
 def published(source: str) -> dict[str, np.ndarray]:
     """Curves of `published/<source>.csv` by quantity, each (n, 2): abscissa and ordinate as published."""
     text = (files("granflow.studies.paper") / "published" / f"{source}.csv").read_text(encoding="utf-8")
-    rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))[1:]
+    table = table_in(text, Path(source))
+    assert table is not None
+    rows = [cells for _, cells in table.rows]
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 

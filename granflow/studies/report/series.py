@@ -1,6 +1,5 @@
 """`timeseries.csv` as columns with units, and their grouping into plots."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -8,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import GranflowError
-from granflow.io.regular_files import read_regular_text
+from granflow.errors import FileError, GranflowError
+from granflow.io.tables import read_table
 
 TIME, STAGE = "time", "stage"
 """Names of the first two columns of timeseries.csv."""
@@ -59,20 +58,20 @@ def read_series(path: Path) -> TimeSeriesTable | None:
     if not path.exists():
         return None
     try:
-        lines = read_regular_text(path).splitlines()
-        heads, *rows = list(csv.reader(lines)) or [[]]
-    except csv.Error as error:
+        found = read_table(path)
+    except FileError as error:
         raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
-    rows = [row for row in rows if len(row) == len(heads)]
-    labels = [_split(head) for head in heads]
-    names = [name for name, _ in labels]
-    if not rows or TIME not in names:
+    if found is None:
         return None
-    numbers = {name: np.array([_number(row[k]) for row in rows]) for k, name in enumerate(names) if name != STAGE}
+    table, labels = found.complete(), [_split(head) for head in found.names]
+    names = [name for name, _ in labels]
+    if not table.rows or TIME not in names:
+        return None
+    numbers = {name: table.numbers(k) for k, name in enumerate(names) if name != STAGE}
     time = numbers.pop(TIME)
     units = dict(labels)
     columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
-    stage = [row[names.index(STAGE)] for row in rows] if STAGE in names else [""] * len(rows)
+    stage = table.texts(names.index(STAGE)) if STAGE in names else [""] * len(time)
     begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
     return TimeSeriesTable(time, columns, tuple(begins))
 
@@ -81,13 +80,6 @@ def _split(head: str) -> tuple[str, str]:
     """Name and unit of "kinetic_energy [J]"."""
     name, _, unit = head.partition(" [")
     return name, unit.removesuffix("]")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
 
 
 def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
