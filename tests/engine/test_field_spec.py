@@ -4,6 +4,7 @@ import meshio
 import numpy as np
 import pytest
 from resume.runs import complex_scene
+from scene_builders import build_scene, particle_group
 
 from granflow import fields
 from granflow.engine.host_copy import copy_to_host, particle_table
@@ -66,7 +67,7 @@ def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_t
 
 @pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 8 + 4), ("mixed", 4 + 4 + 4)])
 def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision, size, request):
-    plan = plan_for(complex_scene())
+    plan = plan_for(build_scene({"balls": particle_group([[0.0, 0.0, 0.02 * k] for k in range(5)])}))
     before = estimate_memory(plan, precision)
     request.getfixturevalue("with_temperature")
     after = estimate_memory(plan, precision)
