@@ -5,36 +5,25 @@ each wall. Triangles, points and cells are numbered consecutively over all meshe
 Lengths are in m, in the precision of positions.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from taichi.lang.util import to_numpy_type
 
 from granflow.geometry.mesh.adjacency import MeshAdjacency
-from granflow.geometry.mesh.grid import MeshGrid
 from granflow.plan.plan import Plan
 
 
 def fill_mesh(fields: Any, plan: Plan) -> None:
     """Write all arrays; they do not change during a run."""
-    parts = [MeshPart(index, mesh.adjacency, plan.mesh_grids[index]) for index, mesh in plan.meshes.items()]
-    arrays = _of_triangles([part.adjacency for part in parts]) | _of_grids(parts, len(plan.walls))
-    arrays["wall"] = np.repeat([part.wall for part in parts], [len(part.adjacency.normal) for part in parts])
+    meshes = plan.meshes
+    arrays = _of_triangles([mesh.adjacency for mesh in meshes.values()]) | _of_grids(plan)
+    arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
     for name, values in arrays.items():
         field = getattr(fields, name)
         padded = np.zeros((field.shape[0], *values.shape[1:]), to_numpy_type(field.dtype))
         padded[: len(values)] = values
         field.from_numpy(padded)
-
-
-@dataclass(frozen=True, eq=False)
-class MeshPart:
-    """One mesh wall: index of the wall, adjacency of its triangles, cell grid."""
-
-    wall: int
-    adjacency: MeshAdjacency
-    grid: MeshGrid
 
 
 def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:
@@ -66,16 +55,16 @@ def _starts(starts: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)])
 
 
-def _of_grids(parts: list[MeshPart], wall_count: int) -> dict[str, np.ndarray]:
+def _of_grids(plan: Plan) -> dict[str, np.ndarray]:
     """Arrays of all grids; walls without a mesh have no cells."""
+    wall_count = len(plan.walls)
     low, side, shape = np.zeros((wall_count, 3)), np.ones(wall_count), np.zeros((wall_count, 3), np.int64)
     first_cell, cells, triangles, cell_triangles = np.zeros(wall_count, np.int64), 0, 0, []
-    for part in parts:
-        grid, w = part.grid, part.wall
+    for w, grid in plan.mesh_grids.items():
         low[w], side[w], shape[w], first_cell[w] = grid.low, grid.side, grid.shape, cells
         cell_triangles.append(grid.triangle + triangles)
-        cells, triangles = cells + len(grid.start) - 1, triangles + len(part.adjacency.normal)
-    start = _starts([part.grid.start for part in parts])
+        cells, triangles = cells + len(grid.start) - 1, triangles + plan.meshes[w].triangle_count
+    start = _starts([grid.start for grid in plan.mesh_grids.values()])
     return {
         "low": low, "side": side, "shape": shape, "first_cell": first_cell, "cell_start": start,
         "cell_triangles": np.concatenate(cell_triangles),

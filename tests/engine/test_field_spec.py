@@ -4,6 +4,7 @@ import meshio
 import numpy as np
 import pytest
 from resume.runs import complex_scene
+from scene_builders import build_scene, particle_group
 
 from granflow import fields
 from granflow.engine.host_copy import copy_to_host, particle_table
@@ -18,11 +19,12 @@ ROOM, HOT = 293.15, 400.0
 
 @pytest.fixture
 def with_temperature(monkeypatch):
-    """The table with a property that the particles carry, and an integer one."""
+    """The table with a temperature, a charge (the fourth scalar real) and an integer property."""
     entry = fields.FieldSpec("temperature", "T", "K", "temperature of the particle", dtype="real", default=ROOM)
+    charge = fields.FieldSpec("charge", "q", "C", "electric charge", dtype="real")
     count = fields.FieldSpec("visits", "", "1", "number of visits", file_type="int32", dtype="i32", default=3)
-    monkeypatch.setitem(fields._PARTICLE_FIELDS, "temperature", entry)
-    monkeypatch.setitem(fields._PARTICLE_FIELDS, "visits", count)
+    for spec in (entry, charge, count):
+        monkeypatch.setitem(fields._PARTICLE_FIELDS, spec.name, spec)
 
 
 def expected_temperature(ids, initial_count):
@@ -36,14 +38,15 @@ def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_t
     state, initial_count = simulation.engine.state, simulation.engine.state.count
     found = copy_to_host(state, ("id", "temperature", "visits"))
     assert set(found["temperature"]) == {ROOM} and set(found["visits"]) == {3}, "defaults at insertion"
-    table = particle_table(state, ("temperature",))
-    table.put(np.arange(initial_count), {"temperature": HOT + found["id"]})
+    table = particle_table(state, ("temperature", "charge"))
+    table.put(np.arange(initial_count), {"temperature": HOT + found["id"], "charge": found["id"]})
 
     simulation.run(0.012)
-    before, now = found["id"], copy_to_host(state, ("id", "temperature"))
+    before, now = found["id"], copy_to_host(state, ("id", "temperature", "charge"))
     assert simulation.engine.timing.rebuild_count > 1 and not np.array_equal(before, now["id"][: len(before)])
     assert now["id"].max() >= initial_count, "particles were inserted during the run"
     np.testing.assert_array_equal(now["temperature"], expected_temperature(now["id"], initial_count))
+    np.testing.assert_array_equal(now["charge"], np.where(now["id"] < initial_count, now["id"], 0))
 
     particles = simulation.snapshot().particles
     np.testing.assert_array_equal(particles["temperature"], expected_temperature(particles["id"], initial_count))
@@ -62,9 +65,9 @@ def test_added_property_is_carried_saved_restored_and_written(taichi_f64, with_t
     resumed.free()
 
 
-@pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 4), ("mixed", 4 + 4), ("f32", 4 + 4)])
+@pytest.mark.parametrize(("precision", "size"), [("f64", 8 + 8 + 4), ("mixed", 4 + 4 + 4)])
 def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision, size, request):
-    plan = plan_for(complex_scene())
+    plan = plan_for(build_scene({"balls": particle_group([[0.0, 0.0, 0.02 * k] for k in range(5)])}))
     before = estimate_memory(plan, precision)
     request.getfixturevalue("with_temperature")
     after = estimate_memory(plan, precision)
