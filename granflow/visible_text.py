@@ -29,6 +29,18 @@ def _escape(code: int) -> str:
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
+def readable(number: float) -> str:
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
+
+    Large: from 1e4 to 1e12, rounded to four significant digits.
+    """
+    if float(number).is_integer() and abs(number) < 1e15:
+        return f"{int(number):,}".replace(",", " ")
+    if 1e4 <= abs(number) < 1e12:
+        return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
+    return f"{number:.4g}"
+
+
 class VisibleFormatter(logging.Formatter):
     """Formats log records as visible text."""
 

@@ -1,11 +1,8 @@
-"""Style and output of the figures of all studies, and CSV output of their data. Requires the extra `plot`."""
+"""Style and output of the figures of all studies. Requires the extra `plot`."""
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from granflow.errors import GranflowError
 
@@ -52,6 +49,13 @@ STYLE: dict[str, Any] = {
 """Settings of matplotlib that all figures share."""
 
 
+class Drawing(NamedTuple):
+    """Function that draws on an empty matplotlib figure, and the height of the figure [inch]."""
+
+    draw: Callable[[Any], None]
+    height: float
+
+
 def require_plotting() -> None:
     """Raise GranflowError if matplotlib is not installed."""
     try:
@@ -60,29 +64,26 @@ def require_plotting() -> None:
         raise GranflowError("Figures require matplotlib, which is not installed: pip install granflow[plot]") from None
 
 
-def draw_to(path: Path, draw: Any, height: float) -> None:
+def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
+    """Write figures by file name; without matplotlib, write none and return the reason, otherwise ""."""
+    try:
+        for name, (draw, height) in figures.items():
+            draw_to(out / name, draw, height)
+    except GranflowError as error:
+        return str(error)
+    return ""
+
+
+def draw_to(path: Path, draw: Callable[[Any], None], height: float) -> None:
     """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
 
     The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        FigureCanvasAgg(figure)
         draw(figure)
         figure.savefig(path, dpi=RESOLUTION)
-
-
-def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV with a header line, numbers in full precision.
-
-    `columns`: name -> array (rows,). Raises ValueError for columns of different length.
-    """
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))

@@ -15,8 +15,9 @@ from granflow.contact.material import Solid, VelocityRestitution, limit_velocity
 from granflow.errors import GranflowError
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
-from granflow.studies.figures import COLORS, POINTS, draw_to, write_columns
+from granflow.studies.figures import COLORS, POINTS, draw_to
 from granflow.studies.measurements import Measurements
+from granflow.studies.tables import write_columns
 
 NAMES = ("sigma", "psi", "limit_velocity")
 """Parameters of Eq. 12, in the order of parameter vectors."""

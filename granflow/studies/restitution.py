@@ -19,7 +19,8 @@ from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, pair_material, plan_for
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
-from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
+from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to
+from granflow.studies.tables import write_columns
 
 VELOCITIES_PER_DECADE = 4
 """Velocities of the collisions per decade."""

@@ -142,10 +142,11 @@ def test_paraview_script_names_every_run(found):
 
 def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
-    from granflow.studies.compare.drawing import draw_all
+    from granflow.studies.compare.drawing import drawings
+    from granflow.studies.figures import write_figures
 
-    assert draw_all(tmp_path, found[0].runs, None, {}) == ["course", "energies", "contacts"]
-    assert len(list(tmp_path.glob("*.png"))) == 3
+    assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
+    assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
 
 
 @pytest.mark.parametrize(

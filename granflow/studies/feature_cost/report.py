@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.studies.feature_cost.measure import STEPS, STEPS_BEFORE, FeatureCost
-from granflow.studies.figures import write_columns
+from granflow.studies.tables import write_columns
 
 HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 """Column headings of `cost_rows`."""

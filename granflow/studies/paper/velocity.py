@@ -11,10 +11,11 @@ import numpy as np
 from granflow.engine.backend import Backend
 from granflow.studies.figures import COLORS, MARKERS, POINTS
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase, small_soft_case
-from granflow.studies.paper.figure_data import FigureData, FigureDeviation, percent, relative_deviation
+from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
 from granflow.studies.paper.residual import TARGET_DURATION, TARGET_RESTITUTION
 from granflow.studies.paper.thornton import thornton_restitution
+from granflow.studies.tables import percent
 
 VELOCITIES = np.geomspace(0.01, 100.0, 33)
 """Approach velocities of the simulated collisions of Figs. 3 and 4 [m/s]."""
