@@ -7,8 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, simulated_time
-from granflow.cli.messages import say, show_table
+from granflow.cli.arguments import add_machine, add_out, add_scene_verb, load, quantity, simulated_time
+from granflow.cli.messages import say, say_progress, show_table
 from granflow.cli.scenes import prepare_output
 
 
@@ -30,7 +30,7 @@ def compare(options: argparse.Namespace) -> int:
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        lambda message: say(f"{message} ...", flush=True),
+        say_progress,
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for note in (stage_note(found), size_note(found), *stop_notes(found)):
@@ -52,7 +52,7 @@ def add_compare(verbs: Any) -> None:
         help="contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
         "stiffness computed from the impact velocity of each contact, and from --reference-velocity",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE_compare)")
+    add_out(parser, "out/SCENE_compare")
     parser.add_argument(
         "--reference-velocity",
         metavar="V",

@@ -1,6 +1,7 @@
 """Style and output of the figures of all studies. Requires the extra `plot`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,11 +80,23 @@ def draw_to(path: Path, draw: Callable[[Any], None], height: float) -> None:
 
     The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
     """
-    require_plotting()
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    with styled_figure((WIDTH, height), layout="constrained") as figure:
         draw(figure)
         figure.savefig(path, dpi=RESOLUTION)
+
+
+@contextmanager
+def styled_figure(size: tuple[float, float], settings: Mapping[str, Any] | None = None, **more: Any) -> Iterator[Any]:
+    """An empty matplotlib figure of `size` [inch]; in the block, matplotlib has the common style and `settings`.
+
+    `more`: keyword arguments of the figure. Raises GranflowError if matplotlib is not installed.
+    """
+    require_plotting()
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE | dict(settings or {})):
+        figure = Figure(figsize=size, **more)
+        FigureCanvasAgg(figure)
+        yield figure
