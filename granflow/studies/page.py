@@ -4,7 +4,7 @@ All text is escaped, and invisible characters become visible escapes.
 """
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup
 
 from granflow.studies.figures import Drawing, write_figures
-from granflow.studies.tables import percent, write_columns
+from granflow.studies.tables import Table, percent, write_columns
 from granflow.visible_text import readable, visible
 
-MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
+MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 """Media type of each file type that a page can embed."""
 
 
@@ -82,9 +82,9 @@ def _data_uri(path: Path) -> Markup:
     return Markup(f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(path.read_bytes()).decode('ascii')}")
 
 
-def _text_columns(rows: Sequence[Sequence[str]], count: int) -> list[bool]:
+def _text_columns(table: Table) -> list[bool]:
     """Whether each column contains a cell that is not aligned like a number."""
-    return [not all(_is_number(row[column]) for row in rows) for column in range(count)]
+    return [not all(_is_number(row[column]) for row in table.rows) for column in range(len(table.heads))]
 
 
 def _is_number(text: str) -> bool:

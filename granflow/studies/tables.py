@@ -1,13 +1,19 @@
 """Numbers as text, and CSV tables of studies."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
-"""Column headings and rows of cells."""
+
+class Table(NamedTuple):
+    """Column headings, rows of cells, and a caption if the page has none for it."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
 
 
 def percent(share: float) -> str:
@@ -27,3 +33,15 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+
+
+def attribute_columns(items: Iterable[Any], names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Columns with one row per item and one column per attribute."""
+    items = list(items)
+    return {name: np.array([getattr(each, name) for each in items]) for name in names}
+
+
+def stacked(names: Sequence[str], parts: Iterable[Sequence[Any]]) -> dict[str, np.ndarray]:
+    """Columns from parts that follow each other; a part has an array (rows,) or a constant for each name."""
+    blocks = [np.broadcast_arrays(*part) for part in parts]
+    return {name: np.concatenate([block[k] for block in blocks] or [np.empty(0)]) for k, name in enumerate(names)}

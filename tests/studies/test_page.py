@@ -10,10 +10,10 @@ from jinja2 import UndefinedError
 
 from granflow.studies.figures import Drawing
 from granflow.studies.page import environment, page_text, write_study
-from granflow.studies.tables import percent
+from granflow.studies.tables import Table, percent
 
 TINY = bytes.fromhex("89504e470d0a1a0a")
-ROWS = [("a < b", "0.5"), ("c", "−1")]
+TABLE = Table(("law", "e"), [("a < b", "0.5"), ("c", "−1")], "its own caption")
 TEMPLATE = """\
 {% extends "page.html" %}
 {% from "macros.html" import section, table, figure, image with context %}
@@ -22,10 +22,10 @@ TEMPLATE = """\
 {% block sections %}
 {% call section("First <1>") %}
 <p>{{ text }}</p>
-{% call table(("law", "e"), rows) %}numbers{% endcall %}
+{% call table(content) %}numbers{% endcall %}
 {% call figure(name, "a.csv") %}<b>seen</b> & drawn{% endcall %}
 {% endcall %}
-{% call section("Second") %}{{ image(folder / name, "alone") }}{% endcall %}
+{% call section("Second") %}{{ table(content) }}{{ image(folder / name, "alone") }}{% endcall %}
 {% endblock %}
 """
 
@@ -50,8 +50,8 @@ class BalanceParser(HTMLParser):
 
 def page_with(folder, name="a.png", **content):
     (folder / name).write_bytes(TINY)
-    content = {"lead": "Lead.", "text": "Text <i>\u202e.", "rows": ROWS, "figures": [name], "folder": folder} | content
-    return page_text(environment().from_string(TEMPLATE), name=name, **content)
+    defaults = {"lead": "Lead.", "text": "Text <i>\u202e.", "content": TABLE, "figures": [name], "folder": folder}
+    return page_text(environment().from_string(TEMPLATE), **{"name": name} | defaults | content)
 
 
 def test_html_is_balanced_and_escaped(tmp_path):
@@ -92,6 +92,10 @@ def test_text_cells_have_the_class_words(tmp_path):
     assert "<td class=words>a &lt; b</td><td>0.5</td>" in page_with(tmp_path)
 
 
+def test_tables_have_the_caption_of_the_call_or_their_own(tmp_path):
+    assert re.findall("<caption>(.*)</caption>", page_with(tmp_path)) == ["numbers", "its own caption"]
+
+
 def test_films_are_embedded_as_video(tmp_path):
     assert '<video controls loop muted src="data:video/mp4;base64,' in page_with(tmp_path, "a.mp4")
 
@@ -116,7 +120,7 @@ def test_all_templates_are_package_data_and_compile():
 def test_study_files_are_written_to_a_new_directory(tmp_path):
     pytest.importorskip("matplotlib")
     out = tmp_path / "a" / "b"
-    content = {"headline": "h", "accurate": 0.01, "silent_limit": 0.5, "heads": (), "summary": (), "families": ()}
+    content = {"headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": Table((), ()), "families": ()}
     figures = {"stability.png": Drawing(lambda figure: figure.subplots(), 1.0)}
     assert not write_study(out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content)
     assert (out / "t.csv").read_text() == "x\n0.1\n"

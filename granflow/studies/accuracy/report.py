@@ -86,8 +86,8 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
         axes=axes,
         target=f"{100.0 * target:g}",
         default=default_sentence(lines, target),
-        requirements=(table_heads(target), table_rows(lines, target)),
-        by_velocity=velocity_rows(lines, target),
+        requirements=Table(table_heads(target), table_rows(lines, target)),
+        by_velocity=Table(*velocity_rows(lines, target)),
         orders=_orders(lines),
     )
     if missing:
@@ -95,9 +95,10 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
 
 
 def _orders(lines: Sequence[StudyLine]) -> Table:
-    """Headings and rows of the fitted orders of all errors."""
+    """Table of the fitted orders of all errors."""
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
         rows.append((line.law, line.integrator, line.precision, *(order.text if order else "–" for order in orders)))
-    return ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES)), rows
+    heads = ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
+    return Table(heads, rows)

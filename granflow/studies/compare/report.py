@@ -26,6 +26,7 @@ from granflow.studies.compare.spring_assessment import Assessment, assess
 from granflow.studies.compare.summary import SummaryRow, as_text, densest_stage, heads, summary, summary_columns
 from granflow.studies.compare.variants import reduced_counts, reference_velocity_of, variants_of
 from granflow.studies.page import write_study
+from granflow.studies.tables import Table, stacked
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000
@@ -105,6 +106,7 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
     """Write all files except the output of the runs; without matplotlib the page has no figures."""
     runs = found.runs
     write_script(out, found.scene, runs, max(run.typical_speed for run in runs) or 1.0)
+    assessed = [(each.part, each.conclusion, each.why) for each in found.assessments]
     missing = write_study(
         out / PAGE,
         "compare.html",
@@ -114,13 +116,12 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
         notes=[size_note(found), *stop_notes(found)],
         stage_note=stage_note(found),
         stage=densest_stage(runs),
-        heads=heads(runs),
-        rows=as_text(found.rows),
+        summary=Table(heads(runs), as_text(found.rows)),
         surface_percentile=SURFACE_PERCENTILE,
         bursts=BURSTS,
         samples=SAMPLES,
         spacing=1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT,
-        assessed=[(each.part, each.conclusion, each.why) for each in found.assessments],
+        assessments=Table(("statement", "conclusion", "numbers"), assessed, "Assessment."),
         floor=floor_velocity(found.subject) if found.subject else None,
         fine_steps=FINE_STEPS,
         coarse_steps=COARSE_STEPS,
@@ -133,47 +134,25 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
 def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
     """Columns of compare.csv, heights.csv, forces.csv, durations.csv and collisions.csv.
 
-    All in SI units; collisions.csv only if collisions were simulated.
+    All in SI units; forces are relative to the mean of their frame. collisions.csv only if collisions were simulated.
     """
-    runs = found.runs
-    survival = [run.duration_survival for run in runs]
-    heights = np.concatenate([run.heights for run in runs])
+    keyed = [(run.variant.key, run) for run in found.runs]
+    forces = ("force_over_mean_from", "force_over_mean_to", "density", "contact_count")
+    bins = (FORCE_EDGES[:-2], FORCE_EDGES[1:-1])  # without the open last bin
     tables = {
-        "compare.csv": summary_columns(runs, found.rows),
-        "heights.csv": {
-            "law": _law_column(runs, [len(run.heights) for run in runs]),
-            **dict(zip(("time", "height_of_center", "height_of_surface"), heights.T, strict=False)),
-        },
-        "forces.csv": _force_columns(runs),
-        "durations.csv": {
-            "law": _law_column(runs, [len(times) for times, _ in survival]),
-            "time_in_contact": np.concatenate([times for times, _ in survival]),
-            "share_lasting_longer": np.concatenate([share for _, share in survival]),
-        },
-    }
+        "compare.csv": summary_columns(found.runs, found.rows),
+        "heights.csv": stacked(
+            ("law", "time", "height_of_center", "height_of_surface"), [(key, *run.heights.T) for key, run in keyed]
+        ),
+        "forces.csv": stacked(("law", "stage", *forces), [
+            (key, stage, *bins, run.forces.density(stage), count[:-1])
+            for key, run in keyed for stage, count in run.forces.counts.items()
+        ]),
+        "durations.csv": stacked(
+            ("law", "time_in_contact", "share_lasting_longer"), [(key, *run.duration_survival) for key, run in keyed]
+        ),
+    }  # fmt: skip
     return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
-
-
-def _law_column(runs: Sequence[VariantRun], counts: Sequence[int]) -> np.ndarray:
-    """Key of the contact model of each row, for the number of rows of each run."""
-    return np.repeat([run.variant.key for run in runs], counts)
-
-
-def _force_columns(runs: Sequence[VariantRun]) -> dict[str, np.ndarray]:
-    """Columns of forces.csv: one row per contact model, stage and bin.
-
-    Forces are relative to the mean of their frame; the open last bin is omitted.
-    """
-    parts: list[tuple[np.ndarray, ...]] = []
-    low, high = FORCE_EDGES[:-2], FORCE_EDGES[1:-1]
-    for run in runs:
-        for stage in run.forces.counts:
-            density, count = run.forces.density(stage), run.forces.counts[stage][:-1]
-            text = (np.repeat(run.variant.key, len(low)), np.repeat(stage, len(low)))
-            parts.append((*text, low, high, density, count))
-    names = ("law", "stage", "force_over_mean_from", "force_over_mean_to", "density", "contact_count")
-    empty = tuple(np.empty(0) for _ in names)
-    return {name: np.concatenate([part[n] for part in parts or [empty]]) for n, name in enumerate(names)}
 
 
 def size_note(found: SceneComparison) -> str:

@@ -1,6 +1,6 @@
 """`granflow paper`: all figures as PNG and CSV files, and a page with the figures and their deviations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -94,7 +94,7 @@ def _draw(data: FigureData, figure: Any) -> None:
 
 
 def _model(figure_data: FigureData) -> Table:
-    """Headings and rows: theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values.
+    """Table of theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values.
 
     One row for each restitution in TABULATED.
     """
@@ -108,11 +108,12 @@ def _model(figure_data: FigureData) -> Table:
             f"{float(theory.unloading_slope(e)):.5g}", f"{theory.unloading_duration(e):.4f}",
             f"{scaled:.4f}", f"{scaled * columns['duration_simulated_over_theory'][index]:.4f}",
         ))  # fmt: skip
-    return ("e given", "e simulated", "x theory", "x simulated", "Λ(e)", "η₂", "T/Ts theory", "T/Ts simulated"), rows
+    heads = ("e given", "e simulated", "x theory", "x simulated", "Λ(e)", "η₂", "T/Ts theory", "T/Ts simulated")
+    return Table(heads, rows)
 
 
 def _materials() -> tuple[Table, float]:
-    """Headings and rows of the materials, and the ratio of E/Y of the two, which the paper gives as well."""
+    """Table of the materials, and the ratio of E/Y of the two, which the paper gives as well."""
     rows, ratios = [], []
     for case in PAPER_CASES:
         solid, fit = case.solid, case.fit
@@ -124,21 +125,23 @@ def _materials() -> tuple[Table, float]:
             f"{limit_velocity(solid, solid):.1f}", f"{case.yield_velocity:g}",
         ))  # fmt: skip
     heads = ("", "E (GPa)", "ν", "ρ (kg/m³)", "Y (GPa)", "σ", "ψ", "v limit (m/s), Eq. 11", "v yield (m/s)")
-    return (heads, rows), ratios[0] / ratios[1]
+    return Table(heads, rows), ratios[0] / ratios[1]
 
 
 def _costs(figure_data: FigureData, comparison: LawComparison, costs: dict[str, cost.Cost]) -> Table:
-    """Headings and rows: cost, deviation and parameters of each contact model."""
+    """Table of cost, deviation and parameters of each contact model."""
     rows = []
     for (name, (model, _)), deviation in zip(comparison.ran.items(), figure_data.deviations, strict=True):
         found = costs[name]
         spread = "" if name == cost.BASE else f"{found.low:.2f}–{found.high:.2f}"
         history = str(model.law.history_count)
         rows.append((name, history, f"{found.median:.2f}", spread, percent(deviation.largest), model.text()))
-    return ("model", "history fields", "cost", "quartiles", "deviation of e", "parameters, SI (316 and 52100)"), rows
+    heads = ("model", "history fields", "cost", "quartiles", "deviation of e", "parameters, SI (316 and 52100)")
+    return Table(heads, rows)
 
 
-def _limitations(comparison: LawComparison) -> Sequence[Sequence[str]]:
-    """Source and limitations of each contact model, and the reason of those that could not run."""
+def _limitations(comparison: LawComparison) -> Table:
+    """Table of source and limitations of each contact model, and of the reason of those that could not run."""
     rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
-    return rows + [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
+    rows += [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
+    return Table(("model", "source", "limitations"), rows, "Sources and limitations of the contact models.")

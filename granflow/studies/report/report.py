@@ -7,7 +7,6 @@ from tempfile import TemporaryDirectory
 from granflow.io.atomic_files import replacing
 from granflow.studies.page import page_text
 from granflow.studies.report import sections
-from granflow.studies.report.log import warnings_and_errors
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
 from granflow.studies.report.record import RunRecord, read_record
@@ -43,13 +42,13 @@ def report_text(record: RunRecord, script: str, pictures: RunPictures | None) ->
         plotly=script,
         pictures=pictures,
         state=sections.state_of(record),
-        progress=sections.progress_rows(record),
-        warnings=list(warnings_and_errors(record.entries)),
-        expectations=sections.expectation_rows(record),
+        progress=sections.progress(record),
+        warnings=sections.warnings(record),
+        expectations=sections.expectations(record),
         topics=sections.topics(record, bool(script)),
         timings=sections.timings(record),
         remaining=sections.remaining_numbers(record),
         plan=plan,
         plan_problem=problem,
-        sessions=sections.session_rows(record),
+        machine=sections.machine(record),
     )

@@ -12,21 +12,15 @@ from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
 from granflow.plan.explain import explain
 from granflow.plan.plan import plan_for
-from granflow.studies.report.log import explanation
+from granflow.studies.report.log import explanation, warnings_and_errors
 from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.record import RunRecord
 from granflow.studies.report.series import SeriesColumn, groups_of
+from granflow.studies.tables import Table
 from granflow.visible_text import readable
 
+FROM_LOG = "From run.log."
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
-
-
-class Table(NamedTuple):
-    """Caption, column headings and cells of a table."""
-
-    caption: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 class Topic(NamedTuple):
@@ -80,14 +74,15 @@ def state_of(record: RunRecord) -> str:
     return f"The run did not finish{why}. {resume}"
 
 
-def progress_rows(record: RunRecord) -> list[Sequence[str]]:
+def progress(record: RunRecord) -> Table:
     """Simulated time, performance and particle counts."""
     numbers = dict(record.result.get("run", {}))
     if record.time is not None:
         numbers = {"simulated_time": record.time} | numbers
     totals = record.result.get("totals", {})
     numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
-    return [row for row in map(_number_row, numbers.items()) if row[1]]
+    rows = [row for row in map(_number_row, numbers.items()) if row[1]]
+    return Table(("", "", ""), rows, "Progress and performance.")
 
 
 def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
@@ -101,12 +96,13 @@ def _shown(number: Any) -> str:
     return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
 
 
-def expectation_rows(record: RunRecord) -> list[Sequence[str]]:
+def expectations(record: RunRecord) -> Table:
     """Expectations of the scene and their results."""
-    return [
+    rows = [
         ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
         for entry in record.result.get("expect", ())
     ]
+    return Table(("", "result"), rows, "Expectations of the scene (expect).")
 
 
 def is_zero(column: SeriesColumn) -> bool:
@@ -166,7 +162,7 @@ def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
     units = [unit_of(name + ".x") for name in names]
     heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
     rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
-    return Table(caption, ["", *heads], rows)
+    return Table(["", *heads], rows, caption)
 
 
 def _energy_budget(columns: Iterable[SeriesColumn]) -> list[Table]:
@@ -178,7 +174,7 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[Table]:
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
             rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
-    return [Table("Energies in J.", ("", "first", "last", "largest", "meaning"), rows)] if rows else []
+    return [Table(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
 def timings(record: RunRecord) -> Table | None:
@@ -192,7 +188,7 @@ def timings(record: RunRecord) -> Table | None:
     for name, number in sorted(seconds.items(), key=lambda each: -each[1]):
         bar = "\N{FULL BLOCK}" * round(BAR_STEPS * number / total)
         rows.append((name.replace("_", " "), f"{number:.2f}", f"{number / total:.0%}", bar))
-    return Table(f"Total wall-clock time: {total:.4g} s.", ("", "s", "share", ""), rows)
+    return Table(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
 def plan(record: RunRecord) -> tuple[str, str]:
@@ -206,13 +202,19 @@ def plan(record: RunRecord) -> tuple[str, str]:
     return text, ""
 
 
-def session_rows(record: RunRecord) -> list[Sequence[str]]:
+def machine(record: RunRecord) -> Table:
     """Versions, backend and machine of each session."""
-    return [
-        (each.started, each.arch, each.precision, f"{each.compiled} s" if each.compiled else "", each.versions,
+    rows = [
+        (each.started, each.arch, each.precision, each.compiled and f"{each.compiled} s", each.versions,
          each.resumed_from)
         for each in record.sessions
     ]  # fmt: skip
+    return Table(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
+
+
+def warnings(record: RunRecord) -> Table:
+    """Warnings and errors of the run."""
+    return Table(("time", "", "message"), list(warnings_and_errors(record.entries)), FROM_LOG)
 
 
 def remaining_numbers(record: RunRecord) -> list[Table]:
@@ -225,5 +227,5 @@ def remaining_numbers(record: RunRecord) -> list[Table]:
         if all(isinstance(each, Mapping) for each in numbers.values()):
             found.append(table_of(caption, numbers))
         else:
-            found.append(Table(caption, ("", "", ""), list(map(_number_row, numbers.items()))))
+            found.append(Table(("", "", ""), list(map(_number_row, numbers.items())), caption))
     return found

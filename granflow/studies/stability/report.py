@@ -12,7 +12,7 @@ from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS,
 from granflow.studies.stability.cases import ACCURATE, SILENT_LIMIT, CaseOutcome
 from granflow.studies.stability.heatmap import heatmap
 from granflow.studies.stability.worker_pool import Report, run_cases
-from granflow.studies.tables import percent
+from granflow.studies.tables import Table, attribute_columns, percent
 
 PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
@@ -55,7 +55,7 @@ def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
 
     The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column `verdict`.
     """
-    columns = {field.name: np.array([getattr(each, field.name) for each in outcomes]) for field in fields(CaseOutcome)}
+    columns = attribute_columns(outcomes, (field.name for field in fields(CaseOutcome)))
     columns["verdict"] = columns.pop("assessment")  # the name of the column in earlier versions
     return write_study(
         out / PAGE,
@@ -65,8 +65,7 @@ def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
         headline=headline(outcomes),
         accurate=ACCURATE,
         silent_limit=SILENT_LIMIT,
-        heads=HEADS,
-        summary=summary_rows(outcomes),
+        summary=Table(HEADS, summary_rows(outcomes)),
         families=list(_families(outcomes)),
     )
 
@@ -93,14 +92,16 @@ def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
     return (name, str(len(outcomes)), *kinds, worst)
 
 
-def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, str, list[tuple[str, ...]]]]:
-    """Title, explanation, reference and table rows of each family."""
+def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, Table]]:
+    """Title, explanation and table of each family."""
     for family, group in _by_family(outcomes).items():
         rows = [(each.row, each.column, *map(_shown, (each.expected, each.reached, each.time_step)), each.assessment)
                 for each in group]  # fmt: skip
         is_common = len({each.reference for each in group}) == 1
         reference = group[0].reference if is_common else "the reference of each case"
-        yield family[0].upper() + family[1:], EXPLANATIONS[family], reference, rows
+        heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
+        table = Table(heads, rows, f"Measured against {reference}.")
+        yield family[0].upper() + family[1:], EXPLANATIONS[family], table
 
 
 def _shown(number: float) -> str:
