@@ -29,6 +29,14 @@ def _escape(code: int) -> str:
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
+class VisibleFormatter(logging.Formatter):
+    """Formats log records as visible text."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the text of the record."""
+        return visible(super().format(record))
+
+
 def readable(number: float) -> str:
     """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
 
@@ -39,11 +47,3 @@ def readable(number: float) -> str:
     if 1e4 <= abs(number) < 1e12:
         return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
     return f"{number:.4g}"
-
-
-class VisibleFormatter(logging.Formatter):
-    """Formats log records as visible text."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the text of the record."""
-        return visible(super().format(record))

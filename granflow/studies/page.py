@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup
 
 from granflow.studies.figures import Drawing, write_figures
-from granflow.studies.tables import Table, percent, write_columns
+from granflow.studies.tables import PageTable, percent, write_columns
 from granflow.visible_text import readable, visible
 
 MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
@@ -82,7 +82,7 @@ def _data_uri(path: Path) -> Markup:
     return Markup(f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(path.read_bytes()).decode('ascii')}")
 
 
-def _text_columns(table: Table) -> list[bool]:
+def _text_columns(table: PageTable) -> list[bool]:
     """Whether each column contains a cell that is not aligned like a number."""
     return [not all(_is_number(row[column]) for row in table.rows) for column in range(len(table.heads))]
 

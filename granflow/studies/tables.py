@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """Column headings, rows of cells, and a caption if the page has none for it."""
 
     heads: Sequence[str]

@@ -10,10 +10,10 @@ from jinja2 import UndefinedError
 
 from granflow.studies.figures import Drawing
 from granflow.studies.page import environment, page_text, write_study
-from granflow.studies.tables import Table, percent
+from granflow.studies.tables import PageTable, percent
 
 TINY = bytes.fromhex("89504e470d0a1a0a")
-TABLE = Table(("law", "e"), [("a < b", "0.5"), ("c", "−1")], "its own caption")
+TABLE = PageTable(("law", "e"), [("a < b", "0.5"), ("c", "−1")], "its own caption")
 TEMPLATE = """\
 {% extends "page.html" %}
 {% from "macros.html" import section, table, figure, image with context %}
@@ -120,7 +120,7 @@ def test_all_templates_are_package_data_and_compile():
 def test_study_files_are_written_to_a_new_directory(tmp_path):
     pytest.importorskip("matplotlib")
     out = tmp_path / "a" / "b"
-    content = {"headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": Table((), ()), "families": ()}
+    content = {"headline": "h", "accurate": 0.01, "silent_limit": 0.5, "summary": PageTable((), ()), "families": ()}
     figures = {"stability.png": Drawing(lambda figure: figure.subplots(), 1.0)}
     assert not write_study(out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content)
     assert (out / "t.csv").read_text() == "x\n0.1\n"

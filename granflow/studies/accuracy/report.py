@@ -22,7 +22,7 @@ from granflow.studies.accuracy.points import (
 from granflow.studies.accuracy.recommend import default_sentence, recommendation, table_heads, table_rows, velocity_rows
 from granflow.studies.figures import Drawing
 from granflow.studies.page import write_study
-from granflow.studies.tables import Table
+from granflow.studies.tables import PageTable
 
 
 @dataclass(frozen=True)
@@ -86,19 +86,19 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
         axes=axes,
         target=f"{100.0 * target:g}",
         default=default_sentence(lines, target),
-        requirements=Table(table_heads(target), table_rows(lines, target)),
-        by_velocity=Table(*velocity_rows(lines, target)),
+        requirements=PageTable(table_heads(target), table_rows(lines, target)),
+        by_velocity=PageTable(*velocity_rows(lines, target)),
         orders=_orders(lines),
     )
     if missing:
         raise GranflowError(missing)
 
 
-def _orders(lines: Sequence[StudyLine]) -> Table:
+def _orders(lines: Sequence[StudyLine]) -> PageTable:
     """Table of the fitted orders of all errors."""
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
         rows.append((line.law, line.integrator, line.precision, *(order.text if order else "–" for order in orders)))
     heads = ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
-    return Table(heads, rows)
+    return PageTable(heads, rows)

@@ -11,7 +11,7 @@ from granflow.studies.accuracy.figures import LINE_STYLES, loglog
 from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, ScenePoint, SceneStudy
 from granflow.studies.figures import COLORS, Drawing
 from granflow.studies.page import write_study
-from granflow.studies.tables import Table, percent
+from granflow.studies.tables import PageTable, percent
 
 LOWEST = 1e-7
 """Smaller errors are drawn at this value."""
@@ -112,7 +112,7 @@ def write_scene(out: Path, study: SceneStudy) -> None:
         study=study,
         recommendation=scene_recommendation(study),
         noise=noise_sentence(study),
-        errors=Table(scene_heads(study), scene_rows(study)),
+        errors=PageTable(scene_heads(study), scene_rows(study)),
     )
     if missing:
         raise GranflowError(missing)

@@ -26,7 +26,7 @@ from granflow.studies.compare.spring_assessment import Assessment, assess
 from granflow.studies.compare.summary import SummaryRow, as_text, densest_stage, heads, summary, summary_columns
 from granflow.studies.compare.variants import reduced_counts, reference_velocity_of, variants_of
 from granflow.studies.page import write_study
-from granflow.studies.tables import Table, stacked
+from granflow.studies.tables import PageTable, stacked
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000
@@ -116,12 +116,12 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
         notes=[size_note(found), *stop_notes(found)],
         stage_note=stage_note(found),
         stage=densest_stage(runs),
-        summary=Table(heads(runs), as_text(found.rows)),
+        summary=PageTable(heads(runs), as_text(found.rows)),
         surface_percentile=SURFACE_PERCENTILE,
         bursts=BURSTS,
         samples=SAMPLES,
         spacing=1e6 * hertz_duration(found.scene, found.reference_velocity) / SAMPLES_PER_CONTACT,
-        assessments=Table(("statement", "conclusion", "numbers"), assessed, "Assessment."),
+        assessments=PageTable(("statement", "conclusion", "numbers"), assessed, "Assessment."),
         floor=floor_velocity(found.subject) if found.subject else None,
         fine_steps=FINE_STEPS,
         coarse_steps=COARSE_STEPS,

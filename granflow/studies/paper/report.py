@@ -26,7 +26,7 @@ from granflow.studies.paper.velocity import (
     velocity_columns,
     velocity_run,
 )
-from granflow.studies.tables import Table, percent
+from granflow.studies.tables import PageTable, percent
 
 TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
 """Restitutions in the table of the model."""
@@ -93,7 +93,7 @@ def _draw(data: FigureData, figure: Any) -> None:
     data.draw(figure, data.columns)
 
 
-def _model(figure_data: FigureData) -> Table:
+def _model(figure_data: FigureData) -> PageTable:
     """Table of theoretical x, Lambda, eta2 and T/Ts of Eqs. 7, 8, 15, and simulated values.
 
     One row for each restitution in TABULATED.
@@ -109,10 +109,10 @@ def _model(figure_data: FigureData) -> Table:
             f"{scaled:.4f}", f"{scaled * columns['duration_simulated_over_theory'][index]:.4f}",
         ))  # fmt: skip
     heads = ("e given", "e simulated", "x theory", "x simulated", "Λ(e)", "η₂", "T/Ts theory", "T/Ts simulated")
-    return Table(heads, rows)
+    return PageTable(heads, rows)
 
 
-def _materials() -> tuple[Table, float]:
+def _materials() -> tuple[PageTable, float]:
     """Table of the materials, and the ratio of E/Y of the two, which the paper gives as well."""
     rows, ratios = [], []
     for case in PAPER_CASES:
@@ -125,10 +125,10 @@ def _materials() -> tuple[Table, float]:
             f"{limit_velocity(solid, solid):.1f}", f"{case.yield_velocity:g}",
         ))  # fmt: skip
     heads = ("", "E (GPa)", "ν", "ρ (kg/m³)", "Y (GPa)", "σ", "ψ", "v limit (m/s), Eq. 11", "v yield (m/s)")
-    return Table(heads, rows), ratios[0] / ratios[1]
+    return PageTable(heads, rows), ratios[0] / ratios[1]
 
 
-def _costs(figure_data: FigureData, comparison: LawComparison, costs: dict[str, cost.Cost]) -> Table:
+def _costs(figure_data: FigureData, comparison: LawComparison, costs: dict[str, cost.Cost]) -> PageTable:
     """Table of cost, deviation and parameters of each contact model."""
     rows = []
     for (name, (model, _)), deviation in zip(comparison.ran.items(), figure_data.deviations, strict=True):
@@ -137,11 +137,11 @@ def _costs(figure_data: FigureData, comparison: LawComparison, costs: dict[str, 
         history = str(model.law.history_count)
         rows.append((name, history, f"{found.median:.2f}", spread, percent(deviation.largest), model.text()))
     heads = ("model", "history fields", "cost", "quartiles", "deviation of e", "parameters, SI (316 and 52100)")
-    return Table(heads, rows)
+    return PageTable(heads, rows)
 
 
-def _limitations(comparison: LawComparison) -> Table:
+def _limitations(comparison: LawComparison) -> PageTable:
     """Table of source and limitations of each contact model, and of the reason of those that could not run."""
     rows = [(name, model.law.source, model.law.limits) for name, (model, _) in comparison.ran.items()]
     rows += [(name, "", f"not compared: {reason}") for name, reason in comparison.refused.items()]
-    return Table(("model", "source", "limitations"), rows, "Sources and limitations of the contact models.")
+    return PageTable(("model", "source", "limitations"), rows, "Sources and limitations of the contact models.")

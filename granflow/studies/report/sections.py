@@ -16,7 +16,7 @@ from granflow.studies.report.log import explanation, warnings_and_errors
 from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.record import RunRecord
 from granflow.studies.report.series import SeriesColumn, groups_of
-from granflow.studies.tables import Table
+from granflow.studies.tables import PageTable
 from granflow.visible_text import readable
 
 FROM_LOG = "From run.log."
@@ -27,7 +27,7 @@ class Topic(NamedTuple):
     """Section of quantities over time."""
 
     title: str
-    tables: Sequence[Table]
+    tables: Sequence[PageTable]
     sentences: Sequence[str]
     plots: Sequence[Plot]
 
@@ -74,7 +74,7 @@ def state_of(record: RunRecord) -> str:
     return f"The run did not finish{why}. {resume}"
 
 
-def progress(record: RunRecord) -> Table:
+def progress(record: RunRecord) -> PageTable:
     """Simulated time, performance and particle counts."""
     numbers = dict(record.result.get("run", {}))
     if record.time is not None:
@@ -82,7 +82,7 @@ def progress(record: RunRecord) -> Table:
     totals = record.result.get("totals", {})
     numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
     rows = [row for row in map(_number_row, numbers.items()) if row[1]]
-    return Table(("", "", ""), rows, "Progress and performance.")
+    return PageTable(("", "", ""), rows, "Progress and performance.")
 
 
 def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
@@ -96,13 +96,13 @@ def _shown(number: Any) -> str:
     return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
 
 
-def expectations(record: RunRecord) -> Table:
+def expectations(record: RunRecord) -> PageTable:
     """Expectations of the scene and their results."""
     rows = [
         ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
         for entry in record.result.get("expect", ())
     ]
-    return Table(("", "result"), rows, "Expectations of the scene (expect).")
+    return PageTable(("", "result"), rows, "Expectations of the scene (expect).")
 
 
 def is_zero(column: SeriesColumn) -> bool:
@@ -144,7 +144,7 @@ def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
             yield found
 
 
-def _readings(record: RunRecord, title: str) -> list[Table]:
+def _readings(record: RunRecord, title: str) -> list[PageTable]:
     """Final values of flow meters or walls; from the last row of the time series if the run has no result."""
     readings, caption = record.result.get(READINGS[title].key, {}), READINGS[title].caption
     if not readings and record.series is not None:
@@ -156,16 +156,16 @@ def _readings(record: RunRecord, title: str) -> list[Table]:
     return [table_of(caption, readings)] if readings else []
 
 
-def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> Table:
+def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
     """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity."""
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     units = [unit_of(name + ".x") for name in names]
     heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
     rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
-    return Table(["", *heads], rows, caption)
+    return PageTable(["", *heads], rows, caption)
 
 
-def _energy_budget(columns: Iterable[SeriesColumn]) -> list[Table]:
+def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
     """Each energy at the start and at the end, and its largest absolute value [J]."""
     rows = []
     for column in columns:
@@ -174,10 +174,10 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[Table]:
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
             rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
-    return [Table(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
+    return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
-def timings(record: RunRecord) -> Table | None:
+def timings(record: RunRecord) -> PageTable | None:
     """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
     seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
     total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
@@ -188,7 +188,7 @@ def timings(record: RunRecord) -> Table | None:
     for name, number in sorted(seconds.items(), key=lambda each: -each[1]):
         bar = "\N{FULL BLOCK}" * round(BAR_STEPS * number / total)
         rows.append((name.replace("_", " "), f"{number:.2f}", f"{number / total:.0%}", bar))
-    return Table(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
+    return PageTable(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
 def plan(record: RunRecord) -> tuple[str, str]:
@@ -202,22 +202,22 @@ def plan(record: RunRecord) -> tuple[str, str]:
     return text, ""
 
 
-def machine(record: RunRecord) -> Table:
+def machine(record: RunRecord) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
         (each.started, each.arch, each.precision, each.compiled and f"{each.compiled} s", each.versions,
          each.resumed_from)
         for each in record.sessions
     ]  # fmt: skip
-    return Table(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
+    return PageTable(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
 
 
-def warnings(record: RunRecord) -> Table:
+def warnings(record: RunRecord) -> PageTable:
     """Warnings and errors of the run."""
-    return Table(("time", "", "message"), list(warnings_and_errors(record.entries)), FROM_LOG)
+    return PageTable(("time", "", "message"), list(warnings_and_errors(record.entries)), FROM_LOG)
 
 
-def remaining_numbers(record: RunRecord) -> list[Table]:
+def remaining_numbers(record: RunRecord) -> list[PageTable]:
     """Numbers of the result without a separate section."""
     found = []
     for name, numbers in record.result.items():
@@ -227,5 +227,5 @@ def remaining_numbers(record: RunRecord) -> list[Table]:
         if all(isinstance(each, Mapping) for each in numbers.values()):
             found.append(table_of(caption, numbers))
         else:
-            found.append(Table(("", "", ""), list(map(_number_row, numbers.items())), caption))
+            found.append(PageTable(("", "", ""), list(map(_number_row, numbers.items())), caption))
     return found

@@ -12,7 +12,7 @@ from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS,
 from granflow.studies.stability.cases import ACCURATE, SILENT_LIMIT, CaseOutcome
 from granflow.studies.stability.heatmap import heatmap
 from granflow.studies.stability.worker_pool import Report, run_cases
-from granflow.studies.tables import Table, attribute_columns, percent
+from granflow.studies.tables import PageTable, attribute_columns, percent
 
 PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
@@ -65,7 +65,7 @@ def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
         headline=headline(outcomes),
         accurate=ACCURATE,
         silent_limit=SILENT_LIMIT,
-        summary=Table(HEADS, summary_rows(outcomes)),
+        summary=PageTable(HEADS, summary_rows(outcomes)),
         families=list(_families(outcomes)),
     )
 
@@ -92,7 +92,7 @@ def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
     return (name, str(len(outcomes)), *kinds, worst)
 
 
-def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, Table]]:
+def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, PageTable]]:
     """Title, explanation and table of each family."""
     for family, group in _by_family(outcomes).items():
         rows = [(each.row, each.column, *map(_shown, (each.expected, each.reached, each.time_step)), each.assessment)
@@ -100,7 +100,7 @@ def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, Table
         is_common = len({each.reference for each in group}) == 1
         reference = group[0].reference if is_common else "the reference of each case"
         heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
-        table = Table(heads, rows, f"Measured against {reference}.")
+        table = PageTable(heads, rows, f"Measured against {reference}.")
         yield family[0].upper() + family[1:], EXPLANATIONS[family], table
 
 
