@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import start
+from granflow import Scene
 from granflow.errors import GranflowError
-from granflow.runs.result import readable
-from granflow.scene.schema.scene import Scene
 from granflow.studies.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
@@ -30,6 +28,7 @@ from granflow.studies.compare.summary import SummaryRow, as_text, densest_stage,
 from granflow.studies.compare.variants import reduced_counts, reference_velocity_of, variants_of
 from granflow.studies.figures import write_columns
 from granflow.studies.page import Page, PageTable, Picture, Section, write_page
+from granflow.visible_text import readable
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000
@@ -95,8 +94,7 @@ def compare(
     sweeps: list[LawSweep] = []
     if subject is not None:
         report("collisions over three decades of velocity")
-        backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
-        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], backend)
+        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], arch)
     columns = sweep_columns(subject, sweeps) if subject is not None else {}
     found = SceneComparison(
         scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from granflow.runs.result import readable
 from granflow.studies.compare.runs import VariantRun
+from granflow.visible_text import readable
 
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""

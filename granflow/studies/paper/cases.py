@@ -10,7 +10,7 @@ import numpy as np
 from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
 from granflow.scene.schema.presets import PRESETS
-from granflow.studies.paper.head_on_collisions import HeadOnCollision
+from granflow.studies.head_on import HeadOnCollision
 
 DIAMETER = 25.4e-3
 """Diameter of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""

@@ -11,11 +11,9 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
+from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
 from granflow.studies.figures import COLORS, POINTS
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 
@@ -65,10 +63,10 @@ class ImpactSetup:
         """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and radius."""
         solids = (self.sphere, self.plate)
         compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
-        mass = 4.0 / 3.0 * np.pi * self.radius**3 * self.sphere["density"]
+        mass = sphere_mass(self.radius, self.sphere["density"])
         if self.partner_radius is None:
             return float(theory.hertz_stiffness(1.0 / compliance, self.radius)), mass
-        other = 4.0 / 3.0 * np.pi * self.partner_radius**3 * self.plate["density"]
+        other = sphere_mass(self.partner_radius, self.plate["density"])
         radius_eff = self.radius * self.partner_radius / (self.radius + self.partner_radius)
         return float(theory.hertz_stiffness(1.0 / compliance, radius_eff)), mass * other / (mass + other)
 
@@ -113,49 +111,24 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
 
     `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of the plate.
     """
-    elastic = theory.duration(1.0, *setup.reduced, -before.normal)
-    scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
-    simulation = Simulation(scene)
-    simulation.run()
-    last = simulation.snapshot().particles
-    simulation.free()
-    spheres = slice(0, len(before.normal))
-    velocity, spin = last["velocity"][spheres], last["angular_velocity"][spheres]
-    return ImpactMotion(velocity[:, 2], velocity[:, 0], spin[:, 1])
-
-
-def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
-    """Scene of all impacts: spheres at a distance `gap` (n,) [m] above the plate, or above partner spheres."""
-    count, partner = len(gap), setup.partner_radius
-    spacing = 3.0 * (partner or setup.radius)
-    centers = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
-    zeros = np.zeros(count)
-    groups: dict[str, Any] = {"spheres": {
-        "material": "sphere", "diameter": 2.0 * setup.radius,
-        "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
-        "angular_velocity": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
-        "insert": {"kind": "positions", "positions": centers.tolist()},
-    }}  # fmt: skip
-    walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
-    if partner is not None:
-        below = np.stack([zeros, centers[:, 1], zeros - partner], axis=1)
-        partner_insertion = {"kind": "positions", "positions": below.tolist()}
-        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
-    reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
-    pair = {"restitution": setup.restitution, "friction": setup.friction}
-    return Scene.model_validate({
-        "title": "Independent oblique impacts",
-        "gravity": [0, 0, 0],
-        "materials": {"sphere": setup.sphere, "plate": setup.plate},
-        "pairs": dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
-        "contact": {"normal": law, "tangential": "mindlin", "rolling": "none"},
-        "walls": walls,
-        "particles": groups,
-        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
-        "run": {"duration": duration, "velocity_max": float(np.max(-before.normal))},
-        "numerics": {"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
-        "output": {"interval": duration},
-    })  # fmt: skip
+    speeds = -before.normal
+    elastic = theory.duration(1.0, *setup.reduced, speeds)
+    partner, pair = setup.partner_radius, {"restitution": setup.restitution, "friction": setup.friction}
+    bench = CollisionBench(
+        materials={"sphere": setup.sphere, "plate": setup.plate},
+        pairs=dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
+        contact={"normal": law, "tangential": "mindlin"},
+        collisions=[
+            Collision("sphere", "plate", setup.radius, partner, *motion)
+            for motion in np.stack([speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1)
+        ],
+        run={"duration": LONGEST * float(np.max(elastic)), "velocity_max": float(np.max(speeds))},
+        numerics={"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
+    )
+    bench.rebound()
+    velocity, spin = bench.motions()
+    bench.free()
+    return ImpactMotion(-velocity[:, 0, 0], velocity[:, 0, 1], -spin[:, 0, 2])
 
 
 # ---------------------------------------------------------------- closed forms
@@ -168,12 +141,14 @@ def mean_overlap_share(e: float) -> float:
     where loading gives int_0^1 sqrt(1 - u^2.5) du = eta1/1.8, and unloading, with s = u - x:
     J = int_0^y sqrt((5/4) Lambda (y^2 - s^2) + e^3 (y^2.5 - s^2.5)) ds
     """
+    from scipy.integrate import quad
+
     y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
-    nodes, weights = leggauss(80)
-    angle = np.pi / 4.0 * (nodes + 1.0)
-    s = y * np.sin(angle)
-    rate = np.sqrt(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5))
-    unloading = float(np.pi / 4.0 * weights @ (rate * y * np.cos(angle)))
+
+    def rate(s: float) -> float:
+        return float(np.sqrt(max(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5), 0.0)))
+
+    unloading = quad(lambda angle: rate(y * np.sin(angle)) * y * np.cos(angle), 0.0, 0.5 * np.pi, epsabs=1e-14)[0]
     return (theory.LOADING_DURATION / 1.8 + e * (1.0 - y) + unloading) / (1.0 + e)
 
 

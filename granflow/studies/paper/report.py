@@ -6,7 +6,6 @@ from typing import Any
 
 from granflow.contact import theory
 from granflow.contact.material import limit_velocity
-from granflow.engine.backend import Backend, start
 from granflow.studies.figures import draw_to, require_plotting, write_columns
 from granflow.studies.page import Page, PageTable, Picture, Section, write_page
 from granflow.studies.paper.accuracy import accuracy_figure, accuracy_run
@@ -46,39 +45,38 @@ def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) ->
     """
     require_plotting()
     out.mkdir(parents=True, exist_ok=True)
-    backend = start("cpu", "f64")
     report("collisions for the figures of the paper")
-    figures = paper_figures(backend)
+    figures = paper_figures()
     report("collisions with all contact models")
-    comparison = compare(backend)
+    comparison = compare()
     laws = comparison_figure(comparison)
     report("oblique impacts")
     oblique = oblique_figure(oblique_run())
     report("cost per contact of all contact models")
-    law_costs = costs({name: model for name, (model, _) in comparison.ran.items()}, backend)
+    law_costs = costs({name: model for name, (model, _) in comparison.ran.items()})
     report("drawing")
     for figure_data in (*figures.values(), laws, oblique):
         write_columns(out / f"{figure_data.name}.csv", figure_data.columns)
         draw_to(out / f"{figure_data.name}.png", _drawing(figure_data), figure_data.height)
     page = Page("Reproduction of Zhou (2011)", LEAD, [
         *_paper_sections(figures, out), _laws_section(laws, comparison, law_costs, out),
-        Section(oblique.title, _figure_parts(oblique, out)), _numerics_section(backend),
+        Section(oblique.title, _figure_parts(oblique, out)), _numerics_section(),
     ])  # fmt: skip
     write_page(page, out / PAGE)
     return out / PAGE
 
 
-def paper_figures(backend: Backend) -> dict[str, FigureData]:
+def paper_figures() -> dict[str, FigureData]:
     """Data of all figures of the paper, by name."""
-    columns = velocity_columns(velocity_run(backend))
+    columns = velocity_columns(velocity_run())
     figures = (
-        residual_figure(residual_run(backend)),
+        residual_figure(residual_run()),
         error_figure(),
         restitution_figure(columns),
         duration_figure(columns),
-        spring_figure(columns, estimate_run(backend)),
-        loop_figure(loop_run(backend)),
-        accuracy_figure(*accuracy_run(backend)),
+        spring_figure(columns, estimate_run()),
+        loop_figure(loop_run()),
+        accuracy_figure(*accuracy_run()),
     )
     return {figure_data.name: figure_data for figure_data in figures}
 
@@ -185,9 +183,9 @@ def _failure_table(comparison: LawComparison) -> PageTable:
     return PageTable("Sources and limitations of the contact models.", ("model", "source", "limitations"), rows)
 
 
-def _numerics_section(backend: Backend) -> Section:
+def _numerics_section() -> Section:
     text = (
-        f"Double precision on {backend.arch}. The pairs are far apart in one scene; the times of first touch are "
+        "Double precision on cpu. The pairs are far apart in one scene; the times of first touch are "
         "evenly distributed over the phases of a step. A collision begins at first touch, which follows from the gap, "
         "and ends where the force, extrapolated from its last three values as a t + b t^1.5, vanishes within a step. "
         "The restitution is the ratio of separation to approach velocity. In Fig. 1, the loops and the figure of "

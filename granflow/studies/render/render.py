@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow import load_scene as load
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.load import load
 from granflow.scene.schema.scene import Scene
 from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
 from granflow.studies.render.camera import Camera, View, aspect_of, camera_for, view_of
@@ -187,7 +187,7 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
     """Names of materials and groups, in the order of their numbers in the files."""
     if scene is None:
         return {}
-    from granflow.plan.plan import plan_for
+    from granflow import plan_for
 
     try:
         materials = plan_for(scene).materials

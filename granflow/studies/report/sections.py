@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from granflow import explain, plan_for
 from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
-from granflow.plan.explain import explain
-from granflow.plan.plan import plan_for
-from granflow.runs.result import readable
 from granflow.studies.page import Code, PagePart, PageTable, Section
 from granflow.studies.report.log import explanation, warnings_and_errors
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.record import RunRecord
 from granflow.studies.report.series import SeriesColumn, groups_of
+from granflow.visible_text import readable
 
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
 TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Wall forces": WALL_FORCE_QUANTITIES}
