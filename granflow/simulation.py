@@ -145,7 +145,8 @@ class Simulation:
         Raises RunError on an abort.
         """
         if not self._stage_progress.stage_times:
-            self._begin_stage(self.scene.schedule[0], inf)
+            stage = self.scene.schedule[0]
+            self._begin_stage(stage, (stage.duration or stage.max_duration or inf) / REST_CHECKS)
         self.engine.advance(count)
         if self.engine.diagnosis is not None:
             self._abort(self.engine.diagnosis)
@@ -156,8 +157,7 @@ class Simulation:
         particles:  at the present time
         time_step:  of all further steps [s]; default: the present one
         """
-        if not self._stage_progress.stage_times:
-            self._begin_stage(self.scene.schedule[0], inf)
+        self.step(0)
         self.engine.restart(particles, time_step)
 
     def snapshot(self, contacts: bool = False) -> Snapshot:

@@ -112,7 +112,7 @@ def _fit_logarithms(ratio: np.ndarray, height: np.ndarray, exponent: float | Non
     k = min(K_START, 0.5 * largest)
     start = (float(np.mean(height - EXPONENT * np.log(ratio - k))), k, EXPONENT)[:count]
     bounds = ((-np.inf, K_LOWEST, -np.inf)[:count], (np.inf, largest, np.inf)[:count])
-    tolerances = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
+    tolerances = {"xtol": 1e-13, "ftol": None, "gtol": None}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OptimizeWarning)  # as many flows as parameters: no covariance
         return curve_fit(line, ratio, height, start, bounds=bounds, jac=slopes, **tolerances)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow import GranflowError, Scene, SceneError, plan_for
+from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.studies.collision_bench import sphere_mass
-from granflow.studies.compare.variants import LawVariant, restitution_for
+from granflow.studies.compare.variants import LawVariant, automatic_plan, restitution_for
 from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
@@ -86,7 +86,7 @@ def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | No
 
     `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is used.
     """
-    plan, (name, group) = plan_for(scene), next(iter(scene.particles.items()))
+    plan, (name, group) = automatic_plan(scene), next(iter(scene.particles.items()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
     key = next(key for key in keys if key in scene.pairs)
     pair = plan.pair_materials[key]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from granflow import GranflowError, Scene, SceneError, plan_for
+from granflow import GranflowError, Plan, Scene, SceneError, plan_for
 from granflow.contact.registry import NORMAL_LAWS
 from granflow.scene.suggest import suggestion_or_list
 
@@ -56,8 +56,12 @@ def variant_keys(laws: Sequence[str]) -> list[str]:
 
 def reference_velocity_of(scene: Scene) -> float:
     """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
-    free = scene.model_copy(update={"run": scene.run.model_copy(update={"time_step": "auto"})})
-    return TYPICAL_SHARE * plan_for(free).velocity_max
+    return TYPICAL_SHARE * automatic_plan(scene).velocity_max
+
+
+def automatic_plan(scene: Scene) -> Plan:
+    """Plan of a scene with the automatic time step. Raises SceneError if its contact model cannot run it."""
+    return plan_for(scene.model_copy(update={"run": scene.run.model_copy(update={"time_step": "auto"})}))
 
 
 def variants_of(
@@ -128,7 +132,7 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     if kind == "nothing" or given is None or isinstance(given, float):
         return None if kind == "nothing" else given
     if kind == "positive number":
-        return plan_for(scene).pair(*pair.split("-")).restitution_at(velocity)
+        return automatic_plan(scene).pair(*pair.split("-")).restitution_at(velocity)
     return given.model_dump(exclude_none=True)
 
 

@@ -14,7 +14,8 @@ from granflow.studies.paper.comparison import REFERENCE_VELOCITY, LawComparison,
 from granflow.studies.paper.cost import BASE, CONTACTS, REPEATS, SIDE, Cost, costs
 from granflow.studies.paper.figure_data import FigureData, percent
 from granflow.studies.paper.loops import loop_figure, loop_run
-from granflow.studies.paper.oblique import oblique_figure, oblique_run
+from granflow.studies.paper.oblique import oblique_run
+from granflow.studies.paper.oblique_figure import oblique_figure
 from granflow.studies.paper.residual import error_figure, residual_figure, residual_run
 from granflow.studies.paper.velocity import (
     duration_figure,

@@ -13,8 +13,8 @@ import numpy as np
 from granflow import ParticleData, Plan, RunError, Scene, Simulation
 from granflow.contact import theory
 from granflow.scene.schema.scene import LARGEST_OVERLAP
-from granflow.studies.collide import Impact, loading_path
 from granflow.studies.collision_bench import sphere_mass
+from granflow.studies.reference_path import Impact, loading_path
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
