@@ -4,7 +4,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 
@@ -73,7 +73,7 @@ def run_and_sample(scene, interval, until=None, contacts=False, **options):
     """The snapshots of a run at an interval [s]."""
     snapshots = []
     wants = ("particles", "walls", "totals", "contacts") if contacts else ("particles", "walls", "totals")
-    simulation = Simulation(scene, observers=[every(interval, snapshots.append, wants)], **options)
+    simulation = Simulation(scene, observers=[on_interval(interval, snapshots.append, wants)], **options)
     simulation.run(until)
     simulation.free()
     return snapshots

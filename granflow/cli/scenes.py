@@ -13,7 +13,7 @@ from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
     )
-    warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
+    warn([*simulation.plan.warnings, *restitution_warnings(simulation.scene, simulation.plan)])
     with locked(out):
         prepare_output(out, scene, options.overwrite)  # another process may have used the directory in the meantime
         return run_to_end(simulation, scene, out, options.until)

@@ -14,7 +14,7 @@ from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import HostCopy
-from granflow.engine.limits import ABORT_LEFT_DOMAIN, Diagnosis
+from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import State
 from granflow.engine.stepper import Stepper, Timing
@@ -163,6 +163,24 @@ class Engine:
         accounting.inserted_count += count
         accounting.material.append(new.material)
         accounting.group.append(new.group)
+
+    def restart(self, new: ParticleData, time_step: float | None = None) -> None:
+        """Replace all particles, with initial forces and without contact history; also after an abort.
+
+        new:        particles at the present time
+        time_step:  of all further steps [s]; None: the present one
+        """
+        state = self.state
+        state.count = 0
+        state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
+        for row in (state.neighbors.list_begin, state.neighbors.list_end):
+            row.fill(0)
+        if time_step is not None:
+            state.clock.change(time_step)
+        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
+        self._started = False
+        self.insert(new)
+        self.refresh()
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
         """Set which walls are present and their motions; takes effect with the next `refresh`.

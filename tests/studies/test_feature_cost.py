@@ -43,8 +43,9 @@ def plans(directory, *overrides):
     """Plans of all variants by name."""
     path = directory / "beads.yaml"
     path.write_text(TEXT)
-    base = plan_for(load(path, overrides))
-    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(base)}
+    scene = load(path, overrides)
+    base = plan_for(scene)
+    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(scene, base)}
 
 
 @pytest.mark.parametrize(
@@ -129,10 +130,9 @@ def measured(directory):
     path.write_text(TEXT)
     positions, restore = [], measure.restore
 
-    def restore_and_sample(engine, *others):
-        restore(engine, *others)
-        copied = engine.host_copy.copy_to_host(("id", "position"))
-        positions.append(copied["position"][np.argsort(copied["id"])].tolist())
+    def restore_and_sample(simulation, *others):
+        restore(simulation, *others)
+        positions.append(simulation.snapshot().particles["position"].tolist())
 
     measure.restore = restore_and_sample
     scene = load(path)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from granflow.engine.backend import Precision
 from granflow.errors import GranflowError
 from granflow.studies.accuracy import axes
 from granflow.studies.accuracy.axes import STUDIED_LAWS, StudiedLaw
@@ -16,7 +15,7 @@ from granflow.studies.accuracy.points import (
     QUANTITY_LABELS,
     StudyLine,
     columns,
-    line_in_process,
+    measured_line,
     worker_process,
 )
 from granflow.studies.accuracy.recommend import default_sentence, recommendation, table_heads, table_rows, velocity_rows
@@ -44,7 +43,7 @@ def measure_two_bodies(
     full: bool = False,
     report: Callable[[str], None] = lambda text: None,
     studied_laws: Sequence[StudiedLaw] = STUDIED_LAWS,
-    precisions: Sequence[Precision] = axes.PRECISIONS,
+    precisions: Sequence[str] = axes.PRECISIONS,
     steps: Sequence[float] | None = None,
 ) -> TwoBodyStudy:
     """Measure every combination, each precision in a separate process.
@@ -61,8 +60,8 @@ def measure_two_bodies(
             for studied_law in studied_laws:
                 for integrator in axes.INTEGRATORS:
                     report(f"{studied_law.name}, {integrator.name}, {precision}")
-                    order = (studied_law, integrator, precision, counts, repeats)
-                    line, problems = process.submit(line_in_process, *order).result()
+                    order = (studied_law, integrator, precision, counts, repeats, 1)
+                    line, problems = process.submit(measured_line, *order).result()
                     lines.append(line)
                     refused += problems
     return TwoBodyStudy(tuple(lines), tuple(dict.fromkeys(refused)), target)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow.engine.backend import start
-from granflow.scene.schema.scene import Scene
+from granflow import Scene
 from granflow.studies.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
@@ -92,8 +91,7 @@ def compare(
     sweeps: list[LawSweep] = []
     if subject is not None:
         report("collisions over three decades of velocity")
-        backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
-        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], backend)
+        sweeps = sweeps_of(scene, subject, [each for each in variants if each.scene is not None], arch)
     columns = sweep_columns(subject, sweeps) if subject is not None else {}
     found = SceneComparison(
         scene, velocity, reduced_counts(scene, most), until, runs, refused, subject, sweeps, columns

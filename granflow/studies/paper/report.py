@@ -7,7 +7,6 @@ from typing import Any
 
 from granflow.contact import theory
 from granflow.contact.material import limit_velocity
-from granflow.engine.backend import Backend, start
 from granflow.studies.figures import Drawing, require_plotting
 from granflow.studies.page import write_study
 from granflow.studies.paper import cost
@@ -16,7 +15,8 @@ from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
 from granflow.studies.paper.comparison import REFERENCE_VELOCITY, LawComparison, compare, comparison_figure
 from granflow.studies.paper.figure_data import FigureData
 from granflow.studies.paper.loops import loop_figure, loop_run
-from granflow.studies.paper.oblique import oblique_figure, oblique_run
+from granflow.studies.paper.oblique import oblique_run
+from granflow.studies.paper.oblique_figure import oblique_figure
 from granflow.studies.paper.residual import error_figure, residual_figure, residual_run
 from granflow.studies.paper.velocity import (
     duration_figure,
@@ -39,16 +39,15 @@ def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) ->
     is not installed.
     """
     require_plotting()
-    backend = start("cpu", "f64")
     report("collisions for the figures of the paper")
-    figures = paper_figures(backend)
+    figures = paper_figures()
     report("collisions with all contact models")
-    comparison = compare(backend)
+    comparison = compare()
     laws = comparison_figure(comparison)
     report("oblique impacts")
     oblique = oblique_figure(oblique_run())
     report("cost per contact of all contact models")
-    costs = cost.costs({name: model for name, (model, _) in comparison.ran.items()}, backend)
+    costs = cost.costs({name: model for name, (model, _) in comparison.ran.items()})
     report("drawing")
     everything = (*figures.values(), laws, oblique)
     materials, modulus_ratio = _materials()
@@ -69,22 +68,21 @@ def write_paper(out: Path, report: Callable[[str], None] = lambda text: None) ->
         cost=cost,
         reference_velocity=REFERENCE_VELOCITY,
         steps_per_contact=STEPS_PER_CONTACT,
-        arch=backend.arch,
     )
     return out / "paper.html"
 
 
-def paper_figures(backend: Backend) -> dict[str, FigureData]:
+def paper_figures() -> dict[str, FigureData]:
     """Data of all figures of the paper, by name."""
-    columns = velocity_columns(velocity_run(backend))
+    columns = velocity_columns(velocity_run())
     figures = (
-        residual_figure(residual_run(backend)),
+        residual_figure(residual_run()),
         error_figure(),
         restitution_figure(columns),
         duration_figure(columns),
-        spring_figure(columns, estimate_run(backend)),
-        loop_figure(loop_run(backend)),
-        accuracy_figure(*accuracy_run(backend)),
+        spring_figure(columns, estimate_run()),
+        loop_figure(loop_run()),
+        accuracy_figure(*accuracy_run()),
     )
     return {figure_data.name: figure_data for figure_data in figures}
 

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from granflow import explain, plan_for
 from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
-from granflow.plan.explain import explain
-from granflow.plan.plan import plan_for
 from granflow.studies.report.log import explanation, warnings_and_errors
 from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.record import RunRecord

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from granflow.engine.backend import Precision
-from granflow.errors import GranflowError
+from granflow import GranflowError
 from granflow.studies.tables import percent
 
 ACCURATE = 0.01
@@ -44,7 +43,7 @@ class StabilityCase:
     column: str
     reference: str
     run: Callable[[], CaseResult]
-    precision: Precision = "f64"
+    precision: str = "f64"
 
     @property
     def name(self) -> str:
