@@ -157,7 +157,6 @@ class Simulation:
         particles:  at the present time
         time_step:  of all further steps [s]; default: the present one
         """
-        self.step(0)
         self.engine.restart(particles, time_step)
 
     def snapshot(self, contacts: bool = False) -> Snapshot:

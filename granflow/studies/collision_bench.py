@@ -93,10 +93,8 @@ class CollisionBench:
 
     @cached_property
     def simulation(self) -> Simulation:
-        """Simulation of the scene, with the forces of the initial state."""
-        simulation = Simulation(self.scene, arch=self._arch, threads=self._threads)  # type: ignore[arg-type]
-        simulation.step(0)
-        return simulation
+        """Simulation of the scene."""
+        return Simulation(self.scene, arch=self._arch, threads=self._threads)  # type: ignore[arg-type]
 
     @cached_property
     def plan(self) -> Plan:
@@ -110,10 +108,11 @@ class CollisionBench:
 
     @property
     def most_steps(self) -> int:
-        """Upper bound of the number of steps of the slowest collision."""
+        """Upper bound of the number of steps until the slowest collision has ended."""
         cases = {(c.first, c.second, c.radius, c.other_radius, c.velocity): c for c in self.collisions}
         longest = max(sum(self.plan.law.phase_durations(*self.pair_of(each))) for each in cases.values())
-        return int(LONGEST * longest / self.simulation.time_step) + 10
+        approach = max(each.first_contact for each in self.collisions)
+        return int((approach + LONGEST * longest) / self.simulation.time_step) + 10
 
     def restart(self, collisions: Sequence[Collision], time_step: float | None = None) -> None:
         """Replace the collisions by others of the same partners and materials; optionally another time step [s]."""

@@ -89,7 +89,7 @@ def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | No
     plan, (name, group) = automatic_plan(scene), next(iter(scene.particles.items()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
     key = next(key for key in keys if key in scene.pairs)
-    pair = plan.pair_materials[key]
+    pair = plan.pair(*key.split("-"))
     if pair.restitution is None:
         return None
     diameter = float(np.mean(plan.group_diameters[name]))

@@ -112,7 +112,7 @@ def simulation_for(
     """Simulation of a variant with the particles and the walls of the start state."""
     particles = _with_materials(start.particles, variant.scene)
     simulation = Simulation(variant.scene, arch=arch, threads=threads, plan=plan, particles=particles)  # type: ignore[arg-type]
-    simulation.step(0)
+    simulation.step(1)  # the first step places the walls of the first stage
     count = len(variant.scene.walls)
     simulation.engine.set_walls(start.present[:count], start.motions[:count])
     return simulation

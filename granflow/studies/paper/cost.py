@@ -93,6 +93,4 @@ def _simulation(model: CandidateModel) -> Simulation:
     velocities = np.random.default_rng(1).uniform(-1.0, 1.0, positions.shape)
     numbers, radii = np.zeros(count, dtype=np.int32), np.full(count, 0.5 * case.diameter)
     particles = ParticleData(positions, velocities, np.zeros_like(positions), radii, numbers, numbers)
-    simulation = Simulation(scene, particles=particles)
-    simulation.step(0)
-    return simulation
+    return Simulation(scene, particles=particles)

@@ -108,8 +108,8 @@ def _bench(pairs: Sequence[ParticlePair], precision: str, time_step: float | Non
     return CollisionBench(
         materials, pairs_of_materials, {"normal": "zhou"}, collisions,
         run={
-            "precision": precision, "velocity_max": max(pair.velocity for pair in pairs), "duration": 1.0,
-            "time_step": time_step or "auto",
+            "precision": precision, "velocity_max": max(pair.velocity for pair in pairs),
+            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions), "time_step": time_step or "auto",
         },
         numerics={"skin": SKIN * smallest, "max_overlap": MAX_OVERLAP},
     )  # fmt: skip
